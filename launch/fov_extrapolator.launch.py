@@ -1,0 +1,38 @@
+"""
+Start the field-of-view extrapolator of one camera.
+
+ros2 launch neo_ros fov_extrapolator.launch.py namespace:=camera image:=image_rect model:=M.onnx
+"""
+from pathlib import Path
+
+from ament_index_python.packages import get_package_share_directory
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Describe the node and its arguments."""
+    parameters = Path(get_package_share_directory('neo_ros')) / 'config' / 'fov_extrapolator.yaml'
+    arguments = {
+        'namespace': ('', 'Namespace of the camera and of the wide topics'),
+        'image': ('image', 'Rectified image of the camera'),
+        'camera_info': ('camera_info', 'Calibration of the camera'),
+        'model': ('', 'Model (ONNX file of "neo train"); empty: what params_file says'),
+        'params_file': (str(parameters), 'YAML file with the parameters of the node'),
+    }
+    return LaunchDescription([
+        DeclareLaunchArgument(name, default_value=default, description=description)
+        for name, (default, description) in arguments.items()
+    ] + [OpaqueFunction(function=start_node)])
+
+
+def start_node(context: LaunchContext) -> list[Node]:
+    """Start the node once the arguments are known: an empty model must not override the file."""
+    model = LaunchConfiguration('model').perform(context)
+    return [Node(
+        package='neo_ros', executable='fov_extrapolator', output='screen',
+        namespace=LaunchConfiguration('namespace'),
+        parameters=[LaunchConfiguration('params_file'), *([{'model': model}] if model else [])],
+        remappings=[(topic, LaunchConfiguration(topic)) for topic in ('image', 'camera_info')])]

@@ -1,0 +1,62 @@
+"""The command line `neo`."""
+import logging
+import sys
+
+from neo_ros.cli.bag import bag
+from neo_ros.cli.demo import demo
+from neo_ros.cli.evaluate import evaluate
+from neo_ros.cli.import_scene import import_scene
+from neo_ros.cli.inspect import inspect
+from neo_ros.cli.play import play
+from neo_ros.cli.record import record
+from neo_ros.cli.replay import replay
+from neo_ros.cli.train import train
+from neo_ros.errors import NeoError
+import typer
+
+HELP = """
+Widen a robot's camera view, faithfully: a model of one scene, from photos to a ROS topic.
+
+A first look:  neo demo
+
+Your own scene:  neo import (photos with poses) > neo train (a model file) > neo evaluate
+(scores and pictures) > neo replay (a recorded bag) or the node fov_extrapolator (a live robot).
+"""
+PREPARE, RUN = 'From photos to a model', 'Use a model'
+
+app = typer.Typer(help=HELP, no_args_is_help=True, rich_markup_mode='rich',
+                  pretty_exceptions_enable=False, add_completion=False)
+app.command()(demo)
+app.command('import', rich_help_panel=PREPARE)(import_scene)
+app.command(rich_help_panel=PREPARE)(train)
+app.command(rich_help_panel=PREPARE)(evaluate)
+app.command(rich_help_panel=RUN)(inspect)
+app.command(rich_help_panel=RUN)(replay)
+app.command(rich_help_panel=RUN)(play)
+app.command(rich_help_panel=RUN)(record)
+app.command(rich_help_panel=RUN)(bag)
+
+
+def main() -> None:
+    """Run the command line; an error that the user can mend is one line and exit code 2."""
+    logging.basicConfig(format='%(levelname)s: %(message)s')
+    try:
+        app()
+    except NeoError as error:
+        sys.exit(_fail(str(error)))
+    except ModuleNotFoundError as error:
+        extra = {'torch': 'train', 'numba': 'train', 'scipy': 'train', 'onnx': 'train'}.get(
+            (error.name or '').split('.')[0])
+        if extra is None:
+            raise
+        sys.exit(_fail(f'{error.name} is not installed; this command needs: '
+                       f"pip install 'neo_ros[{extra}]' (in a checkout: make train-setup)"))
+
+
+def _fail(message: str) -> int:
+    print(f'neo: {message}', file=sys.stderr)
+    return 2
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,44 @@
+"""`neo train`: from a scene folder to a model file."""
+from pathlib import Path
+from typing import Annotated, Optional
+
+import typer
+
+
+def train(
+    scene: Annotated[Path, typer.Argument(
+        help='Scene folder with transforms_train.json, made by neo import.')],
+    out: Annotated[Path, typer.Option(
+        help='Folder for the model, the report and what a later run resumes from.')],
+    config: Annotated[Optional[Path], typer.Option(
+        help='Experiment file (YAML), see config/experiments; default: the default settings.',
+    )] = None,
+) -> None:
+    """
+    Fit the scene, render wide views of it, train the outpainter, export it.
+
+    Leaves SCENE.onnx and report.html in OUT. Broken off? Run the same command again: it goes
+    on from the last minute.
+    """
+    from neo_ros.experiment import Experiment, read_experiment
+    from neo_ros.pipeline import train as run_pipeline
+    import rich
+    from rich.markup import escape
+    from rich.progress import (
+        BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn,
+        TimeRemainingColumn)
+
+    experiment = read_experiment(config) if config is not None else Experiment()
+    tasks: dict[str, TaskID] = {}
+    with Progress(TextColumn('{task.description:10}'), BarColumn(), MofNCompleteColumn(),
+                  TimeElapsedColumn(), TimeRemainingColumn(),
+                  TextColumn('{task.fields[note]}')) as bar:
+        def show(stage: str, done: int, total: int, note: str) -> None:
+            if stage not in tasks:
+                tasks[stage] = bar.add_task(stage, total=total, note='')
+            bar.update(tasks[stage], completed=done, note=note)
+
+        run = run_pipeline(scene, experiment, out, show)
+    for name, value in run.figures.items():
+        rich.print(f'{name}: {value:.2f} dB')
+    rich.print(f'Written: {escape(str(run.model_path))} and report.html')

@@ -1,0 +1,102 @@
+"""
+The methods that are compared: each takes the narrow image and gives the wide one.
+
+Edge replication and the mean image are the floors: whoever does not beat them has learnt nothing.
+"""
+from pathlib import Path
+from typing import Iterable, Protocol
+
+import cv2
+from neo_ros.errors import SceneError
+from neo_ros.geometry import ViewExpansion
+from neo_ros.runtime.fov_extrapolator import FovExtrapolator
+import numpy as np
+
+
+class Method(Protocol):
+    """
+    One way to widen a view.
+
+    name             as it stands in tables and in the `method` column of results
+    observed_pasted  whether the camera's pixels are in the wide image as they came
+    train_minutes, model_mb  cost, None where there is none
+    """
+
+    name: str
+    observed_pasted: bool
+    train_minutes: float | None
+    model_mb: float | None
+
+    def expand(self, narrow_image: np.ndarray) -> np.ndarray:
+        """Widen (h, w, 3) RGB uint8 to (H, W, 3) RGB uint8."""
+
+
+class EdgeReplication:
+    """Floor 1: repeat the outermost observed pixels outwards."""
+
+    name = 'edge_replication'
+    observed_pasted = True
+    train_minutes: float | None = None
+    model_mb: float | None = None
+
+    def __init__(self, expansion: ViewExpansion) -> None:
+        self.expansion = expansion
+
+    def expand(self, narrow_image: np.ndarray) -> np.ndarray:
+        """Widen (h, w, 3) RGB uint8 to (H, W, 3) RGB uint8."""
+        grow = self.expansion
+        return cv2.copyMakeBorder(narrow_image, grow.top, grow.bottom, grow.left, grow.right,
+                                  cv2.BORDER_REPLICATE)
+
+
+class MeanImage:
+    """
+    Floor 2: the mean of all training photos, resized to the wide frame, centre pasted.
+
+    The photos cover the wide view (horizontal protocol) or only the narrow one (square
+    protocol); either way their mean, stretched, is the best guess that looks at nothing.
+
+    train_images  RGB uint8 (h, w, 3), all of one size; may be a stream
+    """
+
+    name = 'mean_image'
+    observed_pasted = True
+    train_minutes: float | None = None
+    model_mb: float | None = None
+
+    def __init__(self, expansion: ViewExpansion, train_images: Iterable[np.ndarray]) -> None:
+        self.expansion = expansion
+        total, count = None, 0
+        for image in train_images:
+            total = image.astype(np.float64) if total is None else total + image
+            count += 1
+        if total is None:
+            raise SceneError('train_images: expected at least one photo to average, got none')
+        size = (expansion.target.width, expansion.target.height)
+        shrink = size[0] < total.shape[1]
+        mean = cv2.resize(total / count, size,
+                          interpolation=cv2.INTER_AREA if shrink else cv2.INTER_LINEAR)
+        self.mean_image = np.rint(mean).astype(np.uint8)
+
+    def expand(self, narrow_image: np.ndarray) -> np.ndarray:
+        """Widen (h, w, 3) RGB uint8 to (H, W, 3) RGB uint8."""
+        return self.expansion.paste(narrow_image, self.mean_image)
+
+
+class NeoModel:
+    """The trained model of a scene, as the robot runs it."""
+
+    observed_pasted = True
+
+    def __init__(self, path: Path, name: str = 'neo', threads: int = 0) -> None:
+        """Load a model file; raises ModelError as `FovExtrapolator.load` does."""
+        self._extrapolator = FovExtrapolator.load(path, threads)
+        self.name = name
+        self.card = self._extrapolator.card
+        self.expansion = self._extrapolator.expansion
+        self.train_minutes: float | None = self.card.trained_seconds / 60
+        self.model_mb: float | None = Path(path).stat().st_size / 1e6
+
+    def expand(self, narrow_image: np.ndarray) -> np.ndarray:
+        """Widen (h, w, 3) RGB uint8 to (H, W, 3) RGB uint8."""
+        return self._extrapolator.expand(narrow_image).wide_image

@@ -1,0 +1,75 @@
+"""One YAML file is one experiment: every setting of a training, with its hash."""
+from dataclasses import asdict, dataclass
+import hashlib
+import json
+from pathlib import Path
+from typing import Any, Optional
+
+from neo_ros.errors import ConfigError
+from neo_ros.field.fitting import FieldConfig
+from neo_ros.geometry import Intrinsics, ViewExpansion
+from neo_ros.outpaint.fitting import OutpaintConfig
+from neo_ros.outpaint.network import NetworkConfig
+from neo_ros.scenes.pose_sampling import SamplingConfig
+from pydantic import TypeAdapter, ValidationError
+import yaml
+
+
+@dataclass(frozen=True)
+class ViewConfig:
+    """Sizes in pixels at the resolution of the photos, centred on their optical axis."""
+
+    __pydantic_config__ = {'extra': 'forbid'}
+    source: tuple[int, int]   # width, height of the image that the robot's camera gives
+    target: tuple[int, int]   # width, height of the wide image
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """Everything that decides a training's result, beside the photos."""
+
+    __pydantic_config__ = {'extra': 'forbid'}
+    seed: int = 0
+    scale: float = 1.0                   # resolution to work at, relative to the photos
+    view: Optional[ViewConfig] = None    # default: as the test frames say, else twice the photos
+    field: FieldConfig = FieldConfig()
+    sampling: SamplingConfig = SamplingConfig()
+    network: NetworkConfig = NetworkConfig()
+    outpaint: OutpaintConfig = OutpaintConfig()
+
+    @property
+    def config_hash(self) -> str:
+        """Twelve hex digits that change with any setting."""
+        text = json.dumps(asdict(self), sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+    def expansion(self, camera: Intrinsics, stated: Optional[ViewExpansion]) -> ViewExpansion:
+        """
+        Return the view expansion at working resolution.
+
+        camera is that of the photos; stated is what the scene's test frames say of themselves.
+        """
+        if self.view is not None:
+            width, height = self.view.source
+            dx, dy = width - camera.width, height - camera.height
+            source = camera.grown(dx // 2, dx - dx // 2, dy // 2, dy - dy // 2)
+            full = ViewExpansion.to_size(source, *self.view.target)
+        elif stated is not None:
+            full = stated
+        else:
+            full = ViewExpansion.to_size(camera, 2 * camera.width, 2 * camera.height)
+        return full.scaled(self.scale)
+
+
+def read_experiment(path: Path) -> Experiment:
+    """Read an experiment file; raises ConfigError naming unknown keys and wrong values."""
+    try:
+        document: Any = yaml.safe_load(path.read_text()) or {}
+    except (OSError, yaml.YAMLError) as error:
+        raise ConfigError(f'{path}: expected a YAML file: {error}') from error
+    try:
+        return TypeAdapter(Experiment).validate_python(document)
+    except ValidationError as error:
+        lines = [f'{".".join(map(str, item["loc"]))}: {item["msg"]}, got {item["input"]!r}'
+                 for item in error.errors()]
+        raise ConfigError(f'{path}: ' + '; '.join(lines)) from error

@@ -1,0 +1,215 @@
+"""Step 1 of the paper: fit a radiance field to posed photos of one scene."""
+from dataclasses import dataclass
+import math
+from typing import Any
+
+from neo_ros.errors import ConfigError, SceneError
+from neo_ros.field import kernels
+from neo_ros.field.voxel_field import RadianceField
+from neo_ros.geometry import Intrinsics
+import numpy as np
+
+
+@dataclass(frozen=True)
+class FieldConfig:
+    """How the field is fitted."""
+
+    __pydantic_config__ = {'extra': 'forbid'}
+    voxels: int = 3_000_000         # grid points at the last stage
+    steps: int = 6000               # optimiser steps over all stages
+    pixels_per_step: int = 4096     # pixels in a batch
+    subrays: int = 1                # rays whose mean makes a pixel; more = sharper, slower
+    sh_degree: int = 0              # view dependence: 0 none (matt), 1 or 2 for shiny scenes
+    margin: float = 3.0             # metres around the cameras that the first guess covers
+    shell: float = 0.2              # relative thickness of the contracted outside
+    near: float = 0.1               # metres in front of the lens that are empty
+    learning_rate: float = 0.1      # of density and colour, decayed to a tenth
+    distortion: float = 0.01        # weight of the distortion loss
+    pointwise: float = 0.05         # weight of the samples' own colour error
+    sparsity: float = 1e-3          # weight of the samples' opacity: clears the air
+    smooth_density: float = 0.0     # total variation of raw density
+    smooth_colour: float = 0.0      # total variation of colour
+    exposure: bool = False          # one gain per photo and channel
+
+    def __post_init__(self) -> None:
+        if self.sh_degree not in (0, 1, 2):
+            raise ConfigError(f'field.sh_degree: expected 0, 1 or 2, got {self.sh_degree}')
+        if self.steps < 10 or self.voxels < 1000 or self.pixels_per_step < 1:
+            raise ConfigError('field: expected steps >= 10, voxels >= 1000, pixels_per_step >= 1')
+
+
+# Share of the steps at which the grid is refined, and the share of voxels it then has.
+STAGES = ((0.0, 1 / 64), (0.06, 1 / 64), (0.18, 1 / 8), (0.4, 1.0))
+OCCUPANCY_EVERY = 100
+
+
+class FieldTrainer:
+    """The optimiser's state; one call of `train_step` is one batch."""
+
+    def __init__(self, images: np.ndarray, intrinsics: Intrinsics, T_world_cam: np.ndarray,
+                 config: FieldConfig, seed: int) -> None:
+        self.images, self.intrinsics, self.config = images, intrinsics, config
+        self.rotations = T_world_cam[:, :3, :3].astype(np.float32)
+        self.origins = T_world_cam[:, :3, 3].astype(np.float32)
+        self.seed = seed
+        self.step = 0
+        self.psnr = 0.0
+        self.log_gain = np.zeros((len(images), 3), np.float32)
+        low, high = self.origins.min(0) - config.margin, self.origins.max(0) + config.margin
+        self.field = RadianceField.empty(
+            int(config.voxels * STAGES[0][1]), (low + high) / 2, (high - low) / 2,
+            config.shell, config.sh_degree, near=config.near)
+        self._allocate()
+
+    def _allocate(self) -> None:
+        """Make the optimiser's buffers for the present grid."""
+        grid = self.field.grid
+        self.gradient = np.zeros_like(grid)
+        self.first = np.zeros_like(grid)
+        self.second = np.zeros_like(grid)
+        self.touched = np.zeros(len(grid), np.uint8)
+        self.updates = np.zeros(len(grid), np.int32)
+        rays = self.config.pixels_per_step * self.config.subrays
+        limit = self.field.sample_limit
+        self.cell = np.empty((rays, limit), np.int64)
+        self.frac = np.empty((rays, limit, 3), np.float32)
+        self.d_density = np.empty((rays, limit), np.float32)
+        self.d_rgb = np.empty((rays, limit, 3), np.float32)
+        self.count = np.empty(rays, np.int64)
+
+    def sample_rays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Draw pixels; returns photo index (P,), target (P, 3), rays_o and rays_d (P*S, 3)."""
+        count, subrays, camera = (
+            self.config.pixels_per_step, self.config.subrays, self.intrinsics)
+        photo = self.random.integers(len(self.images), size=count)
+        row = self.random.integers(camera.height, size=count)
+        column = self.random.integers(camera.width, size=count)
+        target = self.images[photo, row, column].astype(np.float32) / 255
+        offset = self.random.random((count, subrays, 2), np.float32)
+        directions = np.ones((count, subrays, 3), np.float32)
+        directions[..., 0] = (column[:, None] + offset[..., 0] - camera.cx) / camera.fx
+        directions[..., 1] = (row[:, None] + offset[..., 1] - camera.cy) / camera.fy
+        directions = np.einsum('pij,psj->psi', self.rotations[photo], directions)
+        directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+        origins = np.repeat(self.origins[photo], subrays, axis=0)
+        return photo, target, origins, directions.reshape(-1, 3)
+
+    def train_step(self) -> None:
+        """Take one optimiser step, refining the grid and its occupancy when they are due."""
+        # A generator per step: a resumed training draws what an unbroken one would.
+        self.random = np.random.default_rng([self.seed, self.step])
+        self._refine_when_due()
+        config, field = self.config, self.field
+        photo, target, rays_o, rays_d = self.sample_rays()
+        pixels = len(target)
+        error = np.empty(pixels, np.float32)
+        d_gain = np.empty((pixels, 3), np.float32)
+        gain = np.exp(self.log_gain[photo])
+        shape = np.array(field.shape)
+        kernels.differentiate_rays(
+            rays_o, rays_d, target, gain, self.random.random(len(rays_o), np.float32),
+            config.subrays, self.random.random((pixels, 3), np.float32), field.grid, shape,
+            field.skip, field.box, field.step, field.near, field.shift, field.terms,
+            np.float32(config.distortion), np.float32(config.pointwise),
+            np.float32(config.sparsity), self.cell, self.frac,
+            self.d_density, self.d_rgb, self.count, error, d_gain)
+        kernels.scatter_gradients(
+            rays_d, self.cell, self.frac, self.d_density, self.d_rgb, self.count, shape,
+            field.terms, self.gradient, self.touched)
+        scale = pixels
+        kernels.add_total_variation(
+            field.grid, shape, self.touched, np.float32(config.smooth_density * scale),
+            np.float32(config.smooth_colour * scale), self.gradient)
+        rate = np.float32(config.learning_rate * 0.1 ** (self.step / config.steps))
+        kernels.adam_step(field.grid, self.gradient, self.first, self.second, self.touched,
+                          self.updates, rate, rate)
+        if config.exposure:
+            self._update_exposure(photo, d_gain * gain)
+        smoothing = 0.98 if self.step else 0.0
+        psnr = -10 * math.log10(max(float(error.mean()) / 3, 1e-10))
+        self.psnr = smoothing * self.psnr + (1 - smoothing) * psnr
+        self.step += 1
+
+    def _update_exposure(self, photo: np.ndarray, d_log_gain: np.ndarray) -> None:
+        """Descend on the photos' gains; their mean stays 1, so the field keeps its colour."""
+        total = np.zeros_like(self.log_gain)
+        np.add.at(total, photo, d_log_gain)
+        seen = np.bincount(photo, minlength=len(self.log_gain))[:, None]
+        self.log_gain -= 0.05 * total / np.maximum(seen, 1)
+        self.log_gain -= self.log_gain.mean(0)
+
+    def _refine_when_due(self) -> None:
+        starts = [int(share * self.config.steps) for share, _ in STAGES]
+        if self.step in starts[1:]:
+            stage = starts.index(self.step, 1)
+            voxels = int(self.config.voxels * STAGES[stage][1])
+            self.field = self.field.resampled(voxels, *(self.content_box()))
+            if stage > 1:
+                self.field.update_occupancy()
+            self._allocate()
+        elif self.step > starts[1] + OCCUPANCY_EVERY and self.step % OCCUPANCY_EVERY == 0:
+            self.field.update_occupancy()
+
+    @property
+    def figure(self) -> float:
+        """What a log of the training shows: the smoothed PSNR on its own photos, dB."""
+        return self.psnr
+
+    def state(self) -> dict[str, Any]:
+        """Return everything a later `restore` needs to go on."""
+        field = self.field
+        return {'step': self.step, 'psnr': self.psnr, 'log_gain': self.log_gain,
+                'grid': field.grid, 'shape': list(field.shape), 'skip': field.skip,
+                'centre': field.centre, 'half_extent': field.half_extent,
+                'first': self.first, 'second': self.second, 'updates': self.updates}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from `state`; arrays may be tensors."""
+        self.step, self.psnr = state['step'], state['psnr']
+        arrays = {key: np.asarray(value) for key, value in state.items()}
+        self.log_gain = arrays['log_gain']
+        self.field = RadianceField(
+            arrays['grid'], tuple(state['shape']), arrays['centre'], arrays['half_extent'],
+            self.config.shell, near=self.config.near)
+        self.field.skip = arrays['skip']
+        self._allocate()
+        self.first, self.second, self.updates = (
+            arrays['first'], arrays['second'], arrays['updates'])
+
+    def content_box(self) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Find the inner box from what a coarse field shows: centre and half extent (3,).
+
+        Surfaces that the photos see lie inside, up to a few percent that may be a view through
+        a window; those are left to the contracted shell.
+        """
+        from neo_ros.field.rendering import render_rays
+        _, _, rays_o, rays_d = self.sample_rays()
+        rendering = render_rays(self.field, rays_o, rays_d)
+        points = rays_o + rendering.depth[:, None] * rays_d
+        inside = np.abs(self.field.grid_position(points)).max(-1) * (1 + self.field.shell) < 1
+        points = points[inside & (rendering.opacity > 0.9)]
+        if len(points) < 100:
+            return self.field.centre, self.field.half_extent
+        low = np.minimum(np.percentile(points, 2, axis=0), self.origins.min(0))
+        high = np.maximum(np.percentile(points, 98, axis=0), self.origins.max(0))
+        pad = 0.04 * (high - low).max()
+        return (low + high) / 2, (high - low) / 2 + pad
+
+    def finished(self) -> RadianceField:
+        """Return the fitted field with its coverage marked."""
+        field = self.field
+        if field.update_occupancy() == 0:
+            raise SceneError(
+                'field: the photos left nothing in it; are the poses right (OpenGL camera axes, '
+                'metres), and field.steps enough?')
+        field.seen = np.zeros(len(field.grid), np.uint8)
+        directions = self.intrinsics.pixel_rays().reshape(-1, 3)
+        for rotation, origin in zip(self.rotations, self.origins):
+            rays_d = directions @ rotation.T
+            rays_d /= np.linalg.norm(rays_d, axis=-1, keepdims=True)
+            kernels.mark_seen(
+                np.broadcast_to(origin, rays_d.shape).copy(), rays_d, field.grid,
+                np.array(field.shape), field.skip, field.box, field.step, field.near,
+                field.shift, field.sample_limit, field.seen)
+        return field

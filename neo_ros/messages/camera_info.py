@@ -1,0 +1,151 @@
+"""
+`sensor_msgs/CameraInfo` to `Intrinsics` and back.
+
+CameraInfo counts pixel centres from 0, `Intrinsics` has them at +0.5: cx_ros = cx - 0.5, here
+and nowhere else.
+"""
+import math
+from typing import Any
+
+from neo_ros.errors import GeometryError, ImageRejected
+from neo_ros.geometry import Intrinsics, ViewExpansion
+import numpy as np
+
+CENTRE = 0.5
+# Indices into the row-major 3x3 K and 3x4 P: fx, skew, cx (and Tx); fy, cy (and Ty).
+K_COLUMNS = 3
+P_COLUMNS = 4
+
+
+def read_camera_info(message: Any) -> Intrinsics:
+    """
+    Return the camera of a `sensor_msgs/CameraInfo`, of the image as it is sent.
+
+    `message` is anything with the fields of the ROS message. ROI and binning are folded in:
+    K describes the full sensor, the result the cut and binned image. Binned pixels are taken
+    as the mean of their neighbourhood, so corners keep their place (REP 104).
+
+    Raises ImageRejected('camera_info') for an uncalibrated camera (K[0] = 0), values that are
+    not finite, distortion, and windows outside the sensor.
+    """
+    return _fold_window(message, _read_matrix(message.k, 'k', 9), K_COLUMNS)[0]
+
+
+def expand_camera_info(message: Any, expansion: ViewExpansion) -> dict[str, Any]:
+    """
+    Return the `CameraInfo` fields below the header of the wide view of this camera.
+
+    cx and cy grow by `left` and `top` in K and P; fx, fy, R, P[3] and P[7] stay those of the
+    image as it is sent (ROI and binning of the input folded in, and zero in the output). The
+    size is the wide one and D is zero. A P that is all zero is filled from K.
+
+    Raises ImageRejected('camera_info') as `read_camera_info` does, and where the image's size
+    is not the one of `expansion.source`.
+    """
+    camera, k = _fold_window(message, _read_matrix(message.k, 'k', 9), K_COLUMNS)
+    source = expansion.source
+    if (camera.width, camera.height) != (source.width, source.height):
+        raise _rejected(f'size: expected {source.width}x{source.height}, '
+                        f'got {camera.width}x{camera.height}')
+    p = _read_matrix(message.p, 'p', 12)
+    if p.any():
+        p = _fold_window(message, p, P_COLUMNS, 'p')[1]
+    else:
+        p = np.hstack([k.reshape(3, 3), np.zeros((3, 1))]).reshape(-1)
+    for matrix, columns in ((k, K_COLUMNS), (p, P_COLUMNS)):
+        matrix[2] += expansion.left
+        matrix[columns + 2] += expansion.top
+    target = expansion.target
+    fields = _fields(target.width, target.height, k, p)
+    return fields | {'r': _read_matrix(message.r, 'r', 9)}
+
+
+def camera_info_fields(intrinsics: Intrinsics) -> dict[str, Any]:
+    """
+    Return the `CameraInfo` fields below the header of a camera without distortion.
+
+    `k`, `r` (identity) are float64 (9,), `p` is float64 (12,), `d` is float64 (5,) of zeros.
+    """
+    k = intrinsics.matrix
+    k[:2, 2] -= CENTRE
+    p = np.hstack([k, np.zeros((3, 1))])
+    return _fields(intrinsics.width, intrinsics.height, k.reshape(-1), p.reshape(-1))
+
+
+def check_same_camera(found: Intrinsics, expected: Intrinsics, tolerance: float = 0.01) -> None:
+    """
+    Raise ImageRejected('camera') unless `found` is the camera that the model was trained for.
+
+    Sizes must agree exactly, focal lengths within `tolerance` of their value, the optical
+    centre within `tolerance` of the image's size. The paper lost 5.3 dB to another field of view
+    than the trained one, so such a camera is refused and not merely warned about.
+    """
+    same = (
+        (found.width, found.height) == (expected.width, expected.height)
+        and abs(found.fx - expected.fx) <= tolerance * expected.fx
+        and abs(found.fy - expected.fy) <= tolerance * expected.fy
+        and abs(found.cx - expected.cx) <= tolerance * expected.width
+        and abs(found.cy - expected.cy) <= tolerance * expected.height)
+    if not same:
+        raise ImageRejected(
+            'camera', f'camera: the model expects {_describe(expected)}, the camera is '
+            f'{_describe(found)}; crop or resize its image, or train a model for it')
+
+
+def _describe(camera: Intrinsics) -> str:
+    return (f'{camera.width}x{camera.height} with hfov {math.degrees(camera.hfov):.2f} deg '
+            f'(fx {camera.fx:.2f}, fy {camera.fy:.2f}, '
+            f'cx {camera.cx - CENTRE:.2f}, cy {camera.cy - CENTRE:.2f})')
+
+
+def _fields(width: int, height: int, k: np.ndarray, p: np.ndarray) -> dict[str, Any]:
+    return {'height': height, 'width': width, 'distortion_model': 'plumb_bob',
+            'd': np.zeros(5), 'k': k, 'r': np.eye(3).reshape(-1), 'p': p}
+
+
+def _rejected(message: str) -> ImageRejected:
+    return ImageRejected('camera_info', f'camera_info {message}')
+
+
+def _read_matrix(values: Any, name: str, count: int) -> np.ndarray:
+    """Return a float64 copy of a matrix field, (count,), finite."""
+    matrix = np.array(values, np.float64).reshape(-1)
+    if matrix.size != count or not np.isfinite(matrix).all():
+        raise _rejected(f'{name}: expected {count} finite numbers, got {matrix.tolist()}')
+    return matrix
+
+
+def _fold_window(message: Any, matrix: np.ndarray, columns: int,
+                 name: str = 'k') -> tuple[Intrinsics, np.ndarray]:
+    """
+    Fold ROI and binning into K (columns = 3) or P (columns = 4).
+
+    Returns the camera of the image as it is sent and the changed copy of the matrix.
+    """
+    distortion = np.array(message.d, np.float64).reshape(-1)
+    if distortion.any():  # NaN counts as any
+        raise _rejected(f'd: rectified input required, got distortion {distortion.tolist()} '
+                        f'({message.distortion_model!r}); rectify the image first (image_proc)')
+    row = columns  # index of the first element of the second row
+    fx, fy = matrix[0], matrix[row + 1]
+    if fx == 0:
+        raise _rejected(f'{name}: the camera is uncalibrated ({name}[0] = 0); calibrate it, or '
+                        'stop publishing camera_info')
+    roi = message.roi
+    bin_x, bin_y = max(message.binning_x, 1), max(message.binning_y, 1)
+    width, height = roi.width or message.width, roi.height or message.height
+    if roi.x_offset + width > message.width or roi.y_offset + height > message.height:
+        raise _rejected(
+            f'roi: {width}x{height} at ({roi.x_offset}, {roi.y_offset}) is not inside '
+            f'{message.width}x{message.height}')
+    folded = matrix.copy()
+    folded[:columns] /= bin_x
+    folded[row:row + columns] /= bin_y
+    cx = (matrix[2] + CENTRE - roi.x_offset) / bin_x
+    cy = (matrix[row + 2] + CENTRE - roi.y_offset) / bin_y
+    folded[2], folded[row + 2] = cx - CENTRE, cy - CENTRE
+    try:
+        camera = Intrinsics(width // bin_x, height // bin_y, fx / bin_x, fy / bin_y, cx, cy)
+    except GeometryError as error:
+        raise _rejected(f'{name}: {error}') from error
+    return camera, folded

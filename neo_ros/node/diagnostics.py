@@ -1,0 +1,84 @@
+"""What `/diagnostics` says about the node."""
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from neo_ros.node.frame_statistics import Snapshot
+
+
+@dataclass(frozen=True)
+class Health:
+    """
+    Everything the verdict depends on.
+
+    state: lifecycle state. fault: why the last transition failed, or empty. topic: the image
+    topic's full name, publishers: how many it has. qos_conflict: in words, or empty.
+    subscribed: whether anybody reads an output.
+    """
+
+    state: str
+    fault: str
+    enabled: bool
+    topic: str
+    publishers: int
+    qos_conflict: str
+    subscribed: bool
+    counts: Snapshot
+
+
+def judge(health: Health) -> tuple[bytes, str]:
+    """Return the level and the one line that tells an operator what to do."""
+    counts = health.counts
+    if health.fault:
+        return DiagnosticStatus.ERROR, health.fault
+    if health.state != 'active':
+        return DiagnosticStatus.OK, f'{health.state}: waiting for a lifecycle transition'
+    if not health.enabled:
+        return DiagnosticStatus.OK, 'disabled by the enable service'
+    if counts.recent_received == 0:
+        waiting = f'waiting for image on {health.topic}, publishers: {health.publishers}'
+        conflict = f'; {health.qos_conflict}' if health.qos_conflict else ''
+        return DiagnosticStatus.WARN, waiting + conflict
+    if not health.subscribed:
+        return DiagnosticStatus.OK, 'nobody subscribes to wide/*: images are not widened'
+    if counts.recent_rejected and not counts.recent_published:
+        return DiagnosticStatus.ERROR, f'every image is rejected: {counts.last_rejection}'
+    if counts.recent_rejected:
+        return DiagnosticStatus.WARN, f'some images are rejected: {counts.last_rejection}'
+    if not counts.recent_published:
+        return DiagnosticStatus.WARN, 'the first image is being widened'
+    return DiagnosticStatus.OK, f'widening {counts.rate_out:.1f} images per second'
+
+
+def build_status(name: str, health: Health, model: Mapping[str, str]) -> DiagnosticStatus:
+    """Return the full status; `model` are extra lines about the loaded model."""
+    counts = health.counts
+    lines = {
+        'state': health.state,
+        'enabled': str(health.enabled).lower(),
+        'image topic': health.topic,
+        'image publishers': str(health.publishers),
+        **{f'model {key}': value for key, value in model.items()},
+        'rate in [Hz]': f'{counts.rate_in:.2f}',
+        'rate out [Hz]': f'{counts.rate_out:.2f}',
+        'received': str(counts.received),
+        'published': str(counts.published),
+        'dropped for a newer image': str(counts.dropped),
+        'rejected': str(sum(counts.rejected.values())),
+        **{f'rejected: {reason}': str(count)
+           for reason, count in sorted(counts.rejected.items())},
+        'last rejection': counts.last_rejection,
+        **{f'latency {stage} median/p95/max [ms]': '/'.join(f'{value:.2f}' for value in spread)
+           for stage, spread in counts.latency_ms.items()},
+    }
+    level, message = judge(health)
+    return DiagnosticStatus(
+        level=level, name=name, message=message, hardware_id=model.get('scene', ''),
+        values=[KeyValue(key=key, value=value) for key, value in lines.items()])
+
+
+def build_array(stamp: object, status: DiagnosticStatus) -> DiagnosticArray:
+    """Wrap a status for the topic; `stamp` is a builtin_interfaces Time."""
+    array = DiagnosticArray(status=[status])
+    array.header.stamp = stamp
+    return array

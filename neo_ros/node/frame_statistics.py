@@ -1,0 +1,112 @@
+"""What the node counts: frames in and out, drops, refusals, and where the time goes."""
+from collections import Counter, deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+import threading
+import time
+from typing import NamedTuple
+
+import numpy as np
+
+WINDOW_S = 5.0
+# A stage's latencies are kept for so many frames: 10 s at 30 Hz.
+KEPT_FRAMES = 300
+
+
+class Spread(NamedTuple):
+    """Latency of one stage over the last frames, milliseconds."""
+
+    median: float
+    p95: float
+    max: float  # noqa: A003
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """
+    Totals since the start, and what happened in the last WINDOW_S seconds.
+
+    `recent_*` count events inside the window, `rate_*` are per second. `rejected` counts by
+    reason; `last_rejection` is the newest refusal in words, also when it is older than the window.
+    """
+
+    received: int
+    published: int
+    dropped: int
+    rejected: dict[str, int]
+    last_rejection: str
+    recent_received: int
+    recent_published: int
+    recent_rejected: int
+    rate_in: float
+    rate_out: float
+    latency_ms: dict[str, Spread]
+
+
+class Statistics:
+    """Counters that the executor's thread and the worker share."""
+
+    def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
+        """Take the clock as an argument, so that tests need not wait."""
+        self._now = now
+        self._lock = threading.Lock()
+        self._started = now()
+        self._totals: Counter[str] = Counter()
+        self._reasons: Counter[str] = Counter()
+        self._times: dict[str, deque[float]] = {
+            event: deque() for event in ('received', 'published', 'rejected')}
+        self._latencies: dict[str, deque[float]] = {}
+        self._last_rejection = ''
+
+    def count_received(self) -> None:
+        """Count a frame that arrived."""
+        with self._lock:
+            self._count('received')
+
+    def count_dropped(self) -> None:
+        """Count a frame that a newer one replaced before its turn."""
+        with self._lock:
+            self._totals['dropped'] += 1
+
+    def count_rejected(self, reason: str, message: str) -> None:
+        """Count a refused frame under its stable reason and keep the words of the newest."""
+        with self._lock:
+            self._count('rejected')
+            self._reasons[reason] += 1
+            self._last_rejection = message
+
+    def count_published(self, stages_ms: Mapping[str, float]) -> None:
+        """Count a frame that went out and how many milliseconds it spent at each stage."""
+        with self._lock:
+            self._count('published')
+            for stage, duration in stages_ms.items():
+                kept = self._latencies.setdefault(stage, deque(maxlen=KEPT_FRAMES))
+                kept.append(duration)
+
+    def snapshot(self) -> Snapshot:
+        """Return all numbers as they stand now."""
+        with self._lock:
+            recent = {event: self._recent(event) for event in self._times}
+            latencies = {stage: list(kept) for stage, kept in self._latencies.items()}
+            window = max(min(WINDOW_S, self._now() - self._started), 1e-3)
+            totals, reasons = self._totals.copy(), dict(self._reasons)
+            last_rejection = self._last_rejection
+        return Snapshot(
+            received=totals['received'], published=totals['published'],
+            dropped=totals['dropped'], rejected=reasons, last_rejection=last_rejection,
+            recent_received=recent['received'], recent_published=recent['published'],
+            recent_rejected=recent['rejected'], rate_in=recent['received'] / window,
+            rate_out=recent['published'] / window,
+            latency_ms={stage: Spread(*np.percentile(values, [50, 95, 100]).tolist())
+                        for stage, values in latencies.items()})
+
+    def _count(self, event: str) -> None:
+        self._totals[event] += 1
+        self._times[event].append(self._now())
+        self._recent(event)
+
+    def _recent(self, event: str) -> int:
+        times = self._times[event]
+        while times and times[0] < self._now() - WINDOW_S:
+            times.popleft()
+        return len(times)

@@ -1,0 +1,113 @@
+"""Write the demo flat as a scene folder: training photos, wide test walks, the floor map."""
+from concurrent.futures import ProcessPoolExecutor
+import hashlib
+import json
+import multiprocessing
+import os
+from pathlib import Path
+from typing import Callable, Iterable, Iterator
+
+import cv2
+from neo_ros.errors import SceneError
+from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
+from neo_ros.scenes.demo_flat import (
+    build_demo_flat, DemoFlat, sample_training_poses, walking_paths)
+from neo_ros.scenes.posed_images import PosedImages
+from neo_ros.scenes.transforms_json import write_transforms
+from neo_ros.scenes.walkable import write_walkable
+import numpy as np
+
+SETTINGS_FILE = 'demo_scene.json'
+Job = tuple[str, Intrinsics, np.ndarray]
+
+
+def write_demo_scene(folder: Path, *, image_size: int = 128, n_train: int = 1000,
+                     n_paths: int = 8, frames_per_path: int = 25, seed: int = 0,
+                     progress: Callable[[int, int], None] = lambda done, total: None,
+                     workers: int | None = None) -> None:
+    """
+    Write the demo flat in the layout of the paper's 3-DoF protocol (section 4.1).
+
+    train/*.png        image_size square, 90 degrees, poses uniform over the free floor
+    test/pPATH_FRAME.png  twice that size at the same focal length, 126.87 degrees, along walks
+    and transforms_train.json, transforms_test.json (with `input_crop`), walkable.json.
+    progress(done, total) counts images; workers are processes, all cores by default.
+    A run that was broken off goes on where it stopped. Raises SceneError where the folder
+    holds a demo scene of other settings or cannot be written.
+    """
+    folder = Path(folder)
+    narrow = Intrinsics.from_hfov(image_size, image_size, np.pi / 2)
+    expansion = ViewExpansion.to_size(narrow, 2 * image_size, 2 * image_size)
+    flat = build_demo_flat()
+    train = sample_training_poses(flat, n_train, seed)
+    walks = walking_paths(flat, n_paths, frames_per_path, seed)
+    test = [(f'test/p{path_id}_{index:02d}.png', pose, path_id)
+            for path_id, walk in enumerate(walks) for index, pose in enumerate(walk)]
+    names = [f'train/{index:04d}.png' for index in range(n_train)]
+    jobs: list[Job] = [(str(folder / name), narrow, pose.T_world_cam)
+                       for name, pose in zip(names, train)]
+    jobs += [(str(folder / name), expansion.target, pose.T_world_cam) for name, pose, _ in test]
+    _claim(folder, {'image_size': image_size, 'n_train': n_train, 'n_paths': n_paths,
+                    'frames_per_path': frames_per_path, 'seed': seed,
+                    'fingerprint': _fingerprint(flat, jobs)})
+    missing = [job for job in jobs if not os.path.exists(job[0])]
+    progress(len(jobs) - len(missing), len(jobs))
+    for done, _ in enumerate(_run(missing, workers or os.cpu_count() or 1), start=1):
+        progress(len(jobs) - len(missing) + done, len(jobs))
+    write_walkable(folder / 'walkable.json', flat.walkable())
+    if train:
+        write_transforms(folder / 'transforms_train.json', PosedImages(
+            narrow, tuple(folder / name for name in names), tuple(train), (0,) * n_train))
+    if test:
+        paths, poses, path_ids = zip(*test)
+        write_transforms(folder / 'transforms_test.json', PosedImages(
+            expansion.target, tuple(folder / path for path in paths), poses, path_ids), expansion)
+
+
+def _claim(folder: Path, settings: dict[str, int | str]) -> None:
+    """Make the folders and note what they are for, so that two scenes are never mixed."""
+    note = folder / SETTINGS_FILE
+    try:
+        for part in ('train', 'test'):
+            (folder / part).mkdir(parents=True, exist_ok=True)
+        if not note.exists():
+            note.write_text(json.dumps(settings))
+        found = json.loads(note.read_text())
+    except (OSError, ValueError) as error:
+        raise SceneError(f'{folder}: cannot write a demo scene here: {error}') from error
+    if found != settings:
+        raise SceneError(f'{folder}: expected an empty folder or a demo scene of {settings}, '
+                         f'got one of {found}; choose another folder')
+
+
+def _fingerprint(flat: DemoFlat, jobs: list[Job]) -> str:
+    """Hash what the images show, so that images of an older flat are not taken for done."""
+    sha = hashlib.sha256(repr(flat.solids.materials).encode())
+    for array in (flat.solids.centre, flat.solids.half, flat.light.values,
+                  *(pose for _, _, pose in jobs)):
+        sha.update(np.ascontiguousarray(array).tobytes())
+    return sha.hexdigest()[:16]
+
+
+def _run(jobs: list[Job], workers: int) -> Iterator[None]:
+    if workers == 1 or len(jobs) < 8:
+        yield from map(_render_to_file, jobs)
+        return
+    # spawn: forking a process that has threads (torch, ROS) may hang the child.
+    with ProcessPoolExecutor(workers, multiprocessing.get_context('spawn')) as pool:
+        results: Iterable[None] = pool.map(_render_to_file, jobs, chunksize=4)
+        yield from results
+
+
+def _render_to_file(job: Job) -> None:
+    path, intrinsics, T_world_cam = job
+    image, _ = build_demo_flat().render(intrinsics, CameraPose(T_world_cam))
+    encoded, data = cv2.imencode('.png', image[..., ::-1])
+    if not encoded:
+        raise SceneError(f'{path}: OpenCV could not encode the image as PNG')
+    partial = f'{path}.{os.getpid()}.partial'
+    try:
+        Path(partial).write_bytes(data.tobytes())
+        os.replace(partial, path)
+    except OSError as error:
+        raise SceneError(f'{path}: cannot write: {error}') from error

@@ -1,0 +1,117 @@
+"""Step 2 of the paper: poses where the robot can be, in groups that share one position."""
+from dataclasses import dataclass
+import math
+
+from neo_ros.errors import ConfigError
+from neo_ros.geometry import CameraPose
+from neo_ros.scenes.posed_images import PosedImages
+from neo_ros.scenes.walkable import WalkableMap
+import numpy as np
+
+
+@dataclass(frozen=True)
+class SamplingConfig:
+    """Where wide training views are rendered."""
+
+    __pydantic_config__ = {'extra': 'forbid'}
+    interval: float = 0.05   # metres between grid positions (paper: 0.05 to 1.0, best 0.05)
+    radius: float = 0.3      # metres around the photos that a hand-held camera can be
+    positions: int = 1000    # positions to render, drawn from the grid
+
+    def __post_init__(self) -> None:
+        if not (self.interval > 0 and self.radius > 0 and self.positions > 0):
+            raise ConfigError(
+                'sampling: expected interval, radius and positions > 0, got '
+                f'{self.interval}, {self.radius}, {self.positions}')
+
+
+@dataclass(frozen=True, eq=False)
+class PoseSampler:
+    """
+    Positions (M, 3) in the world with the orientations that a camera takes there.
+
+    yaw_range      (low, width) radians: yaw is uniform in low ... low + width
+    pitch_roll     means and standard deviations ((pitch, roll), (pitch, roll)), radians
+    height         mean and standard deviation of z, metres
+    """
+
+    positions_xy: np.ndarray
+    yaw_range: tuple[float, float]
+    pitch_roll: tuple[tuple[float, float], tuple[float, float]]
+    height: tuple[float, float]
+
+    @classmethod
+    def for_walkable(cls, walkable: WalkableMap, config: SamplingConfig) -> 'PoseSampler':
+        """3-DoF (section 4.1): a grid over the free floor, fixed height, every yaw."""
+        centres = walkable.centres()
+        every = max(1, round(config.interval / walkable.resolution))
+        index = np.round((centres - centres.min(0)) / walkable.resolution).astype(int)
+        return cls(centres[(index % every == 0).all(1)], (-math.pi, 2 * math.pi),
+                   ((0.0, 0.0), (0.0, 0.0)), (walkable.camera_height, 0.0))
+
+    @classmethod
+    def around_photos(cls, photos: PosedImages, config: SamplingConfig) -> 'PoseSampler':
+        """
+        6-DoF (section 4.2): a horizontal grid within `radius` of the photos.
+
+        Yaw is uniform between the photos' bounds; height, pitch and roll are Gaussian with the
+        photos' mean and deviation. The world's z axis must point up.
+        """
+        T = photos.T_world_cam
+        xy = T[:, :2, 3]
+        low, high = xy.min(0) - config.radius, xy.max(0) + config.radius
+        axes = [np.arange(a, b + config.interval, config.interval) for a, b in zip(low, high)]
+        grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+        distance = np.array([np.linalg.norm(xy - point, axis=1).min() for point in grid])
+        angles = np.array([yaw_pitch_roll(matrix[:3, :3]) for matrix in T])
+        tilt_mean, tilt_std = angles[:, 1:].mean(0), angles[:, 1:].std(0)
+        return cls(grid[distance <= config.radius], _yaw_bounds(angles[:, 0]),
+                   (tuple(tilt_mean), tuple(tilt_std)),
+                   (float(T[:, 2, 3].mean()), float(T[:, 2, 3].std())))
+
+    def draw_position(self, random: np.random.Generator) -> np.ndarray:
+        """Draw one position, (3,) metres."""
+        x, y = self.positions_xy[random.integers(len(self.positions_xy))]
+        return np.array([x, y, random.normal(*self.height)])
+
+    def draw_rotation(self, random: np.random.Generator) -> np.ndarray:
+        """Draw one camera-to-world rotation (3, 3), OpenCV camera axes."""
+        yaw = self.yaw_range[0] + self.yaw_range[1] * random.random()
+        pitch, roll = random.normal(*self.pitch_roll)
+        return rotation_from_angles(yaw, pitch, roll)
+
+
+def yaw_pitch_roll(R_world_cam: np.ndarray) -> tuple[float, float, float]:
+    """
+    Angles of a camera in a z-up world, radians.
+
+    Yaw is the heading of the optical axis (0 = +x, counter-clockwise), pitch is positive looking
+    up, roll is positive when the image's right side dips.
+    """
+    forward, right = R_world_cam[:, 2], R_world_cam[:, 0]
+    yaw = math.atan2(forward[1], forward[0])
+    pitch = math.asin(float(np.clip(forward[2], -1, 1)))
+    level = np.array([math.sin(yaw), -math.cos(yaw), 0.0])
+    down = np.cross(forward, level)
+    return yaw, pitch, math.atan2(float(right @ down), float(right @ level))
+
+
+def rotation_from_angles(yaw: float, pitch: float, roll: float) -> np.ndarray:
+    """Return the camera-to-world rotation (3, 3) of `yaw_pitch_roll` angles."""
+    forward = np.array([math.cos(yaw) * math.cos(pitch), math.sin(yaw) * math.cos(pitch),
+                        math.sin(pitch)])
+    level = np.array([math.sin(yaw), -math.cos(yaw), 0.0])
+    down = np.cross(forward, level)
+    right = math.cos(roll) * level + math.sin(roll) * down
+    return CameraPose(np.block([
+        [np.stack([right, np.cross(forward, right), forward], axis=1), np.zeros((3, 1))],
+        [np.array([[0, 0, 0, 1.0]])]])).T_world_cam[:3, :3]
+
+
+def _yaw_bounds(yaws: np.ndarray) -> tuple[float, float]:
+    """Return (low, width) of the shortest arc that holds all yaws, whatever the wrap-around."""
+    ordered = np.sort(np.mod(yaws, 2 * math.pi))
+    gaps = np.diff(np.append(ordered, ordered[0] + 2 * math.pi))
+    widest = int(gaps.argmax())
+    low = ordered[(widest + 1) % len(ordered)]
+    return float(low), float(2 * math.pi - gaps[widest])

@@ -1,0 +1,89 @@
+"""The hand-over between captures and training: images with poses and one set of intrinsics."""
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Callable, Sequence
+
+import cv2
+from neo_ros.errors import SceneError
+from neo_ros.geometry import CameraPose, Intrinsics
+import numpy as np
+
+
+@dataclass(frozen=True)
+class PosedImages:
+    """
+    Images of one camera with their poses; pixels stay on disk until they are read.
+
+    image_paths  files of `intrinsics` size
+    poses        one CameraPose (OpenCV camera axes, metres) per image
+    path_ids     which walk or run each image belongs to; scores are averaged over these
+    """
+
+    intrinsics: Intrinsics
+    image_paths: tuple[Path, ...]
+    poses: tuple[CameraPose, ...]
+    path_ids: tuple[int, ...]
+
+    def __post_init__(self) -> None:
+        counts = {len(self.image_paths), len(self.poses), len(self.path_ids)}
+        if len(counts) != 1:
+            raise SceneError(
+                f'posed images: expected as many poses and path ids as images, '
+                f'got {len(self.image_paths)} images, {len(self.poses)} poses, '
+                f'{len(self.path_ids)} path ids')
+        if not self.image_paths:
+            raise SceneError('posed images: expected at least one image, got none')
+
+    def __len__(self) -> int:
+        return len(self.image_paths)
+
+    @property
+    def T_world_cam(self) -> np.ndarray:
+        """All poses, float64 (N, 4, 4)."""
+        return np.stack([pose.T_world_cam for pose in self.poses])
+
+    def subset(self, indices: Sequence[int]) -> 'PosedImages':
+        """Keep the images at `indices`, in that order."""
+        return replace(
+            self, image_paths=tuple(self.image_paths[i] for i in indices),
+            poses=tuple(self.poses[i] for i in indices),
+            path_ids=tuple(self.path_ids[i] for i in indices))
+
+    def read_image(self, index: int, scale: float = 1.0) -> np.ndarray:
+        """Read image `index` as RGB uint8 (H, W, 3), resampled by area if scale < 1."""
+        return _resized(read_rgb_image(self.image_paths[index], self.intrinsics),
+                        self.intrinsics.scaled(scale))
+
+    def read_images(self, scale: float = 1.0,
+                    progress: Callable[[int], None] = lambda done: None) -> np.ndarray:
+        """Read all images as RGB uint8 (N, H, W, 3)."""
+        size = self.intrinsics.scaled(scale)
+        images = np.empty((len(self), size.height, size.width, 3), np.uint8)
+        for index in range(len(self)):
+            images[index] = self.read_image(index, scale)
+            progress(index + 1)
+        return images
+
+
+def read_rgb_image(path: Path, intrinsics: Intrinsics) -> np.ndarray:
+    """
+    Read an image file as RGB uint8 (H, W, 3); grayscale becomes three equal channels.
+
+    Raises SceneError for files that are no image or not of the size of `intrinsics`.
+    """
+    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    if image is None:
+        raise SceneError(f'{path}: expected a readable image file; is it missing or truncated?')
+    if image.shape[:2] != (intrinsics.height, intrinsics.width):
+        raise SceneError(
+            f'{path}: expected {intrinsics.width}x{intrinsics.height} pixels as the intrinsics '
+            f'say, got {image.shape[1]}x{image.shape[0]}')
+    return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+
+
+def _resized(image: np.ndarray, size: Intrinsics) -> np.ndarray:
+    if image.shape[:2] == (size.height, size.width):
+        return image
+    shrink = size.width < image.shape[1]
+    return cv2.resize(image, (size.width, size.height),
+                      interpolation=cv2.INTER_AREA if shrink else cv2.INTER_CUBIC)

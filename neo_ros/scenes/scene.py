@@ -1,0 +1,49 @@
+"""A scene folder: training photos, and where there are any, wide test truth and a floor map."""
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Optional
+
+from neo_ros.errors import SceneError
+from neo_ros.geometry import ViewExpansion
+from neo_ros.scenes.posed_images import PosedImages
+from neo_ros.scenes.transforms_json import read_input_crop, read_transforms
+from neo_ros.scenes.walkable import read_walkable, WalkableMap
+
+
+@dataclass(frozen=True)
+class Scene:
+    """
+    What `read_scene` finds in a folder.
+
+    train      photos the field is fitted to (`transforms_train.json` or `transforms.json`)
+    test       wide truth along walking paths (`transforms_test.json`), for the last scoring only
+    expansion  source window of the test frames (`input_crop`), at the test frames' resolution
+    walkable   where the robot can be (`walkable.json`), for 3-DoF scenes
+    """
+
+    name: str
+    train: PosedImages
+    test: Optional[PosedImages]
+    expansion: Optional[ViewExpansion]
+    walkable: Optional[WalkableMap]
+
+
+def read_scene(folder: Path) -> Scene:
+    """Read a scene folder; raises SceneError that says which file is missing or wrong."""
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise SceneError(f'{folder}: expected a scene folder, there is none')
+    candidates = [folder / 'transforms_train.json', folder / 'transforms.json']
+    train_file = next((path for path in candidates if path.is_file()), None)
+    if train_file is None:
+        raise SceneError(f'{folder}: expected transforms_train.json or transforms.json; '
+                         'make one with: neo import SOURCE SCENE')
+    test_file = folder / 'transforms_test.json'
+    has_test = test_file.is_file()
+    walkable_file = folder / 'walkable.json'
+    return Scene(
+        name=folder.resolve().name,
+        train=read_transforms(train_file),
+        test=read_transforms(test_file) if has_test else None,
+        expansion=read_input_crop(test_file) if has_test else None,
+        walkable=read_walkable(walkable_file) if walkable_file.is_file() else None)

@@ -1,0 +1,116 @@
+"""
+Read and write the scene format: nerfstudio / instant-ngp `transforms_*.json`.
+
+Camera-to-world 4x4 matrices with OpenGL camera axes, metres, pixel centres at +0.5.
+"""
+import json
+import logging
+import os
+from pathlib import Path
+from typing import Any, Optional
+
+from neo_ros.errors import NeoError, SceneError
+from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
+from neo_ros.scenes.posed_images import PosedImages
+
+logger = logging.getLogger(__name__)
+
+
+def read_transforms(path: Path) -> PosedImages:
+    """
+    Read one transforms file; image paths are relative to it.
+
+    Listed files that are missing are named in a warning and skipped. Raises SceneError for
+    files that are not such JSON, distorted cameras and poses that are no rigid transforms.
+    """
+    document = _read_json(path)
+    intrinsics = _read_intrinsics(document, path)
+    image_paths, poses, path_ids, missing = [], [], [], []
+    frames = document.get('frames')
+    if not isinstance(frames, list) or not frames:
+        raise SceneError(f'{path}: frames: expected a list with at least one frame')
+    for index, frame in enumerate(frames):
+        try:
+            image_path = path.parent / frame['file_path']
+            pose = CameraPose.from_opengl(frame['transform_matrix'])
+        except (KeyError, TypeError, ValueError, NeoError) as error:
+            raise SceneError(f'{path}: frames[{index}]: {error!r}') from error
+        if not image_path.is_file():
+            missing.append(frame['file_path'])
+            continue
+        image_paths.append(image_path)
+        poses.append(pose)
+        path_ids.append(int(frame.get('path_id', 0)))
+    if missing:
+        logger.warning('%s: %d listed images are missing and skipped: %s',
+                       path, len(missing), ', '.join(missing[:5]))
+    if not image_paths:
+        raise SceneError(f'{path}: none of the {len(frames)} listed images exists')
+    return PosedImages(intrinsics, tuple(image_paths), tuple(poses), tuple(path_ids))
+
+
+def read_input_crop(path: Path) -> Optional[ViewExpansion]:
+    """Return the expansion that a file of wide truth states as `input_crop`, if it does."""
+    document = _read_json(path)
+    crop = document.get('input_crop')
+    if crop is None:
+        return None
+    try:
+        return ViewExpansion.inside(_read_intrinsics(document, path), int(crop['x']),
+                                    int(crop['y']), int(crop['w']), int(crop['h']))
+    except (KeyError, TypeError, ValueError) as error:
+        raise SceneError(f'{path}: input_crop: expected x, y, w, h in pixels: {error!r}') from error
+
+
+def write_transforms(path: Path, images: PosedImages,
+                     expansion: Optional[ViewExpansion] = None) -> None:
+    """
+    Write a transforms file for images that lie in or below its folder.
+
+    `expansion` marks wide truth: its source window is written as `input_crop`.
+    """
+    camera = images.intrinsics
+    document: dict[str, Any] = {
+        'camera_model': 'PINHOLE', 'w': camera.width, 'h': camera.height,
+        'fl_x': camera.fx, 'fl_y': camera.fy, 'cx': camera.cx, 'cy': camera.cy,
+        'note': 'camera-to-world, OpenGL axes (+X right, +Y up, +Z back), metres'}
+    if expansion is not None:
+        document['input_crop'] = {
+            'x': expansion.left, 'y': expansion.top,
+            'w': expansion.source.width, 'h': expansion.source.height}
+    document['frames'] = [
+        {'file_path': image_path.relative_to(path.parent).as_posix(),
+         'transform_matrix': pose.to_opengl().tolist(), 'path_id': path_id}
+        for image_path, pose, path_id in zip(images.image_paths, images.poses, images.path_ids)]
+    partial = path.with_suffix('.partial')
+    partial.write_text(json.dumps(document))
+    os.replace(partial, path)
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    try:
+        document = json.loads(path.read_text())
+    except FileNotFoundError as error:
+        raise SceneError(f'{path}: no such file') from error
+    except (OSError, ValueError) as error:
+        raise SceneError(f'{path}: expected a JSON file: {error}') from error
+    if not isinstance(document, dict):
+        raise SceneError(f'{path}: expected a JSON object, got {type(document).__name__}')
+    return document
+
+
+def _read_intrinsics(document: dict[str, Any], path: Path) -> Intrinsics:
+    distortion = {key: document[key] for key in ('k1', 'k2', 'k3', 'k4', 'p1', 'p2')
+                  if document.get(key)}
+    if distortion:
+        raise SceneError(f'{path}: expected an undistorted pinhole camera, got {distortion}; '
+                         'undistort the images first')
+    try:
+        width, height = int(document['w']), int(document['h'])
+        return Intrinsics(width, height, document['fl_x'],
+                          document.get('fl_y', document['fl_x']),
+                          document.get('cx', width / 2), document.get('cy', height / 2))
+    except KeyError as error:
+        raise SceneError(f'{path}: expected the key {error} (pixels)') from error
+    except (TypeError, ValueError) as error:
+        raise SceneError(f'{path}: intrinsics: {error}') from error

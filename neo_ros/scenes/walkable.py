@@ -1,0 +1,119 @@
+"""Where the robot's camera can be: a grid of free floor cells, and its JSON file."""
+from dataclasses import dataclass
+import json
+import math
+import os
+from pathlib import Path
+
+from neo_ros.errors import SceneError
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False)
+class WalkableMap:
+    """
+    Free floor for a camera that moves in a plane, in the scene's world (z up), metres.
+
+    resolution     edge of a cell
+    origin         (x, y) of the lower left corner of cells[0, 0]
+    cells          bool (rows, columns); cells[j, i] covers x from origin[0] + i * resolution
+                   and y from origin[1] + j * resolution
+    camera_height  z of the camera
+    clearance      distance that all points of a cell keep to geometry
+    Raises SceneError for sizes that are not positive, and for maps without any free cell.
+    """
+
+    resolution: float
+    origin: tuple[float, float]
+    cells: np.ndarray
+    camera_height: float
+    clearance: float = 0.25
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.resolution) and self.resolution > 0):
+            raise SceneError(f'resolution: expected metres > 0, got {self.resolution}')
+        for name, value in (('origin[0]', self.origin[0]), ('origin[1]', self.origin[1]),
+                            ('camera_height', self.camera_height),
+                            ('clearance', self.clearance)):
+            if not math.isfinite(value):
+                raise SceneError(f'{name}: expected a finite number of metres, got {value}')
+        cells = np.array(self.cells, bool)
+        if cells.ndim != 2 or not cells.any():
+            raise SceneError(f'cells: expected a 2-D grid with at least one free cell, got shape '
+                             f'{cells.shape} with {int(cells.sum())} free')
+        cells.setflags(write=False)
+        object.__setattr__(self, 'cells', cells)
+
+    @property
+    def area(self) -> float:
+        """Free floor, square metres."""
+        return float(self.cells.sum()) * self.resolution ** 2
+
+    def contains(self, xy: np.ndarray) -> np.ndarray:
+        """Tell which points (N, 2), metres, lie in free cells: bool (N,)."""
+        index = np.floor((np.asarray(xy, np.float64) - self.origin) / self.resolution)
+        rows, columns = self.cells.shape
+        i, j = index[:, 0], index[:, 1]
+        inside = (i >= 0) & (i < columns) & (j >= 0) & (j < rows)
+        result = np.zeros(len(index), bool)
+        result[inside] = self.cells[j[inside].astype(int), i[inside].astype(int)]
+        return result
+
+    def sample(self, rng: np.random.Generator, n: int) -> np.ndarray:
+        """Draw n points uniformly from the free floor: (n, 2) metres."""
+        centres = self.centres()
+        offset = (rng.random((n, 2)) - 0.5) * self.resolution
+        return centres[rng.integers(len(centres), size=n)] + offset
+
+    def centres(self) -> np.ndarray:
+        """Return the centres of all free cells, (M, 2) metres, row by row."""
+        j, i = np.nonzero(self.cells)
+        return np.stack([i + 0.5, j + 0.5], axis=1) * self.resolution + self.origin
+
+
+def read_walkable(path: Path) -> WalkableMap:
+    """Read a walkable.json; raises SceneError that names the field that is missing or wrong."""
+    try:
+        document = json.loads(Path(path).read_text())
+    except FileNotFoundError as error:
+        raise SceneError(f'{path}: no such file') from error
+    except (OSError, ValueError) as error:
+        raise SceneError(f'{path}: expected a JSON file: {error}') from error
+    if not isinstance(document, dict):
+        raise SceneError(f'{path}: expected a JSON object, got {type(document).__name__}')
+    try:
+        width, height = int(document['width']), int(document['height'])
+        x, y = (float(value) for value in document['origin'])
+        cells = _read_rows(document['rows'], width, height)
+        return WalkableMap(float(document['resolution']), (x, y), cells,
+                           float(document['camera_height']),
+                           float(document.get('clearance', 0.0)))
+    except KeyError as error:
+        raise SceneError(f'{path}: expected the key {error}') from error
+    except (TypeError, ValueError) as error:  # SceneError is a ValueError: the path is added
+        raise SceneError(f'{path}: {error}') from error
+
+
+def write_walkable(path: Path, walkable: WalkableMap) -> None:
+    """Write a walkable.json; the file appears complete or not at all."""
+    rows, columns = walkable.cells.shape
+    document = {
+        'resolution': walkable.resolution, 'origin': list(walkable.origin),
+        'width': columns, 'height': rows, 'camera_height': walkable.camera_height,
+        'clearance': walkable.clearance, 'area_m2': round(walkable.area, 2),
+        'note': 'rows[j][i] is the cell with x in origin[0]+[i,i+1)*resolution and y in '
+                'origin[1]+[j,j+1)*resolution; 1 = walkable',
+        'rows': [''.join('1' if cell else '0' for cell in row) for row in walkable.cells]}
+    partial = Path(path).with_suffix('.partial')
+    partial.write_text(json.dumps(document, indent=0))
+    os.replace(partial, path)
+
+
+def _read_rows(rows: list[str], width: int, height: int) -> np.ndarray:
+    if not isinstance(rows, list) or len(rows) != height:
+        found = len(rows) if isinstance(rows, list) else type(rows).__name__
+        raise SceneError(f'rows: expected {height} strings as height says, got {found}')
+    for j, row in enumerate(rows):
+        if not isinstance(row, str) or len(row) != width or set(row) - {'0', '1'}:
+            raise SceneError(f"rows[{j}]: expected {width} characters '0' or '1', got {row!r:.60}")
+    return np.array([[cell == '1' for cell in row] for row in rows], bool).reshape(height, width)

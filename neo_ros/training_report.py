@@ -1,0 +1,94 @@
+"""The report at the end of a training: what the field shows, what the model makes of it."""
+from typing import TYPE_CHECKING
+
+from neo_ros.evaluation.evaluation_report import evaluation_sections
+from neo_ros.evaluation.metrics import psnr
+from neo_ros.evaluation.output import write_bytes
+from neo_ros.evaluation.report import Plot, Section, Series, Strip, Table, Text, write_report
+from neo_ros.evaluation.strips import error_label, error_map
+from neo_ros.field.rendering import render_view, to_uint8
+from neo_ros.field.voxel_field import RadianceField
+import numpy as np
+
+if TYPE_CHECKING:
+    from neo_ros.pipeline import Scoring, TrainingRun
+
+STRIPS = 4
+# The oracle renders every so many test frames; all of them would take longer than they tell.
+ORACLE_EVERY = 8
+
+
+def write_training_report(run: 'TrainingRun', field: RadianceField, scoring: 'Scoring | None',
+                          ) -> dict[str, float]:
+    """
+    Write report.html (and scores.json, if the scene has test frames) into the run's folder.
+
+    Returns the figures at its top: field_psnr on held-out photos and, with test frames,
+    oracle_ring_psnr (the field at the true pose) and the model's ring_psnr.
+    """
+    figures: dict[str, float] = {}
+    sections: list[Section] = [_curves(run)] + _held_out_strips(run, field, figures)
+    if scoring is not None:
+        figures['oracle_whole_psnr'], figures['oracle_ring_psnr'] = _oracle(field, scoring)
+        figures['ring_psnr'] = scoring.results[0].estimates['ring_psnr'].mean
+        sections += evaluation_sections(
+            run.scene.name, scoring.frames, scoring.methods, scoring.results)
+    source, target = run.expansion.source, run.expansion.target
+    intro = (f'{len(run.fitted)} photos of {run.scene.name}, {source.width}x{source.height} '
+             f'({np.degrees(source.hfov):.0f} deg) to {target.width}x{target.height} pixels '
+             f'({np.degrees(target.hfov):.0f} deg), trained in {run.seconds / 60:.1f} minutes.')
+    table = Table(('figure', 'value'), [
+        (_TITLES[name], f'{value:.2f} dB') for name, value in figures.items()])
+    write_report(run.out / 'report.html', f'Training of {run.scene.name}',
+                 [Text(intro), table, *sections])
+    if scoring is not None:
+        write_bytes(run.out / 'scores.json', scoring.to_json(figures).encode())
+    return figures
+
+
+_TITLES = {
+    'field_psnr': 'Field against photos it was not shown, PSNR',
+    'oracle_whole_psnr': 'Field at the true pose of test frames, whole image',
+    'oracle_ring_psnr': 'Field at the true pose of test frames, ring alone',
+    'ring_psnr': 'The model on test frames, ring alone'}
+
+
+def _curves(run: 'TrainingRun') -> Plot:
+    rows = np.array(run.log['field']).reshape(-1, 3)
+    return Plot('The field on its own photos, while it was fitted', 'minutes', 'PSNR, dB',
+                [Series('field', (rows[:, 1] / 60).tolist(), rows[:, 2].tolist())])
+
+
+def _held_out_strips(run: 'TrainingRun', field: RadianceField,
+                     figures: dict[str, float]) -> list[Section]:
+    """Compare the field with photos that it was not shown."""
+    photos = run.held_out
+    if photos is None:
+        return []
+    scale = run.experiment.scale
+    camera = photos.intrinsics.scaled(scale)
+    scores, strips = [], []
+    for index, pose in enumerate(photos.poses):
+        photo = photos.read_image(index, scale)
+        rendered = to_uint8(render_view(field, camera, pose).image)
+        scores.append(psnr(photo, rendered))
+        if index < STRIPS:
+            strips.append(Strip(
+                f'{photos.image_paths[index].name}: {scores[-1]:.2f} dB',
+                [('field', rendered), ('photo', photo), (error_label(), error_map(photo, rendered))]))
+    figures['field_psnr'] = float(np.mean(scores))
+    return [Text('Photos that the field was not shown.', 'The field against photos'), *strips]
+
+
+def _oracle(field: RadianceField, scoring: 'Scoring') -> tuple[float, float]:
+    """Score the field at the true poses: mean PSNR of the whole image and of the ring."""
+    frames, expansion = scoring.frames, scoring.frames.expansion
+    ring = expansion.extrapolated_mask
+    whole_scores, ring_scores = [], []
+    for index in range(0, len(frames), ORACLE_EVERY):
+        _, truth = frames.read(index)
+        rendered = to_uint8(
+            render_view(field, expansion.target, frames.images.poses[index]).image)
+        whole_scores.append(psnr(truth, rendered))
+        ring_scores.append(psnr(truth[ring], rendered[ring]))
+    return float(np.mean(whole_scores)), float(np.mean(ring_scores))

@@ -1,0 +1,98 @@
+"""A real ROS graph of processes for tests, on this machine only, with a domain of its own."""
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+import os
+from pathlib import Path
+import subprocess
+import sys
+import time
+from typing import Any
+
+import neo_ros
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+
+WAIT_S = 20.0
+# Two pytest processes at a time must not hear one another; ids go up to 232.
+DOMAIN = os.getpid() % 230 + 1
+ENVIRONMENT = {
+    'ROS_DOMAIN_ID': str(DOMAIN),
+    'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
+    'PYTHONPATH': os.pathsep.join(
+        [str(Path(neo_ros.__file__).parent.parent), os.environ.get('PYTHONPATH', '')]),
+}
+
+
+class RosGraph:
+    """The test's own node, and the processes that it started."""
+
+    def __init__(self) -> None:
+        self.context = Context()
+        rclpy.init(context=self.context, domain_id=DOMAIN)
+        self.node = rclpy.create_node('test', context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self._processes: list[subprocess.Popen] = []
+
+    def start(self, *arguments: str) -> subprocess.Popen:
+        """Start Python with these arguments; close() ends it."""
+        process = subprocess.Popen(
+            [sys.executable, *arguments], env=os.environ | ENVIRONMENT,
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+        self._processes.append(process)
+        return process
+
+    def collect(self, kind: type, topic: str, qos: Any = 10) -> list:
+        """Subscribe; return the list that the messages go to."""
+        messages: list = []
+        self.node.create_subscription(kind, topic, messages.append, qos)
+        return messages
+
+    def spin_until(self, condition: Callable[[], Any], timeout: float = WAIT_S) -> Any:
+        """Spin until the condition holds and return its value; fail when it never does."""
+        deadline = time.monotonic() + timeout
+        while not (value := condition()):
+            assert time.monotonic() < deadline, 'waited in vain'
+            self.executor.spin_once(timeout_sec=0.02)
+        return value
+
+    def spin_for(self, seconds: float) -> None:
+        """Spin for a while."""
+        deadline = time.monotonic() + seconds
+        while time.monotonic() < deadline:
+            self.executor.spin_once(timeout_sec=0.02)
+
+    def call(self, kind: type, service: str, request: Any) -> Any:
+        """Call a service and return its response."""
+        client = self.node.create_client(kind, service)
+        self.spin_until(client.service_is_ready)
+        future = client.call_async(request)
+        self.spin_until(future.done)
+        self.node.destroy_client(client)
+        return future.result()
+
+    def close(self) -> None:
+        """End all processes and the test's node."""
+        for process in self._processes:
+            process.kill()
+            process.wait()
+        self.executor.shutdown()
+        self.node.destroy_node()
+        self.context.try_shutdown()
+
+
+@contextmanager
+def ros_graph() -> Iterator[RosGraph]:
+    """Open a graph and close it, whatever happens."""
+    previous = os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE')
+    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+    graph = RosGraph()
+    try:
+        yield graph
+    finally:
+        graph.close()
+        if previous is None:
+            del os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE']
+        else:
+            os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = previous

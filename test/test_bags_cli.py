@@ -1,0 +1,73 @@
+"""`neo replay` and `neo inspect` on a small bag and a small model."""
+import json
+import math
+from pathlib import Path
+
+from bag_files import walk_frames, write_walk_bag
+from neo_ros.cli.inspect import inspect
+from neo_ros.cli.replay import replay
+from neo_ros.errors import ModelError
+from neo_ros.evaluation.metrics import score_frame
+from neo_ros.geometry import Intrinsics, ViewExpansion
+from neo_ros.runtime import FovExtrapolator
+import pytest
+from tiny_model import write_tiny_model
+import typer
+from typer.testing import CliRunner
+
+EXPANSION = ViewExpansion.to_size(Intrinsics.from_hfov(32, 24, math.pi / 2), 64, 48)
+
+
+@pytest.fixture
+def app() -> typer.Typer:
+    application = typer.Typer()
+    application.command()(replay)
+    application.command()(inspect)
+    return application
+
+
+def test_replay_writes_a_bag_and_the_scores(tmp_path: Path, app: typer.Typer) -> None:
+    bag = write_walk_bag(tmp_path / 'bag', EXPANSION, 4)
+    model = write_tiny_model(tmp_path / 'm.onnx', EXPANSION)
+    out = tmp_path / 'out'
+    result = CliRunner().invoke(app, [
+        'replay', str(bag), '--model', str(model), '--out', str(out),
+        '--truth-topic', '/camera/wide/image_raw'])
+    assert result.exit_code == 0, result.output
+    assert '/camera/image_raw: 4 frames' in result.output
+    assert (out / 'metadata.yaml').is_file()
+    scores = json.loads((out / 'scores.json').read_text())
+    assert len(scores['frames']) == 4
+    assert scores['scene_id'] == 'tiny'
+    extrapolator = FovExtrapolator.load(model)
+    stamp_ns, truth, _ = walk_frames(EXPANSION, 4)[2]
+    wide_image = extrapolator.expand(EXPANSION.crop(truth)).wide_image
+    expected = score_frame(truth, wide_image, EXPANSION)
+    assert scores['frames'][2] == pytest.approx({'stamp_ns': stamp_ns, **expected})
+    ring = [frame['ring_psnr'] for frame in scores['frames']]
+    assert scores['mean']['ring_psnr'] == pytest.approx(sum(ring) / 4)
+
+
+def test_replay_without_truth_writes_no_scores(tmp_path: Path, app: typer.Typer) -> None:
+    bag = write_walk_bag(tmp_path / 'bag', EXPANSION, 2)
+    model = write_tiny_model(tmp_path / 'm.onnx', EXPANSION)
+    result = CliRunner().invoke(app, [
+        'replay', str(bag), '--model', str(model), '--out', str(tmp_path / 'out'), '--no-copy'])
+    assert result.exit_code == 0, result.output
+    assert not (tmp_path / 'out' / 'scores.json').exists()
+
+
+def test_inspect_prints_the_card_and_a_timing(tmp_path: Path, app: typer.Typer) -> None:
+    model = write_tiny_model(tmp_path / 'm.onnx', EXPANSION, scene_id='kitchen',
+                             scores={'ring_psnr': 21.5})
+    result = CliRunner().invoke(app, ['inspect', str(model)])
+    assert result.exit_code == 0, result.output
+    for text in ('kitchen', '32x24 pixels', '64x48 pixels', '90.00', '126.87', '21.500',
+                 'time per image'):
+        assert text in result.output
+
+
+def test_inspect_refuses_what_is_no_model(tmp_path: Path, app: typer.Typer) -> None:
+    (tmp_path / 'm.onnx').write_bytes(b'nothing')
+    result = CliRunner().invoke(app, ['inspect', str(tmp_path / 'm.onnx')])
+    assert isinstance(result.exception, ModelError)

@@ -1,0 +1,160 @@
+"""Bags come back as they were written, in every form that a bag has; the rest is refused."""
+from pathlib import Path
+import shutil
+import subprocess
+import sys
+
+from bag_files import START_NS, STRING, texts, write_sqlite_bag, write_text_bag
+from neo_ros.bags import BagReader, BagTopic, BagWriter
+from neo_ros.errors import BagError
+import pytest
+from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
+
+COUNT = 12
+
+
+def _with_metadata(path: Path) -> Path:
+    return write_text_bag(path / 'bag', COUNT)
+
+
+def _compressed(path: Path) -> Path:
+    return write_text_bag(path / 'bag', COUNT, compressed=True)
+
+
+def _without_metadata(path: Path) -> Path:
+    bag = write_text_bag(path / 'bag', COUNT)
+    (bag / 'metadata.yaml').unlink()
+    return bag
+
+
+def _bare_mcap(path: Path) -> Path:
+    return write_text_bag(path / 'bag', COUNT) / 'bag.mcap'
+
+
+def _sqlite(path: Path) -> Path:
+    return write_sqlite_bag(path / 'bag', COUNT)
+
+
+def _sqlite_without_metadata(path: Path) -> Path:
+    bag = write_sqlite_bag(path / 'bag', COUNT)
+    (bag / 'metadata.yaml').unlink()
+    return bag
+
+
+@pytest.mark.parametrize('make', [
+    _with_metadata, _compressed, _without_metadata, _bare_mcap, _sqlite,
+    _sqlite_without_metadata])
+def test_every_form_of_a_bag_gives_the_same_messages(tmp_path: Path, make) -> None:
+    with BagReader(make(tmp_path)) as bag:
+        assert bag.topics == [BagTopic('/text', STRING)]
+        assert bag.message_count == COUNT and bag.topics[0].count == COUNT
+        assert bag.recovered == ''
+        messages = list(bag.messages())
+    assert [message.read().data for message in messages] == texts(COUNT)
+    assert [message.stamp_ns for message in messages] == [START_NS + i for i in range(COUNT)]
+
+
+def test_split_bags_without_metadata_are_read_in_the_order_of_their_numbers(
+        tmp_path: Path) -> None:
+    folder = tmp_path / 'split'
+    folder.mkdir()
+    for number in (10, 2, 1):
+        with BagWriter(tmp_path / f'part{number}') as writer:
+            topic = writer.add_topic('/text', STRING)
+            writer.write(topic, number, writer.typestore.types[STRING](data=str(number)))
+        shutil.move(tmp_path / f'part{number}' / f'part{number}.mcap', folder / f'b_{number}.mcap')
+    with BagReader(folder) as bag:
+        assert [message.read().data for message in bag.messages()] == ['1', '2', '10']
+        assert bag.topics[0].count == 3
+
+
+def test_only_the_wanted_topics_come(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / 'bag') as writer:
+        for name in ('/a', '/b', '/c'):
+            topic = writer.add_topic(name, STRING)
+            writer.write(topic, START_NS, writer.typestore.types[STRING](data=name))
+    with BagReader(tmp_path / 'bag') as bag:
+        assert [m.read().data for m in bag.messages(['/c', '/a'])] == ['/a', '/c']
+        assert list(bag.messages([])) == []
+        assert list(bag.messages(['/d'])) == []
+
+
+def test_missing_topic_and_wrong_type_name_what_there_is(tmp_path: Path) -> None:
+    with BagReader(write_text_bag(tmp_path / 'bag', 1)) as bag:
+        assert bag.find_topic('/text', STRING).count == 1
+        with pytest.raises(BagError, match=r'/image .*the bag has /text \(std_msgs/msg/String\)'):
+            bag.find_topic('/image', STRING)
+        with pytest.raises(BagError, match='sensor_msgs/msg/Image.*the bag has /text'):
+            bag.find_topic('/text', 'sensor_msgs/msg/Image')
+
+
+def test_a_type_that_jazzy_does_not_know_is_decoded_with_its_own_definition(
+        tmp_path: Path) -> None:
+    msgtype = 'my_robot_msgs/msg/Battery'
+    msgdef = MessageDefinition(MessageDefinitionFormat.MSG, 'float32 volts\nstring name\n')
+    topic = BagTopic('/battery', msgtype, msgdef=msgdef)
+    cdr = b'\x00\x01\x00\x00' + b'\x00\x00\x48\x41' + b'\x03\x00\x00\x00ab\x00'
+    with BagWriter(tmp_path / 'bag') as writer:
+        writer.copy_topic(topic)
+        writer.write_cdr(topic, START_NS, cdr)
+    with BagReader(tmp_path / 'bag') as bag:
+        message, = bag.messages()
+        assert message.cdr == cdr
+        assert (message.read().volts, message.read().name) == (12.5, 'ab')
+
+
+def test_bytes_that_are_no_message_are_an_error_only_when_read(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / 'bag') as writer:
+        topic = writer.add_topic('/text', STRING)
+        writer.write_cdr(topic, START_NS, b'\x00\x01\x00\x00\xff\xff\xff\x00ab')
+    with BagReader(tmp_path / 'bag') as bag:
+        message, = bag.messages()
+        with pytest.raises(BagError, match=f'/text: the message at {START_NS} ns'):
+            message.read()
+
+
+@pytest.mark.parametrize(('name', 'content', 'message'), [
+    ('nowhere', None, 'no such bag'),
+    ('empty.mcap', b'', 'expected an MCAP file'),
+    ('picture.mcap', b'\x89PNG\r\n\x1a\n' * 30, 'expected an MCAP file'),
+    ('notes.txt', b'hello', 'expected a bag folder'),
+    ('empty.db3', b'', 'not a readable sqlite3 bag'),
+    ('text.db3', b'no database' * 50, 'not a readable sqlite3 bag'),
+    ('folder/readme.md', b'hello', 'there is no .mcap or .db3'),
+    ('folder/metadata.yaml', b'rosbag2_bagfile_information: 7', 'there is no .mcap or .db3'),
+])
+def test_other_files_are_refused(tmp_path: Path, name, content, message) -> None:
+    path = tmp_path / name
+    if content is not None:
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(content)
+    with pytest.raises(BagError, match=message):
+        BagReader(path.parent if path.parent != tmp_path else path)
+
+
+def test_truncated_sqlite_is_refused(tmp_path: Path) -> None:
+    bag = write_sqlite_bag(tmp_path / 'bag', 200)
+    database = bag / 'bag.db3'
+    database.write_bytes(database.read_bytes()[:database.stat().st_size // 2])
+    with pytest.raises(BagError, match='sqlite3|damaged'):
+        with BagReader(bag) as reader:
+            list(reader.messages())
+
+
+def test_damage_inside_a_chunk_is_a_bag_error(tmp_path: Path) -> None:
+    bag = write_text_bag(tmp_path / 'bag', COUNT, compressed=True)
+    content = bytearray((bag / 'bag.mcap').read_bytes())
+    start = content.index(b'zstd') + 30
+    content[start:start + 40] = bytes(40)
+    (bag / 'bag.mcap').write_bytes(content)
+    with BagReader(bag) as reader:
+        with pytest.raises(BagError, match='damaged after 0 messages'):
+            list(reader.messages())
+
+
+def test_importing_bags_loads_neither_torch_nor_ros() -> None:
+    code = ('import sys, neo_ros.bags\n'
+            'print(sorted({"torch", "rclpy", "onnx", "neo_ros.evaluation"} & set(sys.modules)))')
+    result = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
+                            check=True, cwd=Path(__file__).parent.parent)
+    assert result.stdout.strip() == '[]'

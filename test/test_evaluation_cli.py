@@ -1,0 +1,60 @@
+import json
+
+import cv2
+from neo_ros.cli.evaluate import evaluate
+from neo_ros.errors import SceneError
+from neo_ros.geometry import CameraPose
+from neo_ros.scenes.posed_images import PosedImages
+from neo_ros.scenes.transforms_json import write_transforms
+import numpy as np
+import pytest
+from tiny_model import TINY_EXPANSION, write_tiny_model
+import typer
+from typer.testing import CliRunner
+
+APP = typer.Typer()
+APP.command()(evaluate)
+
+
+def write_images(folder, name, intrinsics, count):
+    rng = np.random.default_rng(count)
+    paths = tuple(folder / f'{name}_{i}.png' for i in range(count))
+    for path in paths:
+        coarse = rng.integers(0, 256, (6, 8, 3)).astype(np.uint8)
+        assert cv2.imwrite(str(path), cv2.resize(coarse, (intrinsics.width, intrinsics.height)))
+    poses = tuple(CameraPose.from_planar(i, 0, 1.5, 0) for i in range(count))
+    images = PosedImages(intrinsics, paths, poses, tuple(i % 2 for i in range(count)))
+    write_transforms(folder / f'transforms_{name}.json', images)
+
+
+@pytest.fixture
+def scene(tmp_path):
+    folder = tmp_path / 'room'
+    folder.mkdir()
+    write_images(folder, 'train', TINY_EXPANSION.source, 3)
+    write_images(folder, 'test', TINY_EXPANSION.target, 4)
+    return folder
+
+
+@pytest.fixture
+def model(tmp_path):
+    return write_tiny_model(tmp_path / 'tiny.onnx')
+
+
+def test_a_scene_is_scored_beside_the_floors(scene, model, tmp_path):
+    out = tmp_path / 'out'
+    result = CliRunner().invoke(APP, [
+        str(scene), '--model', str(model), '--out', str(out), '--frames', '3'])
+    assert result.exit_code == 0, result.output
+    rows = json.loads((out / 'scores.json').read_text())['rows']
+    assert [(row['method'], row['n_frames'], row['scene']) for row in rows] == [
+        (name, 3, 'room') for name in ('neo', 'edge_replication', 'mean_image')]
+    assert all(f'{row["ring_psnr"]:.2f}' in result.output for row in rows)
+    assert 'mean_image' in (out / 'report.html').read_text()
+
+
+def test_a_scene_without_test_frames_says_so(scene, model):
+    (scene / 'transforms_test.json').unlink()
+    result = CliRunner().invoke(APP, [str(scene), '--model', str(model)])
+    assert isinstance(result.exception, SceneError)
+    assert 'transforms_test.json' in str(result.exception)

@@ -1,0 +1,175 @@
+import json
+import subprocess
+import sys
+
+import cv2
+from neo_ros.errors import ImageRejected, NeoError, SceneError
+from neo_ros.evaluation.baselines import EdgeReplication, NeoModel
+from neo_ros.evaluation.evaluate import evaluate, protocol_of, ROW_KEYS, TruthFrames
+from neo_ros.evaluation.evaluation_report import pick_frames, write_evaluation
+from neo_ros.evaluation.metrics import score_frame
+from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
+from neo_ros.scenes.posed_images import PosedImages
+import numpy as np
+import pytest
+from tiny_model import TINY_EXPANSION, write_tiny_model
+
+
+class Constant:
+    """Paint everything in one colour: no observed pixel survives."""
+
+    name = 'constant'
+    observed_pasted = False
+    train_minutes = None
+    model_mb = 0.5
+
+    def expand(self, narrow_image):
+        return np.full((48, 64, 3), 100, np.uint8)
+
+
+class Peeking(EdgeReplication):
+    """Claim to paste, but change one observed pixel."""
+
+    def expand(self, narrow_image):
+        wide_image = super().expand(narrow_image).copy()
+        wide_image[self.expansion.observed][0, 0] ^= 1
+        return wide_image
+
+
+def wide_frames(folder, intrinsics=TINY_EXPANSION.target.scaled(2), count=6):
+    folder.mkdir(exist_ok=True)
+    rng = np.random.default_rng(0)
+    paths = []
+    for index in range(count):
+        coarse = rng.integers(0, 256, (6, 8, 3)).astype(np.uint8)
+        image = cv2.resize(coarse, (intrinsics.width, intrinsics.height))
+        paths.append(folder / f'wide_{index}.png')
+        assert cv2.imwrite(str(paths[-1]), image[..., ::-1])
+    poses = tuple(CameraPose.from_planar(0, 0, 1.5, 0) for _ in paths)
+    return PosedImages(intrinsics, tuple(paths), poses, tuple(i % 3 for i in range(count)))
+
+
+@pytest.fixture
+def frames(tmp_path):
+    return TruthFrames(wide_frames(tmp_path / 'test'), TINY_EXPANSION)
+
+
+def test_the_input_is_the_window_of_the_area_resampled_truth(frames):
+    narrow_image, truth = frames.read(2)
+    full = frames.images.read_image(2)
+    halved = full.reshape(48, 2, 64, 2, 3).mean(axis=(1, 3))
+    assert np.abs(truth - halved).max() <= 0.5
+    np.testing.assert_array_equal(narrow_image, TINY_EXPANSION.crop(truth))
+    assert frames.scale == 0.5
+
+
+def test_every_method_is_scored_on_every_frame(frames):
+    done = []
+    methods = [EdgeReplication(TINY_EXPANSION), Constant()]
+    edge, constant = evaluate('tiny', frames, methods, progress=done.append)
+    assert done == list(range(1, 13))
+    narrow_image, truth = frames.read(4)
+    expected = score_frame(truth, methods[0].expand(narrow_image), TINY_EXPANSION)
+    assert edge.frames[4] == {
+        'frame': 'wide_4.png', 'path_id': 1, 'milliseconds': edge.frames[4]['milliseconds'],
+        **expected}
+    assert edge.frames[4]['milliseconds'] > 0
+    assert (edge.observed_pasted, constant.observed_pasted) == (True, False)
+    # Only one of them keeps the camera's pixels, and the whole image shows it.
+    assert edge.estimates['whole_ssim'].mean > constant.estimates['whole_ssim'].mean + 0.1
+    assert edge.estimates['ring_psnr'].low < edge.estimates['ring_psnr'].high
+
+
+def test_rows_keep_the_contract(frames):
+    row = evaluate('tiny', frames, [Constant()])[0].row
+    assert tuple(row) == ROW_KEYS
+    psnr = [score_frame(truth, Constant().expand(None), TINY_EXPANSION)['ring_psnr']
+            for _, truth in frames]
+    assert row['ring_psnr'] == pytest.approx(np.mean(psnr))
+    assert (row['scene'], row['method'], row['scale']) == ('tiny', 'constant', 'half')
+    assert (row['n_frames'], row['model_mb'], row['train_minutes']) == (6, 0.5, None)
+    assert 0 < row['latency_ms_median'] <= row['latency_ms_p95']
+    assert row['ring_lpips_vgg'] is row['oracle_gap_closed'] is row['warping_error'] is None
+    assert 'cores' in row['host']
+
+
+def test_further_scorers_fill_their_columns(frames):
+    row = evaluate('tiny', frames, [Constant()], scorers=[
+        score_frame, lambda truth, prediction, expansion: {'ring_lpips_vgg': 0.25}])[0].row
+    assert row['ring_lpips_vgg'] == 0.25
+
+
+def test_a_method_that_only_claims_to_paste_is_found_out(frames):
+    with pytest.raises(ImageRejected, match='came back changed'):
+        evaluate('tiny', frames, [Peeking(TINY_EXPANSION)])
+
+
+def test_fewer_frames_are_spread_over_the_walks(tmp_path):
+    images = wide_frames(tmp_path / 'test')
+    names = [path.name for path in TruthFrames(images, TINY_EXPANSION, 3).images.image_paths]
+    assert names == ['wide_0.png', 'wide_2.png', 'wide_5.png']
+    assert len(TruthFrames(images, TINY_EXPANSION, 99)) == 6
+
+
+@pytest.mark.parametrize('intrinsics', [
+    Intrinsics(128, 96, 40.0, 40.0, 64.0, 48.0),
+    Intrinsics(128, 96, 32.0, 32.0, 60.0, 48.0),
+    Intrinsics(128, 128, 32.0, 32.0, 64.0, 64.0),
+], ids=['focal_length', 'principal_point', 'aspect'])
+def test_frames_of_another_view_are_refused(tmp_path, intrinsics):
+    images = wide_frames(tmp_path / 'test', intrinsics, count=1)
+    with pytest.raises(SceneError, match='expected the wide view of the model, 64x48'):
+        TruthFrames(images, TINY_EXPANSION)
+
+
+def test_a_scene_without_test_frames_is_refused():
+    with pytest.raises(SceneError, match='transforms_test.json'):
+        TruthFrames(None, TINY_EXPANSION)
+
+
+@pytest.mark.parametrize('growth, protocol', [
+    ((4, 4, 4, 4), 'square'), ((4, 4, 0, 0), 'horizontal'), ((8, 8, 6, 6), 'custom'),
+    ((1, 2, 0, 0), 'custom')], ids=['square', 'horizontal', 'wider', 'lopsided'])
+def test_protocols(growth, protocol):
+    assert protocol_of(ViewExpansion(TINY_EXPANSION.source, *growth)) == protocol
+
+
+def test_best_median_and_worst_frame():
+    frames = [{'ring_psnr': value} for value in (12.0, 30.0, 5.0, 20.0, 14.0)]
+    assert pick_frames(frames) == {'best': 1, 'median': 4, 'worst': 2}
+
+
+def test_a_model_is_evaluated_from_file_to_report(frames, tmp_path):
+    neo = NeoModel(write_tiny_model(tmp_path / 'tiny.onnx', trained_seconds=120.0))
+    methods = [neo, EdgeReplication(TINY_EXPANSION)]
+    results = evaluate('tiny', frames, methods)
+    write_evaluation(tmp_path / 'out', 'tiny', frames, methods, results)
+    scores = json.loads((tmp_path / 'out/scores.json').read_text())
+    assert [row['method'] for row in scores['rows']] == ['neo', 'edge_replication']
+    assert scores['rows'][0]['train_minutes'] == 2.0
+    neo_scores = scores['methods'][0]
+    assert neo_scores['observed_pasted'] is True
+    assert neo_scores['estimates']['ring_psnr']['mean'] == scores['rows'][0]['ring_psnr']
+    assert [frame['frame'] for frame in neo_scores['frames']] == [
+        f'wide_{i}.png' for i in range(6)]
+    page = (tmp_path / 'out/report.html').read_text()
+    assert page.count('<img ') == 2 * 3 * 4
+    assert f'{scores["rows"][0]["ring_psnr"]:.2f}' in page
+    worst = min(neo_scores['frames'], key=lambda frame: frame['ring_psnr'])
+    assert f'Worst: {worst["frame"]}' in page
+
+
+def test_an_unwritable_folder_is_named(frames, tmp_path):
+    (tmp_path / 'file').write_text('')
+    methods = [EdgeReplication(TINY_EXPANSION)]
+    results = evaluate('tiny', frames, methods)
+    with pytest.raises(NeoError, match='cannot write.*another output folder'):
+        write_evaluation(tmp_path / 'file/out', 'tiny', frames, methods, results)
+
+
+def test_evaluation_loads_neither_torch_nor_rclpy():
+    code = ('import sys; import neo_ros.evaluation.evaluation_report; '
+            'print([m for m in ("torch", "rclpy", "skimage", "matplotlib", "onnx") '
+            'if m in sys.modules])')
+    result = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True)
+    assert result.stdout.strip() == '[]', result.stderr

@@ -1,0 +1,55 @@
+"""The one line that tells an operator what is wrong."""
+from diagnostic_msgs.msg import DiagnosticStatus
+from neo_ros.node.diagnostics import build_status, Health, judge
+from neo_ros.node.frame_statistics import Snapshot, Spread
+import pytest
+
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+
+
+def snapshot(**changes):
+    fields = {
+        'received': 10, 'published': 10, 'dropped': 0, 'rejected': {}, 'last_rejection': '',
+        'recent_received': 10, 'recent_published': 10, 'recent_rejected': 0, 'rate_in': 30.0,
+        'rate_out': 29.8, 'latency_ms': {'infer': Spread(1.0, 2.0, 3.0)}}
+    return Snapshot(**(fields | changes))
+
+
+def health(counts=None, **changes):
+    fields = {'state': 'active', 'fault': '', 'enabled': True, 'topic': '/camera/image',
+              'publishers': 1, 'qos_conflict': '', 'subscribed': True}
+    return Health(**(fields | changes), counts=counts or snapshot())
+
+
+REJECTING = snapshot(recent_rejected=3, last_rejection='size: too big')
+
+
+@pytest.mark.parametrize('found, level, words', [
+    (health(), OK, 'widening 29.8 images per second'),
+    (health(state='unconfigured', fault='cannot load the model: x'), ERROR, 'cannot load'),
+    (health(state='inactive'), OK, 'inactive'),
+    (health(enabled=False), OK, 'disabled'),
+    (health(snapshot(recent_received=0), publishers=0), WARN,
+     'waiting for image on /camera/image, publishers: 0'),
+    (health(snapshot(recent_received=0), qos_conflict='another RELIABILITY'), WARN,
+     'publishers: 1; another RELIABILITY'),
+    (health(subscribed=False), OK, 'nobody subscribes'),
+    (health(REJECTING), WARN, 'some images are rejected: size: too big'),
+    (health(snapshot(recent_rejected=3, recent_published=0, last_rejection='step')), ERROR,
+     'every image is rejected: step'),
+    (health(snapshot(recent_published=0)), WARN, 'first image'),
+], ids=lambda value: value if isinstance(value, str) else '')
+def test_verdict(found, level, words):
+    assert judge(found)[0] == level
+    assert words in judge(found)[1]
+
+
+def test_status_has_the_numbers():
+    counts = snapshot(rejected={'step': 2, 'size': 1}, dropped=4)
+    status = build_status('/robot/node', health(counts), {'scene': 'flat', 'path': 'm.onnx'})
+    lines = {pair.key: pair.value for pair in status.values}
+    assert (status.name, status.hardware_id) == ('/robot/node', 'flat')
+    assert lines['rejected'] == '3' and lines['rejected: step'] == '2'
+    assert lines['dropped for a newer image'] == '4'
+    assert lines['latency infer median/p95/max [ms]'] == '1.00/2.00/3.00'
+    assert lines['model path'] == 'm.onnx' and lines['image publishers'] == '1'

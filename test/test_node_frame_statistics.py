@@ -1,0 +1,62 @@
+"""Counters, rates over the window, and latencies by stage."""
+from neo_ros.node.frame_statistics import KEPT_FRAMES, Statistics, WINDOW_S
+import pytest
+
+
+class HandClock:
+    """A clock that a test turns."""
+
+    time = 100.0
+
+    def __call__(self):
+        return self.time
+
+
+def test_rates_are_those_of_the_window():
+    clock = HandClock()
+    statistics = Statistics(clock)
+    for _ in range(100):
+        clock.time += 0.1
+        statistics.count_received()
+        statistics.count_published({'total': 1.0})
+    counts = statistics.snapshot()
+    assert (counts.received, counts.published) == (100, 100)
+    assert counts.rate_in == pytest.approx(10, rel=0.03)
+    clock.time += WINDOW_S + 0.1
+    later = statistics.snapshot()
+    assert (later.rate_in, later.rate_out, later.recent_received) == (0, 0, 0)
+    assert later.received == 100
+
+
+def test_rate_just_after_the_start_counts_the_time_that_passed():
+    clock = HandClock()
+    statistics = Statistics(clock)
+    for _ in range(10):
+        clock.time += 0.1
+        statistics.count_received()
+    assert statistics.snapshot().rate_in == pytest.approx(10)
+
+
+def test_refusals_are_counted_by_reason():
+    statistics = Statistics(HandClock())
+    for reason in ('size', 'step', 'size'):
+        statistics.count_rejected(reason, f'bad {reason}')
+    statistics.count_dropped()
+    counts = statistics.snapshot()
+    assert counts.rejected == {'size': 2, 'step': 1}
+    assert (counts.last_rejection, counts.recent_rejected, counts.dropped) == ('bad size', 3, 1)
+
+
+def test_latencies_are_of_the_last_frames():
+    statistics = Statistics(HandClock())
+    statistics.count_published({'infer': 1e6})
+    for value in range(KEPT_FRAMES):
+        statistics.count_published({'infer': float(value), 'queue': 1.0})
+    spread = statistics.snapshot().latency_ms
+    assert spread['infer'] == pytest.approx(
+        ((KEPT_FRAMES - 1) / 2, 0.95 * (KEPT_FRAMES - 1), KEPT_FRAMES - 1))
+    assert spread['queue'] == (1, 1, 1)
+
+
+def test_no_frame_yet_has_no_latency():
+    assert Statistics(HandClock()).snapshot().latency_ms == {}

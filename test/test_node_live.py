@@ -1,0 +1,258 @@
+"""The node as a process of its own on a real ROS graph."""
+from array import array
+import re
+import signal
+import time
+
+from camera_messages import noise_image
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from neo_ros.messages import camera_info_fields, image_fields
+from neo_ros.runtime import FovExtrapolator
+import numpy as np
+import pytest
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
+from ros_graph import ros_graph
+from sensor_msgs.msg import CameraInfo, Image
+from std_srvs.srv import SetBool
+from tiny_model import TINY_EXPANSION, write_tiny_model
+
+SOURCE, TARGET = TINY_EXPANSION.source, TINY_EXPANSION.target
+NODE = '/robot/fov_extrapolator'
+
+
+@pytest.fixture
+def graph():
+    with ros_graph() as graph:
+        yield graph
+
+
+@pytest.fixture(scope='module')
+def model(tmp_path_factory):
+    return write_tiny_model(tmp_path_factory.mktemp('model') / 'tiny.onnx')
+
+
+class Camera:
+    """A camera driver in the namespace /robot, and what the node makes of its frames."""
+
+    def __init__(self, graph):
+        self.graph = graph
+        self.images = graph.node.create_publisher(Image, '/robot/image', 10)
+        self.infos = None
+        self.wide = {name: graph.collect(kind, f'/robot/wide/{name}') for name, kind in (
+            ('image', Image), ('mask', Image), ('confidence', Image),
+            ('camera_info', CameraInfo))}
+        self.diagnostics = graph.collect(DiagnosticArray, '/diagnostics')
+
+    def start_node(self, model, *parameters):
+        arguments = [part for parameter in (f'model:={model}', *parameters)
+                     for part in ('-p', parameter)]
+        return self.graph.start('-m', 'neo_ros.node.main', '--ros-args', '-r', '__ns:=/robot',
+                                *arguments)
+
+    def wait_for_node(self):
+        self.graph.spin_until(lambda: self.images.get_subscription_count() and all(
+            self.graph.node.count_publishers(f'/robot/wide/{name}') for name in self.wide))
+        self.graph.spin_for(0.3)  # The node's publishers see our subscriptions a moment later.
+
+    def publish(self, image, number, **changes):
+        fields = image_fields(image) | changes
+        fields['data'] = array('B', bytes(fields['data']))
+        message = Image(**fields)
+        message.header.stamp.sec, message.header.stamp.nanosec = 1_700_000_000, number
+        message.header.frame_id = f'camera_{number}'
+        self.images.publish(message)
+        return message
+
+    def publish_info(self, **changes):
+        if self.infos is None:
+            self.infos = self.graph.node.create_publisher(CameraInfo, '/robot/camera_info', 10)
+            self.graph.spin_until(self.infos.get_subscription_count)
+        self.infos.publish(CameraInfo(**(camera_info_fields(SOURCE) | changes)))
+        self.graph.spin_for(0.1)
+
+    def widen(self, image, number):
+        """Publish a frame and wait for all four answers."""
+        sent = self.publish(image, number)
+        self.graph.spin_until(lambda: all(
+            kept and kept[-1].header == sent.header for kept in self.wide.values()))
+        return {name: kept[-1] for name, kept in self.wide.items()}
+
+    def wait_for_diagnosis(self, level, words):
+        def found():
+            for entry in self.diagnostics:
+                status = entry.status[0]
+                if status.level == level and re.search(words, status.message):
+                    return {pair.key: pair.value for pair in status.values}
+            return None
+        return self.graph.spin_until(found)
+
+
+def change_state(graph, transition):
+    request = ChangeState.Request(transition=Transition(id=transition))
+    return graph.call(ChangeState, f'{NODE}/change_state', request).success
+
+
+def state_of(graph):
+    return graph.call(GetState, f'{NODE}/get_state', GetState.Request()).current_state.label
+
+
+def end(process, number=signal.SIGTERM):
+    """Send a signal; return the exit code and the seconds that it took."""
+    started = time.monotonic()
+    process.send_signal(number)
+    return process.wait(20), time.monotonic() - started
+
+
+def test_frames_come_back_wide_with_their_header(graph, model):
+    camera = Camera(graph)
+    process = camera.start_node(model)
+    camera.wait_for_node()
+    extrapolator = FovExtrapolator.load(model)
+    for number, with_info in enumerate([False, True, True]):
+        if with_info:
+            camera.publish_info()
+        image = noise_image(SOURCE, number)
+        wide = camera.widen(image, number)
+        expected = extrapolator.expand(image)
+        mask = np.where(extrapolator.extrapolated_mask, 255, 0).astype(np.uint8)
+        for name, pixels in (('image', expected.wide_image), ('mask', mask),
+                             ('confidence', expected.confidence)):
+            fields = image_fields(pixels)
+            assert wide[name].data.tobytes() == fields.pop('data').tobytes()
+            assert {key: getattr(wide[name], key) for key in fields} == fields
+        for name, value in camera_info_fields(TARGET).items():
+            assert np.array_equal(getattr(wide['camera_info'], name), value), name
+    status = camera.wait_for_diagnosis(DiagnosticStatus.OK, 'widening')
+    assert status['model scene'] == 'tiny' and status['image topic'] == '/robot/image'
+    code, seconds = end(process)
+    assert code == 0 and seconds < 3, process.stdout.read()
+
+
+def test_bad_messages_are_counted_and_good_ones_pass(graph, model):
+    camera = Camera(graph)
+    camera.start_node(model)
+    camera.wait_for_node()
+    camera.wait_for_diagnosis(
+        DiagnosticStatus.WARN, 'waiting for image on /robot/image, publishers: 1')
+    good = noise_image(SOURCE, 0)
+    bad = [{'encoding': 'nonsense'}, {'data': b''}, {'data': b'short'}, {'step': 3},
+           {'width': 0}, {'height': 2**32 - 1}]
+    for number, changes in enumerate(bad):
+        camera.publish(good, 100 + number, **changes)
+        graph.spin_for(0.05)  # Newest wins: the next one would replace it.
+        camera.widen(good, number)
+    camera.publish_info(k=np.diag([8.0, 8, 1]).reshape(-1))
+    camera.publish(good, 200)
+    status = camera.wait_for_diagnosis(DiagnosticStatus.WARN, 'rejected: camera: .*90.00 deg')
+    assert {key: value for key, value in status.items() if key.startswith('rejected')} == {
+        'rejected': '7', 'rejected: camera': '1', 'rejected: data': '1', 'rejected: empty': '1',
+        'rejected: encoding': '1', 'rejected: size': '2', 'rejected: step': '1'}
+    assert [message.header.stamp.nanosec for message in camera.wide['image']] == list(range(6))
+
+
+def test_lifecycle_and_enable(graph, model):
+    camera = Camera(graph)
+    process = camera.start_node(model, 'autostart:=false')
+    assert state_of(graph) == 'unconfigured'
+    image = noise_image(SOURCE, 0)
+    for number in range(2):
+        assert change_state(graph, Transition.TRANSITION_CONFIGURE)
+        assert graph.node.count_subscribers('/robot/image') == 0
+        assert change_state(graph, Transition.TRANSITION_ACTIVATE)
+        camera.wait_for_node()
+        camera.widen(image, number)
+        assert change_state(graph, Transition.TRANSITION_DEACTIVATE)
+        assert state_of(graph) == 'inactive'
+        graph.spin_until(lambda: not graph.node.count_subscribers('/robot/image'))
+        assert change_state(graph, Transition.TRANSITION_CLEANUP)
+        assert state_of(graph) == 'unconfigured'
+        graph.spin_until(lambda: not graph.node.count_publishers('/robot/wide/image'))
+    assert change_state(graph, Transition.TRANSITION_CONFIGURE)
+    assert change_state(graph, Transition.TRANSITION_ACTIVATE)
+    camera.wait_for_node()
+    assert 'disabled' in graph.call(
+        SetBool, f'{NODE}/enable', SetBool.Request(data=False)).message
+    graph.spin_until(lambda: not graph.node.count_subscribers('/robot/image'))
+    assert graph.call(SetBool, f'{NODE}/enable', SetBool.Request(data=True)).success
+    camera.wait_for_node()
+    camera.widen(image, 9)
+    assert change_state(graph, Transition.TRANSITION_ACTIVE_SHUTDOWN)
+    assert state_of(graph) == 'finalized'
+    assert end(process, signal.SIGINT)[0] == 0
+
+
+def test_impossible_transition_does_not_end_the_node(graph, model):
+    camera = Camera(graph)
+    process = camera.start_node(model)
+    camera.wait_for_node()
+    client = graph.node.create_client(ChangeState, f'{NODE}/change_state')
+    graph.spin_until(client.service_is_ready)
+    client.call_async(ChangeState.Request(
+        transition=Transition(id=Transition.TRANSITION_CONFIGURE)))
+    graph.spin_for(0.5)
+    assert process.poll() is None
+    camera.widen(noise_image(SOURCE, 0), 1)
+    assert state_of(graph) == 'active'
+    end(process)
+    assert 'request refused' in process.stdout.read()
+
+
+def test_wrong_model_leaves_it_unconfigured_with_the_reason(graph, model, tmp_path):
+    broken = tmp_path / 'broken.onnx'
+    broken.write_bytes(model.read_bytes()[:500])
+    camera = Camera(graph)
+    camera.start_node(broken)
+    camera.wait_for_diagnosis(DiagnosticStatus.ERROR, 'cannot load the model: .*broken.onnx')
+    assert state_of(graph) == 'unconfigured'
+    assert set_parameter(graph, 'model', str(model)).successful
+    assert change_state(graph, Transition.TRANSITION_CONFIGURE)
+    refusal = set_parameter(graph, 'model', str(broken))
+    assert not refusal.successful and 'clean up' in refusal.reason
+    assert change_state(graph, Transition.TRANSITION_ACTIVATE)
+    camera.wait_for_node()
+    camera.widen(noise_image(SOURCE, 0), 1)
+
+
+def set_parameter(graph, name, text):
+    value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=text)
+    request = SetParameters.Request(parameters=[Parameter(name=name, value=value)])
+    return graph.call(SetParameters, f'{NODE}/set_parameters', request).results[0]
+
+
+SLOW_NODE = """
+import time
+from neo_ros.runtime import FovExtrapolator
+fast = FovExtrapolator.expand
+def slow(self, image):
+    if image.max() == 0:
+        time.sleep(30)
+    return fast(self, image)
+FovExtrapolator.expand = slow
+from neo_ros.node.main import main
+main()
+"""
+
+
+@pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGINT], ids=['SIGTERM', 'SIGINT'])
+def test_signal_in_the_middle_of_inference_ends_it(graph, model, number):
+    camera = Camera(graph)
+    process = graph.start('-c', SLOW_NODE, '--ros-args', '-r', '__ns:=/robot',
+                          '-p', f'model:={model}')
+    camera.wait_for_node()
+    camera.widen(noise_image(SOURCE, 0), 1)
+    camera.publish(np.zeros((SOURCE.height, SOURCE.width, 3), np.uint8), 2)
+    graph.spin_for(0.3)
+    code, seconds = end(process, number)
+    assert code == 0 and seconds < 3, process.stdout.read()
+
+
+def test_qos_conflict_is_told(graph, model):
+    camera = Camera(graph)
+    graph.node.destroy_publisher(camera.images)
+    from rclpy.qos import qos_profile_sensor_data
+    graph.node.create_publisher(Image, '/robot/image', qos_profile_sensor_data)
+    camera.start_node(model, 'reliable:=true')
+    camera.wait_for_diagnosis(DiagnosticStatus.WARN, 'publishers: 1; .*RELIABILITY.*reliable')

@@ -1,0 +1,72 @@
+import os
+
+from neo_ros.errors import SceneError
+from neo_ros.scenes.demo_captures import write_demo_scene
+from neo_ros.scenes.scene import read_scene
+import numpy as np
+import pytest
+
+SIZES = {'image_size': 16, 'n_train': 5, 'n_paths': 2, 'frames_per_path': 3}
+
+
+@pytest.fixture(scope='module')
+def scene_folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp('scene') / 'flat'
+    write_demo_scene(folder, **SIZES, seed=4, workers=1)
+    return folder
+
+
+def _files(folder):
+    return {path.relative_to(folder).as_posix(): path.read_bytes()
+            for path in sorted(folder.rglob('*')) if path.is_file()}
+
+
+def test_a_written_scene_reads_as_one(scene_folder):
+    scene = read_scene(scene_folder)
+    assert len(scene.train) == 5 and len(scene.test) == 6
+    assert scene.test.path_ids == (0, 0, 0, 1, 1, 1)
+    assert np.degrees(scene.train.intrinsics.hfov) == pytest.approx(90)
+    assert np.degrees(scene.test.intrinsics.hfov) == pytest.approx(126.87, abs=0.01)
+    assert scene.expansion.source == scene.train.intrinsics
+    assert scene.walkable.contains(scene.train.T_world_cam[:, :2, 3]).all()
+    assert scene.train.read_images().shape == (5, 16, 16, 3)
+    assert scene.test.read_image(0).std() > 10
+
+
+def test_a_broken_off_run_goes_on(scene_folder, tmp_path):
+    whole = _files(scene_folder)
+    folder = tmp_path / 'flat'
+    calls = []
+
+    def stop_after_four(done, total):
+        calls.append((done, total))
+        if done == 4:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_demo_scene(folder, **SIZES, seed=4, workers=1, progress=stop_after_four)
+    assert not (folder / 'transforms_train.json').exists()
+    (folder / 'train' / '0001.png').write_bytes(b'kept')  # a finished file is not made again
+    stamp = os.stat(folder / 'train' / '0000.png').st_mtime_ns
+    calls.clear()
+    write_demo_scene(folder, **SIZES, seed=4, workers=1,
+                     progress=lambda done, total: calls.append((done, total)))
+    assert calls == [(done, 11) for done in range(4, 12)]
+    assert os.stat(folder / 'train' / '0000.png').st_mtime_ns == stamp
+    assert _files(folder) == {**whole, 'train/0001.png': b'kept'}
+
+
+def test_processes_write_the_same_files(scene_folder, tmp_path):
+    write_demo_scene(tmp_path / 'flat', **SIZES, seed=4, workers=2)
+    assert _files(tmp_path / 'flat') == _files(scene_folder)
+
+
+def test_another_scene_is_not_mixed_in(scene_folder):
+    with pytest.raises(SceneError, match='choose another folder'):
+        write_demo_scene(scene_folder, **SIZES, seed=5, workers=1)
+
+
+def test_an_unwritable_folder_is_named(tmp_path):
+    (tmp_path / 'file').write_text('')
+    with pytest.raises(SceneError, match='cannot write a demo scene here'):
+        write_demo_scene(tmp_path / 'file' / 'flat', **SIZES, workers=1)
