@@ -75,8 +75,13 @@ class RosGraph:
     def close(self) -> None:
         """End all processes and the test's node."""
         for process in self._processes:
-            process.kill()
-            process.wait()
+            process.terminate()
+        for process in self._processes:
+            try:
+                process.wait(5)
+            except subprocess.TimeoutExpired:
+                process.kill()  # Last, because it leaves shared memory behind.
+                process.wait()
         self.executor.shutdown()
         self.node.destroy_node()
         self.context.try_shutdown()

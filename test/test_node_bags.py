@@ -44,7 +44,8 @@ def messages_of(path, topics):
 
 
 def by_topic(messages):
-    return {topic: [cdr for name, _, cdr in messages if name == topic]
+    """Return the bytes by topic, padded to 4 bytes as the middleware does."""
+    return {topic: [cdr + bytes(-len(cdr) % 4) for name, _, cdr in messages if name == topic]
             for topic in (IMAGE, CAMERA_INFO)}
 
 

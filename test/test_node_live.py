@@ -9,11 +9,14 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from neo_ros.messages import camera_info_fields, image_fields
+from neo_ros.node.extrapolator_node import ExtrapolatorNode
 from neo_ros.runtime import FovExtrapolator
 import numpy as np
 import pytest
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
+import rclpy.parameter
+from rclpy.qos import qos_profile_sensor_data
 from ros_graph import ros_graph
 from sensor_msgs.msg import CameraInfo, Image
 from std_srvs.srv import SetBool
@@ -216,6 +219,24 @@ def test_wrong_model_leaves_it_unconfigured_with_the_reason(graph, model, tmp_pa
     camera.widen(noise_image(SOURCE, 0), 1)
 
 
+def test_unforeseen_error_ends_unconfigured_and_is_told(graph, model):
+    def load(path, threads):
+        if path != str(model):
+            raise RuntimeError('the disk is on fire')
+        return FovExtrapolator.load(path, threads)
+
+    node = ExtrapolatorNode(load, context=graph.context, parameter_overrides=[
+        rclpy.parameter.Parameter('model', value='other.onnx')])
+    node.autostart()
+    assert node.state_label == 'unconfigured'
+    assert node.fault == 'on_configure failed: RuntimeError: the disk is on fire'
+    node.set_parameters([rclpy.parameter.Parameter('model', value=str(model))])
+    node.autostart()
+    assert (node.state_label, node.fault) == ('active', '')
+    assert node.stop() is True
+    node.destroy_node()
+
+
 def set_parameter(graph, name, text):
     value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=text)
     request = SetParameters.Request(parameters=[Parameter(name=name, value=value)])
@@ -224,6 +245,7 @@ def set_parameter(graph, name, text):
 
 SLOW_NODE = """
 import time
+from neo_ros.node.extrapolator_node import ExtrapolatorNode
 from neo_ros.runtime import FovExtrapolator
 fast = FovExtrapolator.expand
 def slow(self, image):
@@ -252,7 +274,6 @@ def test_signal_in_the_middle_of_inference_ends_it(graph, model, number):
 def test_qos_conflict_is_told(graph, model):
     camera = Camera(graph)
     graph.node.destroy_publisher(camera.images)
-    from rclpy.qos import qos_profile_sensor_data
     graph.node.create_publisher(Image, '/robot/image', qos_profile_sensor_data)
     camera.start_node(model, 'reliable:=true')
     camera.wait_for_diagnosis(DiagnosticStatus.WARN, 'publishers: 1; .*RELIABILITY.*reliable')

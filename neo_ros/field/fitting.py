@@ -7,6 +7,7 @@ from neo_ros.errors import ConfigError, SceneError
 from neo_ros.field import kernels
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import Intrinsics
+from numba import get_num_threads
 import numpy as np
 
 
@@ -115,7 +116,7 @@ class FieldTrainer:
             self.d_density, self.d_rgb, self.count, error, d_gain)
         kernels.scatter_gradients(
             rays_d, self.cell, self.frac, self.d_density, self.d_rgb, self.count, shape,
-            field.terms, self.gradient, self.touched)
+            field.terms, get_num_threads(), self.gradient, self.touched)
         scale = pixels
         kernels.add_total_variation(
             field.grid, shape, self.touched, np.float32(config.smooth_density * scale),

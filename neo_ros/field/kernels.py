@@ -11,7 +11,7 @@ depend on the number of threads or their timing.
 """
 import math
 
-from numba import get_num_threads, njit, prange
+from numba import njit, prange
 import numpy as np
 
 # Light that is left is taken for none; at 8 bits a pixel this is far below one step.
@@ -291,10 +291,9 @@ def _ray_gradient(n, light, alpha, depth, raw, rgb, slope, gain, target, backgro
 
 
 @njit(parallel=True, **FAST)
-def scatter_gradients(rays_d, cell, frac, d_density, d_rgb, count, shape, terms,
+def scatter_gradients(rays_d, cell, frac, d_density, d_rgb, count, shape, terms, threads,
                       gradient, touched):
     """Add all samples' gradients to `gradient` (V, 1 + 3K) and mark the rows in `touched`."""
-    threads = get_num_threads()
     sy, sz = shape[1], shape[2]
     for owner in prange(threads):
         basis = np.empty(terms, np.float32)

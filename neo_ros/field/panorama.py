@@ -13,7 +13,7 @@ from neo_ros.geometry import Intrinsics
 import numpy as np
 
 # Panorama pixels per view pixel in the middle of the view, where a view is coarsest.
-DENSITY = 2.5
+DENSITY = 2.0
 SUPERSAMPLE = 2
 
 

@@ -20,7 +20,7 @@ LOOK_PERIOD_S = 0.2
 
 class BagRecorder:
     """
-    Writes the messages of the named topics as they come, bytes for bytes.
+    Writes the messages of the named topics as they come, undecoded.
 
     Types are taken from the graph; a topic is subscribed as soon as it has a publisher, as
     reliable and as latched as its publishers offer. The log time is the time of arrival.

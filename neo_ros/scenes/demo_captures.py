@@ -5,7 +5,7 @@ import json
 import multiprocessing
 import os
 from pathlib import Path
-from typing import Callable, Iterable, Iterator
+from typing import Any, Callable, Iterator, Sequence, TypeVar
 
 import cv2
 from neo_ros.errors import SceneError
@@ -19,6 +19,7 @@ import numpy as np
 
 SETTINGS_FILE = 'demo_scene.json'
 Job = tuple[str, Intrinsics, np.ndarray]
+Result = TypeVar('Result')
 
 
 def write_demo_scene(folder: Path, *, image_size: int = 128, n_train: int = 1000,
@@ -52,7 +53,8 @@ def write_demo_scene(folder: Path, *, image_size: int = 128, n_train: int = 1000
                     'fingerprint': _fingerprint(flat, jobs)})
     missing = [job for job in jobs if not os.path.exists(job[0])]
     progress(len(jobs) - len(missing), len(jobs))
-    for done, _ in enumerate(_run(missing, workers or os.cpu_count() or 1), start=1):
+    written = _map(_render_to_file, missing, workers or os.cpu_count() or 1)
+    for done, _ in enumerate(written, start=1):
         progress(len(jobs) - len(missing) + done, len(jobs))
     write_walkable(folder / 'walkable.json', flat.walkable())
     if train:
@@ -89,19 +91,37 @@ def _fingerprint(flat: DemoFlat, jobs: list[Job]) -> str:
     return sha.hexdigest()[:16]
 
 
-def _run(jobs: list[Job], workers: int) -> Iterator[None]:
+def render_demo_views(intrinsics: Intrinsics, poses: Sequence[CameraPose],
+                      progress: Callable[[int, int], None] = lambda done, total: None,
+                      workers: int | None = None) -> list[np.ndarray]:
+    """Render RGB uint8 (H, W, 3) views of the demo flat, one per pose."""
+    jobs = [(intrinsics, pose.T_world_cam) for pose in poses]
+    images = []
+    for image in _map(_render, jobs, workers or os.cpu_count() or 1):
+        images.append(image)
+        progress(len(images), len(jobs))
+    return images
+
+
+def _map(function: Callable[[Any], Result], jobs: Sequence[Any],
+         workers: int) -> Iterator[Result]:
+    """Yield the results in order, from several processes if that pays."""
     if workers == 1 or len(jobs) < 8:
-        yield from map(_render_to_file, jobs)
+        yield from map(function, jobs)
         return
     # spawn: forking a process that has threads (torch, ROS) may hang the child.
     with ProcessPoolExecutor(workers, multiprocessing.get_context('spawn')) as pool:
-        results: Iterable[None] = pool.map(_render_to_file, jobs, chunksize=4)
-        yield from results
+        yield from pool.map(function, jobs, chunksize=4)
+
+
+def _render(job: tuple[Intrinsics, np.ndarray]) -> np.ndarray:
+    intrinsics, T_world_cam = job
+    return build_demo_flat().render(intrinsics, CameraPose(T_world_cam))[0]
 
 
 def _render_to_file(job: Job) -> None:
     path, intrinsics, T_world_cam = job
-    image, _ = build_demo_flat().render(intrinsics, CameraPose(T_world_cam))
+    image = _render((intrinsics, T_world_cam))
     encoded, data = cv2.imencode('.png', image[..., ::-1])
     if not encoded:
         raise SceneError(f'{path}: OpenCV could not encode the image as PNG')

@@ -1,0 +1,197 @@
+"""
+The demo: a robot walks through the built-in flat, its camera is widened on a real ROS graph.
+
+Three processes, as on a robot: a bag player for the camera, the node, and a recorder. What the
+recorder got is scored against the truth that the bag holds.
+"""
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+import json
+import os
+from pathlib import Path
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+from neo_ros.bags import BagReader
+from neo_ros.bags.demo_bag import IMAGE_TOPIC, TRUTH_TOPIC, write_demo_bag
+from neo_ros.errors import BagError, ModelError, NeoError
+from neo_ros.evaluation.metrics import score_frame
+from neo_ros.evaluation.output import make_output_folder, write_bytes
+from neo_ros.evaluation.report import Table, Text, write_report
+from neo_ros.evaluation.strips import frame_strip, Strip, write_strip_png
+from neo_ros.geometry import ViewExpansion
+from neo_ros.messages import read_image
+from neo_ros.runtime import read_model_card
+from neo_ros.scenes.demo_captures import render_demo_views
+from neo_ros.scenes.demo_flat import build_demo_flat, walking_paths
+import numpy as np
+
+SCENE = 'demo_flat'
+# A walk of its own: neither the test frames' seed nor a training pose.
+WALK_SEED = 2026
+WIDE_TOPIC = '/camera/wide/image'
+OTHER_TOPICS = ('/camera/wide/mask', '/camera/wide/confidence', '/camera/wide/camera_info')
+
+
+@dataclass(frozen=True)
+class DemoResult:
+    """
+    What came out of a demo.
+
+    frames      frames in, and wide frames that arrived at the recorder
+    rate        wide frames per second
+    latency_ms  from the arrival of the camera image at the recorder to that of its wide image
+    scores      mean of every score over the wide frames
+    """
+
+    frames_in: int
+    frames_out: int
+    rate: float
+    latency_ms: dict[str, float]
+    scores: dict[str, float]
+
+
+def make_demo_bag(path: Path, expansion: ViewExpansion, frames: int, rate: float,
+                  progress: Callable[[int, int], None]) -> None:
+    """Render a walk through the flat, truth included, into an MCAP bag."""
+    walk = walking_paths(build_demo_flat(), 1, frames, WALK_SEED)[0]
+    images = render_demo_views(expansion.target, walk, progress)
+    period_ns = round(1e9 / rate)
+    write_demo_bag(path, ((1_000_000_000 + index * period_ns, image, pose)
+                          for index, (image, pose) in enumerate(zip(images, walk))), expansion)
+
+
+def run_demo(model: Path, out: Path, frames: int, rate: float,
+             report: Callable[[str], None] = lambda line: None,
+             progress: Callable[[int, int], None] = lambda done, total: None) -> DemoResult:
+    """
+    Show `model` on a ROS graph and leave bags, report.html and strip.png in `out`.
+
+    Raises NeoError where a process of the graph ends with an error or nothing arrives.
+    """
+    card = read_model_card(model)
+    if card.scene_id != SCENE:
+        raise ModelError(f'{model}: expected a model of {SCENE}, got one of {card.scene_id}; '
+                         'use neo replay for a bag of your own')
+    make_output_folder(out)
+    # The walk is the same every time; only a finished bag gets its name.
+    bag = out / f'walk_{frames}_{rate:g}hz_{card.expansion.target.width}'
+    if not bag.exists():
+        partial = out / 'walk.partial'
+        shutil.rmtree(partial, ignore_errors=True)
+        make_demo_bag(partial, card.expansion, frames, rate, progress)
+        partial.rename(bag)
+    recorded = out / 'recorded'
+    shutil.rmtree(recorded, ignore_errors=True)
+    run_graph(bag, model, recorded, report)
+    return score_recording(bag, recorded, card.expansion, out)
+
+
+def run_graph(bag: Path, model: Path, recorded: Path, report: Callable[[str], None]) -> None:
+    """Play the bag to the node and record what it publishes; every part is a process."""
+    log = recorded.parent / 'graph.log'
+    # A graph of its own: the demo must never reach a robot on the same network.
+    environment = {'ROS_DOMAIN_ID': str(1 + os.getpid() % 100),
+                   'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', **os.environ}
+    neo = [sys.executable, '-m', 'neo_ros.cli.main']
+    with open(log, 'w') as lines:
+        with _process([*neo, 'record', IMAGE_TOPIC, WIDE_TOPIC, *OTHER_TOPICS,
+                       '--out', str(recorded)], environment, lines) as recorder, \
+            _process([sys.executable, '-m', 'neo_ros.node.main', '--ros-args',
+                      '-r', '__ns:=/camera', '-r', 'image:=image_raw',
+                      '-p', f'model:={model.resolve()}'], environment, lines) as node:
+            report('the node and a recorder are up; playing the bag')
+            # The node's two inputs and the recorder's camera topic.
+            player = subprocess.run(
+                [*neo, 'play', str(bag), '--wait-for-subscribers', '3'],
+                env=environment, stdout=lines, stderr=subprocess.STDOUT,
+                timeout=300, check=False)
+            time.sleep(1.0)  # The last frames are on their way.
+            codes = {'player': player.returncode, 'node': node.poll(),
+                     'recorder': recorder.poll()}
+    failed = [f'{name} ended with code {code}' for name, code in codes.items() if code]
+    if failed:
+        raise NeoError(f'demo: {", ".join(failed)}:\n{log.read_text()[-2000:]}')
+
+
+@contextmanager
+def _process(command: list[str], environment: dict[str, str], log) -> Iterator[subprocess.Popen]:
+    process = subprocess.Popen(command, env=environment, stdout=log, stderr=subprocess.STDOUT)
+    try:
+        yield process
+    finally:
+        process.send_signal(signal.SIGINT)
+        try:
+            process.wait(timeout=10)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+def score_recording(bag: Path, recorded: Path, expansion: ViewExpansion, out: Path) -> DemoResult:
+    """Join recording and truth by header stamp, score, and write the report and the strip."""
+    with BagReader(bag) as reader:
+        truth = {_stamp(m.read()): read_image(m.read()) for m in reader.messages([TRUTH_TOPIC])}
+    arrived: dict[str, dict[int, int]] = {IMAGE_TOPIC: {}, WIDE_TOPIC: {}}
+    wide = {}
+    with BagReader(recorded) as reader:
+        for message in reader.messages(list(arrived)):
+            content = message.read()
+            arrived[message.topic.name][_stamp(content)] = message.stamp_ns
+            if message.topic.name == WIDE_TOPIC:
+                wide[_stamp(content)] = read_image(content)
+    stamps = sorted(wide.keys() & truth.keys())
+    if len(stamps) < 2:
+        raise BagError(f'{recorded}: expected wide images from the node, got {len(wide)}; '
+                       f'see {recorded.parent / "graph.log"}')
+    frames = [score_frame(truth[stamp], wide[stamp], expansion) for stamp in stamps]
+    delays = [(arrived[WIDE_TOPIC][stamp] - arrived[IMAGE_TOPIC][stamp]) / 1e6
+              for stamp in stamps if stamp in arrived[IMAGE_TOPIC]]
+    times = sorted(arrived[WIDE_TOPIC].values())
+    result = DemoResult(
+        len(truth), len(wide), (len(times) - 1) / ((times[-1] - times[0]) / 1e9),
+        {'median': float(np.median(delays)), 'p95': float(np.percentile(delays, 95)),
+         'max': float(max(delays))},
+        {name: float(np.mean([frame[name] for frame in frames])) for name in frames[0]})
+    _write_pages(result, expansion, stamps, truth, wide, frames, out)
+    return result
+
+
+def _stamp(message) -> int:  # noqa: ANN001
+    return message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
+
+
+def _write_pages(result: DemoResult, expansion: ViewExpansion, stamps: list[int],
+                 truth: dict[int, np.ndarray], wide: dict[int, np.ndarray],
+                 frames: list[dict[str, float]], out: Path) -> None:
+    order = np.argsort([frame['ring_psnr'] for frame in frames])
+    picks = {'Best frame': order[-1], 'Median frame': order[len(order) // 2],
+             'Worst frame': order[0]}
+
+    def strip(title: str, index: int) -> Strip:
+        stamp = stamps[index]
+        note = f'ring PSNR {frames[index]["ring_psnr"]:.2f} dB'
+        return frame_strip(f'{title}, second {(stamp - stamps[0]) / 1e9:.1f}', expansion,
+                           expansion.crop(truth[stamp]), wide[stamp], truth[stamp], note)
+
+    ranked = [strip(title, int(index)) for title, index in picks.items()]
+    walk = [strip('The walk', int(index))
+            for index in np.linspace(0, len(stamps) - 1, 6).round()]
+    write_strip_png(out / 'strip.png', walk)
+    latency = result.latency_ms
+    table = Table(('figure', 'value'), [
+        ('camera frames played', str(result.frames_in)),
+        ('wide frames received', f'{result.frames_out} at {result.rate:.1f} Hz'),
+        ('latency, camera image to wide image',
+         f'median {latency["median"]:.1f} ms, p95 {latency["p95"]:.1f} ms'),
+        *((name.replace('_', ' '), f'{value:.3f}') for name, value in result.scores.items())])
+    write_report(out / 'report.html', 'A walk through the demo flat', [
+        Text('The frame is what the camera sees; all around it is what the model remembers of '
+             'the flat. Every image went over ROS: bag player, node, recorder.'),
+        table, *ranked, *walk])
+    write_bytes(out / 'scores.json', json.dumps(
+        {**result.__dict__, 'frames': frames}, indent=1).encode())

@@ -1,0 +1,17 @@
+"""What holds for all tests: no clock in hypothesis, no log files in the home folder."""
+from collections.abc import Iterator
+
+from hypothesis import settings
+import pytest
+
+# The machines that run the tests are shared: how long an example takes says nothing.
+settings.register_profile('shared machine', deadline=None)
+settings.load_profile('shared machine')
+
+
+@pytest.fixture(scope='session', autouse=True)
+def ros_logs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Send the log files of all ROS nodes to a temporary folder."""
+    with pytest.MonkeyPatch.context() as environment:
+        environment.setenv('ROS_LOG_DIR', str(tmp_path_factory.mktemp('ros_logs')))
+        yield

@@ -1,0 +1,127 @@
+"""Which room may import which, and that robots load no torch and trainers no ROS."""
+import ast
+from collections.abc import Iterator
+from importlib.util import find_spec
+from pathlib import Path
+import subprocess
+import sys
+
+import neo_ros
+import pytest
+
+PACKAGE = Path(neo_ros.__file__).parent
+# Modules beside the rooms that every room may use.
+COMMON = {'errors', 'paths'}
+# Room: the other rooms and the heavy libraries that it may import.
+LAW: dict[str, set[str]] = {
+    'geometry': set(),
+    'scenes': {'geometry', 'cv2'},
+    'field': {'geometry', 'scenes', 'torch', 'numba', 'scipy', 'cv2'},
+    'outpaint': {'geometry', 'scenes', 'field', 'torch', 'onnx', 'onnxruntime'},
+    'runtime': {'geometry', 'memory', 'onnxruntime', 'onnx'},
+    'memory': {'geometry', 'onnxruntime', 'cv2'},
+    'messages': {'geometry', 'cv2'},
+    'bags': {'geometry', 'scenes', 'runtime', 'messages', 'rosbags', 'mcap', 'cv2'},
+    # The player and the recorder of bags are ROS nodes.
+    'node': {'geometry', 'runtime', 'messages', 'bags', 'rosbags', 'rclpy'},
+    'viewer': {'geometry', 'runtime', 'messages', 'bags', 'rclpy'},
+    'evaluation': {'geometry', 'scenes', 'field', 'outpaint', 'runtime', 'messages', 'bags',
+                   'memory', 'torch', 'scipy', 'cv2', 'onnxruntime'},
+}
+HEAVY = {'torch', 'numba', 'scipy', 'cv2', 'onnx', 'onnxscript', 'onnxruntime', 'rosbags',
+         'mcap', 'rclpy', 'skimage', 'matplotlib'}
+ROS_PACKAGES = {'rclpy', 'rcl_interfaces', 'ament_index_python', 'launch', 'launch_ros'}
+# What needs the train extra: absent from the base install.
+TRAINING = {'torch', 'numba', 'scipy', 'onnx', 'onnxscript', 'skimage', 'matplotlib'}
+MODULES = sorted(PACKAGE.rglob('*.py'))
+
+
+def imported_names(tree: ast.AST) -> Iterator[str]:
+    """Yield the dotted names that a module imports, at its top and inside functions."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, 'relative imports hide the room'
+            # `from neo_ros import bags` names its room after the import.
+            yield from (f'{node.module}.{alias.name}' for alias in node.names)
+
+
+def law_names(tree: ast.AST) -> set[str]:
+    """Return the rooms, common modules and heavy libraries that a module imports."""
+    names = set()
+    for name in imported_names(tree):
+        top, *rest = name.split('.')
+        if top == 'neo_ros':
+            names.add(rest[0])
+        elif top in ROS_PACKAGES or top.endswith(('_msgs', '_srvs')):
+            names.add('rclpy')
+        elif top in HEAVY:
+            names.add(top)
+    return names
+
+
+def broken(room: str, source: str) -> set[str]:
+    """Return what a module of this room imports against the law."""
+    return law_names(ast.parse(source)) - LAW[room] - COMMON - {room, '__version__'}
+
+
+@pytest.mark.parametrize(
+    'path', [path for path in MODULES if path.relative_to(PACKAGE).parts[0] in LAW],
+    ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_modules_keep_to_the_law_of_their_room(path: Path) -> None:
+    room = path.relative_to(PACKAGE).parts[0]
+    assert broken(room, path.read_text()) == set()
+
+
+def test_every_folder_is_a_room_with_a_law() -> None:
+    folders = {path.relative_to(PACKAGE).parts[0] for path in MODULES if path.parent != PACKAGE}
+    assert folders - {'cli'} <= LAW.keys()
+
+
+@pytest.mark.parametrize(
+    'path', [path for path in MODULES if path.parent.name == 'cli'], ids=lambda path: path.name)
+def test_commands_import_rooms_only_when_they_run(path: Path) -> None:
+    top_level = ast.Module(
+        [node for node in ast.parse(path.read_text()).body
+         if isinstance(node, ast.Import | ast.ImportFrom)], type_ignores=[])
+    assert law_names(top_level) - {'cli'} - COMMON - {'__version__'} == set()
+
+
+@pytest.mark.parametrize('source, found', [
+    ('import torch.nn', {'torch'}),
+    ('def f():\n    from rclpy.node import Node', {'rclpy'}),
+    ('from sensor_msgs.msg import Image', {'rclpy'}),
+    ('from neo_ros import evaluation', {'evaluation'}),
+    ('from neo_ros.pipeline import train', {'pipeline'}),
+    ('from neo_ros.errors import NeoError\nimport numpy, os', set()),
+], ids=['heavy', 'inside a function', 'messages', 'room by name', 'top', 'nothing'])
+def test_the_law_sees_what_it_forbids(source: str, found: set[str]) -> None:
+    assert broken('geometry', source) == found
+
+
+def loaded_by(module: str) -> set[str]:
+    """Import a module in a fresh interpreter; return the names of all that is loaded then."""
+    code = f'import sys, {module}; print(*sys.modules)'
+    result = subprocess.run([sys.executable, '-c', code], cwd=PACKAGE.parent,
+                            capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+    return set(result.stdout.split())
+
+
+@pytest.mark.parametrize('module', [
+    'neo_ros.runtime', 'neo_ros.node.main', 'neo_ros.node.bag_player',
+    'neo_ros.node.bag_recorder', 'neo_ros.bags', 'neo_ros.messages', 'neo_ros.cli.main',
+    'neo_ros.evaluation.evaluation_report'])
+def test_what_runs_on_a_robot_loads_nothing_of_the_training(module: str) -> None:
+    assert loaded_by(module) & TRAINING == set()
+
+
+@pytest.mark.parametrize('module', [
+    'neo_ros.runtime', 'neo_ros.messages', 'neo_ros.bags', 'neo_ros.cli.main',
+    'neo_ros.scenes.scene', 'neo_ros.evaluation.evaluation_report',
+    'neo_ros.field.fitting', 'neo_ros.outpaint.fitting', 'neo_ros.pipeline'])
+def test_what_needs_no_graph_loads_no_ros(module: str) -> None:
+    if module.split('.')[1] in ('field', 'outpaint', 'pipeline') and find_spec('torch') is None:
+        pytest.skip('needs torch: the train extra is not installed')
+    assert loaded_by(module) & ROS_PACKAGES == set()
