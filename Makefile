@@ -10,7 +10,7 @@ PYTHON ?=
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME \
 	PYTHONPATH RMW_IMPLEMENTATION ROS_DISTRO VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup train-setup dev-setup demo test lint constraints clean
+.PHONY: help setup train-setup dev-setup demo test bench lint constraints clean
 help:
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 22
 
@@ -24,6 +24,9 @@ demo: setup  ## a robot's camera widened live, with scores and pictures
 test: dev-setup  ## all tests
 	$(BIN)/python -m pytest
 
+bench: train-setup  ## speed of every part on this machine, into results/bench.json
+	$(BIN)/neo bench
+
 lint: dev-setup  ## style and types
 	$(BIN)/flake8
 	$(BIN)/mypy
@@ -31,7 +34,8 @@ lint: dev-setup  ## style and types
 constraints:  ## newest versions of all packages into constraints.txt (takes minutes)
 	rm -rf $(VENV)-newest
 	$(MAKE) VENV=$(VENV)-newest PIP_VERSIONS= dev-setup
-	$(VENV)-newest/bin/python -c "$$FREEZE" > constraints.txt
+	$(VENV)-newest/bin/python -c "$$FREEZE" > $(VENV)-newest/constraints.txt
+	mv $(VENV)-newest/constraints.txt constraints.txt
 	rm -rf $(VENV)-newest
 
 clean:  ## remove .venv and all that was built
@@ -42,20 +46,23 @@ clean:  ## remove .venv and all that was built
 PIP_VERSIONS := --constraint constraints.txt
 # Of all that pip says, the large downloads: what one waits for.
 define pip_install
-	@echo 'Installing $(1) into $(VENV)'
+	@echo 'Installing $(WANTED) into $(VENV)'
 	@$(BIN)/python -m pip install --disable-pip-version-check --progress-bar off \
-		$(PIP_VERSIONS) --editable '$(1)' | sed -un \
+		$(PIP_VERSIONS) --editable '$(WANTED)' | sed -un \
 		-e 's/^ *\(Downloading [^ ]* ([0-9.]* [MG]B)\).*/  \1/p' \
 		-e 's/^Installing collected packages.*/  Unpacking/p'
 	@touch $@
 endef
 
+$(VENV)/robot.stamp: WANTED := .
+$(VENV)/train.stamp: WANTED := .[train]
+$(VENV)/dev.stamp: WANTED := .[train,bench,dev]
 $(VENV)/robot.stamp: setup.py pyproject.toml constraints.txt | $(VENV)/pyvenv.cfg
-	$(call pip_install,.)
+	$(pip_install)
 $(VENV)/train.stamp: $(VENV)/robot.stamp
-	$(call pip_install,.[train])
+	$(pip_install)
 $(VENV)/dev.stamp: $(VENV)/train.stamp
-	$(call pip_install,.[train,bench,dev])
+	$(pip_install)
 
 # A candidate has to run: the shim that pyenv puts on PATH exists even where it only fails.
 define CREATE_VENV

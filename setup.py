@@ -1,6 +1,7 @@
 """Build neo_ros with pip or, in a ROS 2 workspace, with colcon."""
-from glob import glob
+from collections.abc import Iterator
 import os
+from pathlib import Path
 
 from setuptools import find_packages, setup
 
@@ -52,9 +53,16 @@ EXTRAS = {
 def version() -> str:
     """Read the version where the package states it, without importing the package."""
     namespace: dict[str, str] = {}
-    with open('neo_ros/__init__.py', encoding='utf-8') as source:
-        exec(source.read(), namespace)
+    exec(Path(NAME, '__init__.py').read_text(encoding='utf-8'), namespace)
     return namespace['__version__']
+
+
+def shared_files(*folders: str) -> Iterator[tuple[str, list[str]]]:
+    """Yield the share folder and the files of these folders and all folders below."""
+    for top in folders:
+        for folder, below, files in os.walk(top):
+            below[:] = [name for name in below if name != '__pycache__']
+            yield f'share/{NAME}/{folder}', [f'{folder}/{name}' for name in sorted(files)]
 
 
 setup(
@@ -72,8 +80,7 @@ setup(
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
-        *[(f'share/{NAME}/{folder}', sorted(filter(os.path.isfile, glob(f'{folder}/*'))))
-          for folder in ('launch', 'config', 'models')],
+        *shared_files('config', 'launch', 'models'),
         (f'lib/{NAME}', ['scripts/fov_extrapolator']),
     ],
     entry_points={'console_scripts': [

@@ -7,6 +7,7 @@ recorder got is scored against the truth that the bag holds.
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+import functools
 import json
 import os
 from pathlib import Path
@@ -15,6 +16,7 @@ import signal
 import subprocess
 import sys
 import time
+from typing import Any, IO
 
 from neo_ros.bags import BagReader
 from neo_ros.bags.demo_bag import IMAGE_TOPIC, TRUTH_TOPIC, write_demo_bag
@@ -56,18 +58,19 @@ class DemoResult:
 
 
 def make_demo_bag(path: Path, expansion: ViewExpansion, frames: int, rate: float,
-                  progress: Callable[[int, int], None]) -> None:
+                  progress: Callable[[str, int, int], None]) -> None:
     """Render a walk through the flat, truth included, into an MCAP bag."""
     walk = walking_paths(build_demo_flat(), 1, frames, WALK_SEED)[0]
-    images = render_demo_views(expansion.target, walk, progress)
+    images = render_demo_views(
+        expansion.target, walk, functools.partial(progress, 'rendering the walk'))
     period_ns = round(1e9 / rate)
     write_demo_bag(path, ((1_000_000_000 + index * period_ns, image, pose)
                           for index, (image, pose) in enumerate(zip(images, walk))), expansion)
 
 
 def run_demo(model: Path, out: Path, frames: int, rate: float,
-             report: Callable[[str], None] = lambda line: None,
-             progress: Callable[[int, int], None] = lambda done, total: None) -> DemoResult:
+             progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
+             ) -> DemoResult:
     """
     Show `model` on a ROS graph and leave bags, report.html and strip.png in `out`.
 
@@ -87,11 +90,13 @@ def run_demo(model: Path, out: Path, frames: int, rate: float,
         partial.rename(bag)
     recorded = out / 'recorded'
     shutil.rmtree(recorded, ignore_errors=True)
-    run_graph(bag, model, recorded, report)
+    progress('playing it over ROS', 0, 1)
+    run_graph(bag, model, recorded)
+    progress('playing it over ROS', 1, 1)
     return score_recording(bag, recorded, card.expansion, out)
 
 
-def run_graph(bag: Path, model: Path, recorded: Path, report: Callable[[str], None]) -> None:
+def run_graph(bag: Path, model: Path, recorded: Path) -> None:
     """Play the bag to the node and record what it publishes; every part is a process."""
     log = recorded.parent / 'graph.log'
     # A graph of its own: the demo must never reach a robot on the same network.
@@ -104,7 +109,6 @@ def run_graph(bag: Path, model: Path, recorded: Path, report: Callable[[str], No
             _process([sys.executable, '-m', 'neo_ros.node.main', '--ros-args',
                       '-r', '__ns:=/camera', '-r', 'image:=image_raw',
                       '-p', f'model:={model.resolve()}'], environment, lines) as node:
-            report('the node and a recorder are up; playing the bag')
             # The node's two inputs and the recorder's camera topic.
             player = subprocess.run(
                 [*neo, 'play', str(bag), '--wait-for-subscribers', '3'],
@@ -119,7 +123,8 @@ def run_graph(bag: Path, model: Path, recorded: Path, report: Callable[[str], No
 
 
 @contextmanager
-def _process(command: list[str], environment: dict[str, str], log) -> Iterator[subprocess.Popen]:
+def _process(command: list[str], environment: dict[str, str], log: IO[str],
+             ) -> Iterator[subprocess.Popen]:
     process = subprocess.Popen(command, env=environment, stdout=log, stderr=subprocess.STDOUT)
     try:
         yield process
@@ -161,7 +166,7 @@ def score_recording(bag: Path, recorded: Path, expansion: ViewExpansion, out: Pa
     return result
 
 
-def _stamp(message) -> int:  # noqa: ANN001
+def _stamp(message: Any) -> int:
     return message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
 
 

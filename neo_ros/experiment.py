@@ -2,6 +2,7 @@
 from dataclasses import asdict, dataclass
 import hashlib
 import json
+import math
 from pathlib import Path
 from typing import Any, Optional
 
@@ -37,6 +38,10 @@ class Experiment:
     network: NetworkConfig = NetworkConfig()
     outpaint: OutpaintConfig = OutpaintConfig()
 
+    def __post_init__(self) -> None:
+        if not 0 < self.scale < math.inf:
+            raise ConfigError(f'scale: expected a number > 0, got {self.scale}')
+
     @property
     def config_hash(self) -> str:
         """Twelve hex digits that change with any setting."""
@@ -65,7 +70,7 @@ def read_experiment(path: Path) -> Experiment:
     """Read an experiment file; raises ConfigError naming unknown keys and wrong values."""
     try:
         document: Any = yaml.safe_load(path.read_text()) or {}
-    except (OSError, yaml.YAMLError) as error:
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise ConfigError(f'{path}: expected a YAML file: {error}') from error
     try:
         return TypeAdapter(Experiment).validate_python(document)

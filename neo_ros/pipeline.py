@@ -23,7 +23,7 @@ from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import ViewExpansion
 from neo_ros.outpaint.export import check_parity, export_onnx
 from neo_ros.outpaint.fitting import OutpaintTrainer
-from neo_ros.outpaint.network import Outpainter
+from neo_ros.outpaint.network import check_fits, Outpainter
 from neo_ros.outpaint.pair_stream import PairStream
 from neo_ros.runtime import FovExtrapolator, ModelCard
 from neo_ros.runtime.model_card import Parity, write_model_card
@@ -72,8 +72,21 @@ class TrainingRun:
             [i for i in range(len(self.scene.train)) if i not in held_out])
         self.held_out: Optional[PosedImages] = (
             self.scene.train.subset(sorted(held_out)) if held_out else None)
+        self._check_settings()
         self.figures: dict[str, float] = {}
         self.log: dict[str, list[list[float]]] = {'field': [], 'outpainter': []}
+
+    def _check_settings(self) -> None:
+        """Raise now what the last steps would raise after all the work of the first."""
+        photo = self.scene.train.intrinsics.scaled(self.experiment.scale)
+        source = self.expansion.source
+        if source.width > photo.width or source.height > photo.height:
+            raise ConfigError(
+                f'view.source: expected at most the size of the photos, {photo.width}x'
+                f'{photo.height} pixels at this scale, got {source.width}x{source.height}')
+        check_fits(self.expansion, self.experiment.network)
+        if self.scene.test is not None:
+            TruthFrames(self.scene.test, self.expansion)
 
     @property
     def model_path(self) -> Path:
@@ -90,9 +103,9 @@ def train(scene_folder: Path, experiment: Experiment, out: Path,
     settings that cannot be trained, and where `out` holds a run of other settings.
     """
     scene = read_scene(scene_folder)
+    run = TrainingRun(scene, experiment, out, progress)
     make_output_folder(out)
     _claim(out, scene, experiment)
-    run = TrainingRun(scene, experiment, out, progress)
     field = fit_field_step(run)
     network = fit_outpainter_step(run, field)
     export_step(run, network)
@@ -122,7 +135,7 @@ def fit_field_step(run: TrainingRun) -> RadianceField:
 
 
 def fit_outpainter_step(run: TrainingRun, field: RadianceField) -> Outpainter:
-    """Steps 2 and 3: train the outpainter on views rendered where the robot can be."""
+    """Do steps 2 and 3: train the outpainter on views rendered where the robot can be."""
     experiment = run.experiment
     trainer = OutpaintTrainer(run.expansion, experiment.network, experiment.outpaint,
                               experiment.seed)
@@ -149,15 +162,18 @@ def export_step(run: TrainingRun, network: Outpainter) -> None:
     """Write the model file with its card; parity is checked on real photos."""
     path = run.model_path
     function = export_onnx(network, run.expansion, path)
+    # Until it is measured, the card says the worst of the export.
     card = ModelCard(
         scene_id=run.scene.name, expansion=run.expansion, network='neo_fast',
-        config_hash=run.experiment.config_hash, parity=Parity(max_abs_error=0, share_within_1=1),
+        config_hash=run.experiment.config_hash, parity=Parity(max_abs_error=255, share_within_1=0),
         trained_seconds=run.seconds, neo_ros_version=neo_ros.__version__)
     write_model_card(path, card)
     extrapolator = FovExtrapolator.load(path)
     frames = real_frames(run, 8)
-    parity = check_parity(function, lambda image: extrapolator.expand(image).wide_image, frames)
-    write_model_card(path, card.model_copy(update={'parity': Parity(**parity)}))
+    worst, share = check_parity(
+        function, lambda image: extrapolator.expand(image).wide_image, frames)
+    write_model_card(path, card.model_copy(
+        update={'parity': Parity(max_abs_error=worst, share_within_1=share)}))
 
 
 def real_frames(run: TrainingRun, count: int) -> np.ndarray:
@@ -168,10 +184,6 @@ def real_frames(run: TrainingRun, count: int) -> np.ndarray:
     for index in range(min(count, len(photos))):
         photo = photos.read_image(index, run.experiment.scale)
         left, top = (photo.shape[1] - source.width) // 2, (photo.shape[0] - source.height) // 2
-        if left < 0 or top < 0:
-            raise ConfigError(
-                f'view.source: expected at most the photos\' {photo.shape[1]}x{photo.shape[0]} '
-                f'pixels, got {source.width}x{source.height}')
         frames.append(photo[top:top + source.height, left:left + source.width])
     return np.stack(frames)
 
@@ -197,7 +209,11 @@ def _claim(out: Path, scene: Scene, experiment: Experiment) -> None:
     note = {'scene': scene.name, 'config_hash': experiment.config_hash}
     path = out / 'run.json'
     if path.exists():
-        found = json.loads(path.read_text())
+        try:
+            found = json.loads(path.read_text())
+        except (OSError, ValueError) as error:
+            raise ConfigError(f'{path}: expected the note of an earlier run: {error}; '
+                              'choose another folder') from error
         if found != note:
             raise ConfigError(f'{out}: expected an empty folder or a run of {note}, got a run '
                               f'of {found}; choose another folder')

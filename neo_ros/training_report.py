@@ -75,7 +75,8 @@ def _held_out_strips(run: 'TrainingRun', field: RadianceField,
         if index < STRIPS:
             strips.append(Strip(
                 f'{photos.image_paths[index].name}: {scores[-1]:.2f} dB',
-                [('field', rendered), ('photo', photo), (error_label(), error_map(photo, rendered))]))
+                [('field', rendered), ('photo', photo),
+                 (error_label(), error_map(photo, rendered))]))
     figures['field_psnr'] = float(np.mean(scores))
     return [Text('Photos that the field was not shown.', 'The field against photos'), *strips]
 

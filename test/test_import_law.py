@@ -26,7 +26,7 @@ LAW: dict[str, set[str]] = {
     'node': {'geometry', 'runtime', 'messages', 'bags', 'rosbags', 'rclpy'},
     'viewer': {'geometry', 'runtime', 'messages', 'bags', 'rclpy'},
     'evaluation': {'geometry', 'scenes', 'field', 'outpaint', 'runtime', 'messages', 'bags',
-                   'memory', 'torch', 'scipy', 'cv2', 'onnxruntime'},
+                   'memory', 'torch', 'scipy', 'cv2', 'onnx', 'onnxruntime'},
 }
 HEAVY = {'torch', 'numba', 'scipy', 'cv2', 'onnx', 'onnxscript', 'onnxruntime', 'rosbags',
          'mcap', 'rclpy', 'skimage', 'matplotlib'}

@@ -19,19 +19,15 @@ def demo(
     Renders the walk once, plays it to the node on a ROS graph of its own, records what comes
     out, scores it against the truth and shows it in report.html and strip.png.
     """
+    from neo_ros.cli.progress import stage_progress
     from neo_ros.demo import run_demo
     from neo_ros.paths import share_dir
     import rich
     from rich.markup import escape
-    from rich.progress import (
-        BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn)
 
-    with Progress(TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn(),
-                  TimeRemainingColumn(), transient=True) as bar:
-        task = bar.add_task('rendering the walk', total=frames)
+    with stage_progress() as show:
         result = run_demo(
-            model or share_dir() / 'models' / 'demo_flat.onnx', out, frames, rate, bar.print,
-            lambda done, total: bar.update(task, completed=done, total=total))
+            model or share_dir() / 'models' / 'demo_flat.onnx', out, frames, rate, show)
     latency, scores = result.latency_ms, result.scores
     rich.print(f'{result.frames_out} of {result.frames_in} frames widened at '
                f'{result.rate:.1f} Hz; camera image to wide image: median '

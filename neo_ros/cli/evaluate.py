@@ -1,4 +1,5 @@
 """`neo evaluate`: score a model on the wide test frames of a scene, beside the floors."""
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Optional
 
@@ -15,15 +16,15 @@ def evaluate(
         min=1, help='Score only so many frames, spread evenly; default: all.')] = None,
 ) -> None:
     """Score a model on the test frames of a scene, beside edge replication and the mean photo."""
+    from neo_ros.cli.progress import stage_progress
     from neo_ros.evaluation.baselines import EdgeReplication, MeanImage, Method, NeoModel
     from neo_ros.evaluation.evaluate import evaluate as score, TruthFrames
     from neo_ros.evaluation.evaluation_report import write_evaluation
     from neo_ros.evaluation.output import make_output_folder
     from neo_ros.scenes.scene import read_scene
+    import numpy as np
     import rich
     from rich.markup import escape
-    from rich.progress import (
-        BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn)
     from rich.table import Table
 
     scene_data = read_scene(scene)
@@ -31,15 +32,16 @@ def evaluate(
     truth = TruthFrames(scene_data.test, neo.expansion, frames)
     folder = make_output_folder(out or Path(f'evaluation_{scene_data.name}'))
     train = scene_data.train
-    with Progress(TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn(),
-                  TimeRemainingColumn()) as bar:
-        task = bar.add_task('mean photo', total=len(train))
-        photos = (train.read_image(i) for i in bar.track(range(len(train)), task_id=task))
+    with stage_progress() as show:
+        def photos() -> Iterator[np.ndarray]:
+            for index in range(len(train)):
+                yield train.read_image(index)
+                show('mean photo', index + 1, len(train))
+
         methods: list[Method] = [
-            neo, EdgeReplication(neo.expansion), MeanImage(neo.expansion, photos)]
-        task = bar.add_task('scoring', total=len(truth) * len(methods))
-        results = score(scene_data.name, truth, methods,
-                        progress=lambda done: bar.update(task, completed=done))
+            neo, EdgeReplication(neo.expansion), MeanImage(neo.expansion, photos())]
+        results = score(scene_data.name, truth, methods, progress=lambda done: show(
+            'scoring', done, len(truth) * len(methods)))
     write_evaluation(folder, scene_data.name, truth, methods, results)
     columns = {'ring_psnr': ('ring dB', 2), 'ring_ssim': ('ring SSIM', 3),
                'whole_psnr': ('whole dB', 2), 'whole_ssim': ('whole SSIM', 3),

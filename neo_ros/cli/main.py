@@ -3,6 +3,7 @@ import logging
 import sys
 
 from neo_ros.cli.bag import bag
+from neo_ros.cli.bench import bench
 from neo_ros.cli.demo import demo
 from neo_ros.cli.evaluate import evaluate
 from neo_ros.cli.import_scene import import_scene
@@ -35,6 +36,7 @@ app.command(rich_help_panel=RUN)(replay)
 app.command(rich_help_panel=RUN)(play)
 app.command(rich_help_panel=RUN)(record)
 app.command(rich_help_panel=RUN)(bag)
+app.command(rich_help_panel=RUN)(bench)
 
 
 def main() -> None:
@@ -54,7 +56,7 @@ def main() -> None:
 
 
 def _fail(message: str) -> int:
-    print(f'neo: {message}', file=sys.stderr)
+    print('neo:', ' '.join(message.split('\n')), file=sys.stderr)
     return 2
 
 

@@ -20,24 +20,14 @@ def train(
     Leaves SCENE.onnx and report.html in OUT. Broken off? Run the same command again: it goes
     on from the last minute.
     """
+    from neo_ros.cli.progress import stage_progress
     from neo_ros.experiment import Experiment, read_experiment
     from neo_ros.pipeline import train as run_pipeline
     import rich
     from rich.markup import escape
-    from rich.progress import (
-        BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn,
-        TimeRemainingColumn)
 
     experiment = read_experiment(config) if config is not None else Experiment()
-    tasks: dict[str, TaskID] = {}
-    with Progress(TextColumn('{task.description:10}'), BarColumn(), MofNCompleteColumn(),
-                  TimeElapsedColumn(), TimeRemainingColumn(),
-                  TextColumn('{task.fields[note]}')) as bar:
-        def show(stage: str, done: int, total: int, note: str) -> None:
-            if stage not in tasks:
-                tasks[stage] = bar.add_task(stage, total=total, note='')
-            bar.update(tasks[stage], completed=done, note=note)
-
+    with stage_progress() as show:
         run = run_pipeline(scene, experiment, out, show)
     for name, value in run.figures.items():
         rich.print(f'{name}: {value:.2f} dB')

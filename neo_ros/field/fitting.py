@@ -36,7 +36,14 @@ class FieldConfig:
         if self.sh_degree not in (0, 1, 2):
             raise ConfigError(f'field.sh_degree: expected 0, 1 or 2, got {self.sh_degree}')
         if self.steps < 10 or self.voxels < 1000 or self.pixels_per_step < 1:
-            raise ConfigError('field: expected steps >= 10, voxels >= 1000, pixels_per_step >= 1')
+            raise ConfigError('field: expected steps >= 10, voxels >= 1000, pixels_per_step >= 1, '
+                              f'got {self.steps}, {self.voxels}, {self.pixels_per_step}')
+        if self.subrays < 1 or not (self.margin > 0 and self.learning_rate > 0):
+            raise ConfigError('field: expected subrays >= 1, margin > 0 and learning_rate > 0, '
+                              f'got {self.subrays}, {self.margin}, {self.learning_rate}')
+        if not (self.shell >= 0 and self.near >= 0):
+            raise ConfigError(f'field: expected shell and near >= 0, got {self.shell}, '
+                              f'{self.near}')
 
 
 # Share of the steps at which the grid is refined, and the share of voxels it then has.
@@ -117,10 +124,10 @@ class FieldTrainer:
         kernels.scatter_gradients(
             rays_d, self.cell, self.frac, self.d_density, self.d_rgb, self.count, shape,
             field.terms, get_num_threads(), self.gradient, self.touched)
-        scale = pixels
-        kernels.add_total_variation(
-            field.grid, shape, self.touched, np.float32(config.smooth_density * scale),
-            np.float32(config.smooth_colour * scale), self.gradient)
+        if config.smooth_density or config.smooth_colour:
+            kernels.add_total_variation(
+                field.grid, shape, self.touched, np.float32(config.smooth_density * pixels),
+                np.float32(config.smooth_colour * pixels), self.gradient)
         rate = np.float32(config.learning_rate * 0.1 ** (self.step / config.steps))
         kernels.adam_step(field.grid, self.gradient, self.first, self.second, self.touched,
                           self.updates, rate, rate)

@@ -10,6 +10,7 @@ Every gradient is added by the one thread that owns its voxel, in ray order, so 
 depend on the number of threads or their timing.
 """
 import math
+from typing import Any
 
 from numba import njit, prange
 import numpy as np
@@ -18,8 +19,9 @@ import numpy as np
 MIN_TRANSMITTANCE = 1e-4
 # Samples that contribute less get no colour lookup.
 MIN_WEIGHT = 1e-4
-FAST = {'cache': True, 'fastmath': {'nsz', 'arcp', 'contract', 'afn', 'reassoc'},
-        'error_model': 'numpy'}
+FAST: dict[str, Any] = {
+    'cache': True, 'fastmath': {'nsz', 'arcp', 'contract', 'afn', 'reassoc'},
+    'error_model': 'numpy'}
 
 
 @njit(**FAST)
@@ -131,9 +133,11 @@ def _colour(grid, shape, base, fx, fy, fz, basis, rgb):
 def render_rays(rays_o, rays_d, grid, shape, skip, seen, box, step, near, shift, terms, limit,
                 background, out):
     """
-    Render unit rays (N, 3) into out (N, 6): R, G, B in [0, 1], depth in metres along the ray
-    (mean over the weights), opacity, and the share of that opacity that lies in seen voxels.
-    """  # noqa: D205
+    Render unit rays (N, 3) into out (N, 6).
+
+    R, G, B in [0, 1], depth in metres along the ray (mean over the weights), opacity, and that
+    part of the opacity that lies in seen voxels.
+    """
     n = rays_o.shape[0]
     chunk = 64
     for block in prange((n + chunk - 1) // chunk):
@@ -172,14 +176,14 @@ def render_rays(rays_o, rays_d, grid, shape, skip, seen, box, step, near, shift,
 
 @njit(parallel=True, **FAST)
 def differentiate_rays(rays_o, rays_d, target, gain, jitter, subrays, background, grid, shape,
-                       skip, box, step, near, shift, terms, distortion, pointwise, sparsity, cell, frac,
-                       d_density, d_rgb, count, error, d_gain):
+                       skip, box, step, near, shift, terms, distortion, pointwise, sparsity,
+                       cell, frac, d_density, d_rgb, count, error, d_gain):
     """
     Render pixels and emit the gradient of every sample (no gradient is added here).
 
     A pixel is the mean of `subrays` consecutive rays; target and gain are per pixel (P, 3).
     Loss per pixel: squared error of the colour, `distortion` times the distortion loss of
-    mip-NeRF 360 (eq. 15), `pointwise` times the samples' own weighted squared error
+    mip-NeRF 360 (eq. 15, its first sum), `pointwise` times the samples' own weighted squared error
     (DirectVoxGO, section 4), and `sparsity` times the sum of the samples' opacities.
     Outputs, per ray r and sample i: cell (R, S), frac (R, S, 3), d_density (R, S),
     d_rgb (R, S, 3) with respect to the sigmoid's argument; count (R,); per pixel: error (P,),
@@ -234,8 +238,7 @@ def differentiate_rays(rays_o, rays_d, target, gain, jitter, subrays, background
                 _ray_gradient(count[r], rest[s], alpha[s], depth[s], raw[s], rgb[s],
                               slope, gain[p], target[p], background[p], step,
                               distortion / subrays, pointwise / subrays, sparsity / subrays,
-                              value,
-                              d_density[r], d_rgb[r])
+                              value, d_density[r], d_rgb[r])
 
 
 @njit(**FAST)

@@ -31,7 +31,11 @@ class Panorama:
     elevation: tuple[float, float]
 
     def cut_view(self, view: Intrinsics, R_world_cam: np.ndarray) -> np.ndarray:
-        """Return RGBA uint8 (H, W, 4) of the view with that rotation (OpenCV camera axes)."""
+        """
+        Return RGBA uint8 (H, W, 4) of the view with that rotation (OpenCV camera axes).
+
+        Above and below the panorama's band of elevations nothing is covered: A is 0 there.
+        """
         fine = view.scaled(SUPERSAMPLE)
         rays = fine.pixel_rays() @ R_world_cam.T.astype(np.float32)
         height, width = self.image.shape[:2]
@@ -43,6 +47,7 @@ class Panorama:
         cut = cv2.remap(self.image, columns.astype(np.float32),
                         np.clip(rows, 0, height - 1).astype(np.float32),
                         cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
+        cut[(rows < -1) | (rows > height), 3] = 0
         return cv2.resize(cut, (view.width, view.height), interpolation=cv2.INTER_AREA)
 
 
@@ -69,8 +74,14 @@ def elevation_band(view: Intrinsics, rotations: np.ndarray) -> tuple[float, floa
     rise = np.arcsin(np.clip(border @ rotations[:, 2, :].T, -1, 1))
     top, bottom = float(rise.max()), float(rise.min())
     # The border does not show it when a pole lies inside the image.
-    if (rotations[:, 2, 2] > np.cos(view.vfov / 2)).any():
+    if _any_inside(view, rotations[:, 2, :]):
         top = np.pi / 2
-    if (rotations[:, 2, 2] < -np.cos(view.vfov / 2)).any():
+    if _any_inside(view, -rotations[:, 2, :]):
         bottom = -np.pi / 2
     return top, bottom
+
+
+def _any_inside(view: Intrinsics, directions: np.ndarray) -> bool:
+    """Tell whether a view shows any of these directions (N, 3) in its camera's axes."""
+    pixels = view.project(directions)
+    return bool(((pixels > 0) & (pixels < [view.width, view.height])).all(-1).any())

@@ -10,6 +10,7 @@ import math
 import os
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 from neo_ros.errors import SceneError
 from neo_ros.field import kernels
@@ -17,6 +18,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_cdt
 import torch
 
+# A cell whose corners all have less opacity a step counts as empty air.
 OCCUPIED_ALPHA = 3e-2
 
 
@@ -134,12 +136,16 @@ class RadianceField:
         return float(occupied.mean())
 
     def save(self, path: Path) -> None:
-        """Write the field as .npz; a kill in between leaves the old file whole."""
+        """Write the field as .npz; a kill or a full disk in between leaves the old file whole."""
         partial = path.with_suffix('.partial.npz')
-        np.savez(partial, grid=self.grid, shape=self.shape, centre=self.centre,
-                 half_extent=self.half_extent, seen=self.seen,
-                 settings=[self.shell, self.step, self.near, self.initial_alpha])
-        os.replace(partial, path)
+        try:
+            np.savez(partial, grid=self.grid, shape=self.shape, centre=self.centre,
+                     half_extent=self.half_extent, seen=self.seen,
+                     settings=[self.shell, self.step, self.near, self.initial_alpha])
+            os.replace(partial, path)
+        except OSError as error:
+            partial.unlink(missing_ok=True)
+            raise SceneError(f'{path}: cannot write the field: {error.strerror}') from error
 
     @classmethod
     def load(cls, path: Path) -> 'RadianceField':
@@ -151,7 +157,7 @@ class RadianceField:
                              data['centre'], data['half_extent'], float(shell), float(step),
                              float(near), float(initial_alpha))
                 result.seen = data['seen']
-        except (OSError, ValueError, KeyError) as error:
+        except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
             raise SceneError(f'{path}: expected a radiance field: {error}') from error
         result.update_occupancy()
         return result

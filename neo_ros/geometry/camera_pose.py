@@ -112,11 +112,11 @@ def transform_from_quaternion(translation: np.ndarray, quaternion_xyzw: np.ndarr
     """
     Build a (4, 4) transform from (3,) metres and a quaternion (x, y, z, w).
 
-    Raises GeometryError for quaternions that are not finite or of length zero.
+    Raises GeometryError for quaternions that are not four finite numbers, or of length zero.
     """
     q = np.asarray(quaternion_xyzw, np.float64)
     norm = np.linalg.norm(q)
-    if not np.isfinite(norm) or norm < 1e-6:
+    if q.shape != (4,) or not np.isfinite(norm) or norm < 1e-6:
         raise GeometryError(f'quaternion: expected a unit (x, y, z, w), got {q.tolist()}')
     x, y, z, w = q / norm
     T = np.eye(4)

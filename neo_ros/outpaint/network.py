@@ -29,6 +29,21 @@ class NetworkConfig:
             raise ConfigError(f'network: expected sizes >= 1, got {self}')
 
 
+def check_fits(expansion: ViewExpansion, config: NetworkConfig) -> int:
+    """Return the edge of the coarsest cells, pixels; ConfigError if sizes are no multiples."""
+    cell = config.patch * 2 ** (config.depth - 1)
+    source = expansion.source
+    sizes = {'source width': source.width, 'source height': source.height,
+             'left': expansion.left, 'right': expansion.right,
+             'top': expansion.top, 'bottom': expansion.bottom}
+    wrong = {name: size for name, size in sizes.items() if size % cell}
+    if wrong:
+        raise ConfigError(
+            f'network: expected multiples of {cell} pixels (patch x 2^(depth - 1)), '
+            f'got {wrong}; choose another scale, patch or depth')
+    return cell
+
+
 class Residual(nn.Module):
     """Two 3x3 convolutions on a skip connection."""
 
@@ -37,7 +52,7 @@ class Residual(nn.Module):
         self.first = nn.Conv2d(channels, channels, 3, padding=1)
         self.second = nn.Conv2d(channels, channels, 3, padding=1)
         nn.init.zeros_(self.second.weight)
-        nn.init.zeros_(self.second.bias)
+        nn.init.zeros_(self.second.bias)  # type: ignore[arg-type]
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """(B, C, H, W) -> (B, C, H, W)."""
@@ -55,16 +70,8 @@ class Outpainter(nn.Module):
 
     def __init__(self, expansion: ViewExpansion, config: NetworkConfig) -> None:
         super().__init__()
-        cell = config.patch * 2 ** (config.depth - 1)
+        cell = check_fits(expansion, config)
         source, target = expansion.source, expansion.target
-        sizes = {'source width': source.width, 'source height': source.height,
-                 'left': expansion.left, 'right': expansion.right,
-                 'top': expansion.top, 'bottom': expansion.bottom}
-        wrong = {name: size for name, size in sizes.items() if size % cell}
-        if wrong:
-            raise ConfigError(
-                f'network: expected multiples of {cell} pixels (patch x 2^(depth - 1)), '
-                f'got {wrong}; choose another scale, patch or depth')
         self.patch, self.depth = config.patch, config.depth
         self.margins = [
             tuple(side // (config.patch * 2 ** level) for side in

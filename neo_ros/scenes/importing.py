@@ -1,4 +1,6 @@
 """Bring a capture into the scene format: read everything once, copy what is good."""
+import filecmp
+import os
 from pathlib import Path
 import shutil
 from typing import Callable
@@ -6,8 +8,6 @@ from typing import Callable
 from neo_ros.errors import SceneError
 from neo_ros.scenes.posed_images import PosedImages, read_rgb_image
 from neo_ros.scenes.transforms_json import read_input_crop, read_transforms, write_transforms
-
-IMAGE_FOLDER = 'images'
 
 
 def import_transforms(source: Path, scene: Path,
@@ -17,7 +17,8 @@ def import_transforms(source: Path, scene: Path,
 
     transforms_train.json (or transforms.json) and transforms_test.json with their images, and
     walkable.json. Images that are there already are not copied again, so that a broken-off
-    import goes on. Raises SceneError for images that cannot be read or have another size.
+    import goes on; images from beside the folder ('../photos/1.png') come to 'beside/'. Raises
+    SceneError for images that cannot be read or have another size.
     """
     if not source.is_dir():
         raise SceneError(f'{source}: expected a folder with transforms_train.json or '
@@ -27,7 +28,10 @@ def import_transforms(source: Path, scene: Path,
     names = {'transforms_train.json': 'transforms_train.json',
              'transforms.json': 'transforms_train.json',
              'transforms_test.json': 'transforms_test.json'}
-    found = {name: read_transforms(source / name) for name in names if (source / name).is_file()}
+    present = [name for name in names if (source / name).is_file()]
+    if present[:2] == ['transforms_train.json', 'transforms.json']:
+        present.remove('transforms.json')  # It lists all images, those of the test too.
+    found = {name: read_transforms(source / name) for name in present}
     if not found.keys() & {'transforms_train.json', 'transforms.json'}:
         raise SceneError(f'{source}: expected transforms_train.json or transforms.json')
     total = sum(len(images) for images in found.values())
@@ -46,14 +50,12 @@ def import_transforms(source: Path, scene: Path,
 
 def _copy_image(path: Path, source: Path, scene: Path, images: PosedImages) -> Path:
     read_rgb_image(path, images.intrinsics)
-    inside = path.resolve().is_relative_to(source.resolve())
-    relative = path.resolve().relative_to(source.resolve()) if inside else (
-        Path(IMAGE_FOLDER) / path.name)
-    target = scene / relative
-    if target.exists() and target.stat().st_size == path.stat().st_size:
-        return target
+    relative = Path(os.path.relpath(path, source))
+    target = scene.joinpath(*('beside' if part == '..' else part for part in relative.parts))
     partial = target.with_suffix('.partial')
     try:
+        if target.exists() and filecmp.cmp(path, target, shallow=False):
+            return target
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(path, partial)
         partial.replace(target)

@@ -28,8 +28,9 @@ class SamplingConfig:
 @dataclass(frozen=True, eq=False)
 class PoseSampler:
     """
-    Positions (M, 3) in the world with the orientations that a camera takes there.
+    Positions in the world with the orientations that a camera takes there.
 
+    positions_xy   (M, 2) metres
     yaw_range      (low, width) radians: yaw is uniform in low ... low + width
     pitch_roll     means and standard deviations ((pitch, roll), (pitch, roll)), radians
     height         mean and standard deviation of z, metres
@@ -39,6 +40,11 @@ class PoseSampler:
     yaw_range: tuple[float, float]
     pitch_roll: tuple[tuple[float, float], tuple[float, float]]
     height: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        if not len(self.positions_xy):
+            raise ConfigError('sampling.interval: expected a grid with positions where the camera '
+                              'can be, got none; choose a smaller interval')
 
     @classmethod
     def for_walkable(cls, walkable: WalkableMap, config: SamplingConfig) -> 'PoseSampler':
@@ -64,7 +70,9 @@ class PoseSampler:
         grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
         distance = np.array([np.linalg.norm(xy - point, axis=1).min() for point in grid])
         angles = np.array([yaw_pitch_roll(matrix[:3, :3]) for matrix in T])
-        tilt_mean, tilt_std = angles[:, 1:].mean(0), angles[:, 1:].std(0)
+        # Of angles on the circle: a camera mounted upside down has rolls around +-pi.
+        tilt_mean = np.angle(np.exp(1j * angles[:, 1:]).mean(0))
+        tilt_std = np.angle(np.exp(1j * (angles[:, 1:] - tilt_mean))).std(0)
         return cls(grid[distance <= config.radius], _yaw_bounds(angles[:, 0]),
                    (tuple(tilt_mean), tuple(tilt_std)),
                    (float(T[:, 2, 3].mean()), float(T[:, 2, 3].std())))

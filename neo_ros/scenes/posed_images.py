@@ -71,7 +71,8 @@ def read_rgb_image(path: Path, intrinsics: Intrinsics) -> np.ndarray:
 
     Raises SceneError for files that are no image or not of the size of `intrinsics`.
     """
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    # Poses and intrinsics describe the stored pixels, whatever EXIF says of their orientation.
+    image = cv2.imread(str(path), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     if image is None:
         raise SceneError(f'{path}: expected a readable image file; is it missing or truncated?')
     if image.shape[:2] != (intrinsics.height, intrinsics.width):

@@ -9,7 +9,7 @@ import os
 from pathlib import Path
 from typing import Any, Optional
 
-from neo_ros.errors import NeoError, SceneError
+from neo_ros.errors import SceneError
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
 from neo_ros.scenes.posed_images import PosedImages
 
@@ -33,14 +33,17 @@ def read_transforms(path: Path) -> PosedImages:
         try:
             image_path = path.parent / frame['file_path']
             pose = CameraPose.from_opengl(frame['transform_matrix'])
-        except (KeyError, TypeError, ValueError, NeoError) as error:
-            raise SceneError(f'{path}: frames[{index}]: {error!r}') from error
+            path_id = int(frame.get('path_id', 0))
+        except KeyError as error:
+            raise SceneError(f'{path}: frames[{index}]: expected the key {error}') from error
+        except (TypeError, ValueError) as error:
+            raise SceneError(f'{path}: frames[{index}]: {error}') from error
         if not image_path.is_file():
             missing.append(frame['file_path'])
             continue
         image_paths.append(image_path)
         poses.append(pose)
-        path_ids.append(int(frame.get('path_id', 0)))
+        path_ids.append(path_id)
     if missing:
         logger.warning('%s: %d listed images are missing and skipped: %s',
                        path, len(missing), ', '.join(missing[:5]))
@@ -59,7 +62,8 @@ def read_input_crop(path: Path) -> Optional[ViewExpansion]:
         return ViewExpansion.inside(_read_intrinsics(document, path), int(crop['x']),
                                     int(crop['y']), int(crop['w']), int(crop['h']))
     except (KeyError, TypeError, ValueError) as error:
-        raise SceneError(f'{path}: input_crop: expected x, y, w, h in pixels: {error!r}') from error
+        raise SceneError(
+            f'{path}: input_crop: expected x, y, w, h in pixels: {error!r}') from error
 
 
 def write_transforms(path: Path, images: PosedImages,
@@ -83,8 +87,12 @@ def write_transforms(path: Path, images: PosedImages,
          'transform_matrix': pose.to_opengl().tolist(), 'path_id': path_id}
         for image_path, pose, path_id in zip(images.image_paths, images.poses, images.path_ids)]
     partial = path.with_suffix('.partial')
-    partial.write_text(json.dumps(document))
-    os.replace(partial, path)
+    try:
+        partial.write_text(json.dumps(document))
+        os.replace(partial, path)
+    except OSError as error:
+        raise SceneError(f'{path}: cannot write: {error.strerror}; '
+                         'choose another scene folder') from error
 
 
 def _read_json(path: Path) -> dict[str, Any]:

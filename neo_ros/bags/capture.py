@@ -1,0 +1,242 @@
+"""A recorded bag as a capture: images, calibration, and poses at the images' stamps."""
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Optional
+
+import cv2
+from neo_ros.bags.camera_topics import (
+    COMPRESSED, find_image_topic, find_info_topic, read_lens)
+from neo_ros.bags.reading import BagReader, BagTopic, describe_topics
+from neo_ros.bags.transforms import (
+    frame_name, PoseTrack, read_transform, stamp_of, TransformTree)
+from neo_ros.errors import BagError, ImageRejected
+from neo_ros.geometry import CameraPose
+from neo_ros.messages import read_image
+from neo_ros.scenes.capture import Capture, CapturedFrame, no_progress, Progress, READ_FLAGS
+from neo_ros.scenes.lens import Lens
+import numpy as np
+
+TF, TF_STATIC = '/tf', '/tf_static'
+TF_TYPE = 'tf2_msgs/msg/TFMessage'
+POSE_TYPES = ('geometry_msgs/msg/PoseStamped', 'geometry_msgs/msg/PoseWithCovarianceStamped',
+              'nav_msgs/msg/Odometry')
+BASE = 'base_link'
+PoseAt = Callable[[int], Optional[np.ndarray]]
+
+
+@dataclass
+class _Scan:
+    """What one pass over the bag collects; images are not decoded."""
+
+    tree: TransformTree = field(default_factory=TransformTree)
+    images: list[tuple[int, int]] = field(default_factory=list)  # (stamp, place in the topic)
+    log_times: list[int] = field(default_factory=list)
+    camera_frame: str = ''
+    info: Any = None
+    tracks: dict[str, PoseTrack] = field(default_factory=dict)
+    bodies: dict[str, str] = field(default_factory=dict)
+    invalid: int = 0
+
+
+def read_bag_capture(path: Path, image_topic: Optional[str] = None,
+                     pose_topic: Optional[str] = None,
+                     progress: Progress = no_progress) -> Capture:
+    """
+    Read the camera of a bag.
+
+    image_topic  Image or CompressedImage; needed where a bag has several cameras
+    pose_topic   /tf, or a PoseStamped, PoseWithCovarianceStamped or Odometry; by default /tf if
+                 the camera moves in it, else the one pose topic of the bag
+    Frames are in the order of their stamps; those without a pose are counted in the notes and
+    left out. A bag without poses gives a capture without poses. Raises BagError that names the
+    topics for everything that is missing, ambiguous or contradictory.
+    """
+    with BagReader(path) as reader:
+        image = find_image_topic(reader, image_topic)
+        info = find_info_topic(reader, image)
+        pose_topics = _pose_topics(reader, pose_topic)
+        scan = _scan(reader, image, info, pose_topics, progress)
+        notes = [reader.recovered] if reader.recovered else []
+    lens = None if scan.info is None or info is None else read_lens(
+        scan.info, image, f'{path}: {info.name}')
+    if lens is None:
+        notes.append(f'{image.name} has no camera_info beside it: the camera is estimated')
+    stamps = _ordered(scan, image, notes)
+    pose_at = _pose_source(path, scan, pose_topic, pose_topics, notes)
+    frames: list[CapturedFrame] = []
+    places: list[int] = []
+    for stamp_ns, place in stamps:
+        T = None if pose_at is None else pose_at(stamp_ns)
+        if pose_at is not None and T is None:
+            continue
+        frames.append(CapturedFrame(f'images/{len(frames):06d}.png',
+                                    None if T is None else CameraPose(T), lens, 0, stamp_ns))
+        places.append(place)
+    if len(frames) < len(stamps):
+        notes.append(f'{len(stamps) - len(frames)} of {len(stamps)} images have no pose near '
+                     'their stamp and are left out')
+    if not frames:
+        raise BagError(f'{path}: no image of {image.name} has a pose near its stamp; do images '
+                       'and poses have the same clock?')
+    if pose_at is not None and lens is None:
+        raise BagError(f'{path}: expected a camera_info beside {image.name}, the poses need the '
+                       'calibration that belongs to them; the bag has '
+                       f'{describe_topics(_info_topics(path))}')
+    return Capture(tuple(frames), tuple(notes), _stream(path, image, places, lens))
+
+
+def _pose_topics(reader: BagReader, wanted: Optional[str]) -> list[BagTopic]:
+    topics = [topic for topic in reader.topics if topic.msgtype in POSE_TYPES and topic.count]
+    if wanted is None or wanted == TF:
+        return topics
+    found = [topic for topic in topics if topic.name == wanted]
+    if not found:
+        raise BagError(f'{reader.path}: expected poses on {wanted}, the bag has '
+                       f'{describe_topics(topics)}')
+    return found
+
+
+def _scan(reader: BagReader, image: BagTopic, info: Optional[BagTopic],
+          pose_topics: list[BagTopic], progress: Progress) -> _Scan:
+    scan = _Scan()
+    tracked = {topic.name for topic in pose_topics}
+    names = {image.name, TF, TF_STATIC, *tracked} | ({info.name} if info else set())
+    total = sum(topic.count for topic in reader.topics if topic.name in names)
+    for done, message in enumerate(reader.messages(names), start=1):
+        topic, content = message.topic, message.read()
+        if topic == image:
+            scan.images.append((stamp_of(content.header), len(scan.images)))
+            scan.log_times.append(message.stamp_ns)
+            scan.camera_frame = scan.camera_frame or frame_name(content.header.frame_id)
+        elif topic.msgtype == TF_TYPE:
+            scan.tree.add(content, topic.name == TF_STATIC)
+        elif topic == info:
+            _take_info(scan, content, f'{reader.path}: {topic.name}')
+        elif topic.name in tracked:
+            _take_pose(scan, topic.name, content)
+        progress(done, total)
+    return scan
+
+
+def _take_info(scan: _Scan, message: Any, where: str) -> None:
+    if scan.info is None:
+        scan.info = message
+        return
+    for name in ('width', 'height', 'k', 'd'):
+        if not np.array_equal(getattr(scan.info, name), getattr(message, name)):
+            raise BagError(f'{where}: expected one calibration, but {name} changes from '
+                           f'{getattr(scan.info, name)} to {getattr(message, name)}; two '
+                           'cameras on one topic?')
+
+
+def _take_pose(scan: _Scan, topic: str, message: Any) -> None:
+    pose = message.pose if hasattr(message.pose, 'position') else message.pose.pose
+    T = read_transform(pose.position, pose.orientation)
+    if T is None:
+        scan.invalid += 1
+        return
+    scan.tracks.setdefault(topic, PoseTrack()).add(stamp_of(message.header), T)
+    scan.bodies[topic] = frame_name(getattr(message, 'child_frame_id', ''))
+
+
+def _ordered(scan: _Scan, image: BagTopic, notes: list[str]) -> list[tuple[int, int]]:
+    """Return (stamp, place) of all images by rising stamp, each stamp once."""
+    if not scan.images:
+        raise BagError(f'{image.name}: expected images, the topic has none')
+    images = scan.images
+    if not any(stamp for stamp, _ in images):
+        notes.append(f'{image.name} has no stamps: the time of recording is taken')
+        images = [(log_time, place) for log_time, (_, place) in zip(scan.log_times, images)]
+    ordered = sorted(images)
+    if ordered != images:
+        back = sum(a[0] > b[0] for a, b in zip(images, images[1:]))
+        notes.append(f'{image.name}: stamps go back {back} times; images are taken in the order '
+                     'of their stamps')
+    unique = [entry for index, entry in enumerate(ordered)
+              if index == 0 or entry[0] != ordered[index - 1][0]]
+    if len(unique) < len(ordered):
+        notes.append(f'{len(ordered) - len(unique)} images repeat the stamp of another one and '
+                     'are left out')
+    return unique
+
+
+def _pose_source(path: Path, scan: _Scan, wanted: Optional[str], topics: list[BagTopic],
+                 notes: list[str]) -> Optional[PoseAt]:
+    """Return where T_world_cam at a stamp comes from; None for a bag without poses."""
+    tree, camera = scan.tree, scan.camera_frame
+    chain = tree.ancestors(camera)
+    lost = tree.invalid + scan.invalid
+    if lost:
+        notes.append(f'{lost} poses are not finite or no rotation and are left out')
+    if wanted in (None, TF) and tree.moves(chain):
+        notes.append(f'poses from {TF}: {camera} in {chain[-1]}')
+        return lambda stamp_ns: tree.transform(chain, stamp_ns)
+    if wanted == TF:
+        raise BagError(f'{path}: {TF}: expected transforms that move the frame of the images, '
+                       f'{camera!r}, got {" -> ".join(chain)}')
+    if len(topics) > 1:
+        raise BagError(f'{path}: {TF} does not move the frame {camera!r}; choose the poses with '
+                       f'--pose-topic: {describe_topics(topics)}')
+    if not topics:
+        return None
+    name = topics[0].name
+    body = scan.bodies.get(name, '')
+    if not body:
+        fixed = [frame for index, frame in enumerate(chain)
+                 if not tree.moves(chain[:index])]
+        body = BASE if BASE in fixed else fixed[-1]
+    if body not in chain:
+        raise BagError(f'{path}: {name} gives poses of {body!r}; expected {TF_STATIC} from it to '
+                       f'the image\'s frame {camera!r}, got {" -> ".join(chain)}')
+    notes.append(f'poses from {name}, taken as poses of {body or "the camera"}')
+    below = chain[:chain.index(body) + 1]
+    track = scan.tracks.get(name, PoseTrack())
+
+    def pose_at(stamp_ns: int) -> Optional[np.ndarray]:
+        T_world_body = track.at(stamp_ns)
+        T_body_camera = tree.transform(below, stamp_ns)
+        if T_world_body is None or T_body_camera is None:
+            return None
+        return T_world_body @ T_body_camera
+
+    return pose_at
+
+
+def _stream(path: Path, image: BagTopic, places: Sequence[int],
+            lens: Optional[Lens]) -> Callable[
+                [Sequence[int]], Iterator[tuple[int, Optional[np.ndarray]]]]:
+    """Return a function that reads images of the bag, in the order of the bag."""
+    def read(indices: Sequence[int]) -> Iterator[tuple[int, Optional[np.ndarray]]]:
+        wanted = {places[index]: index for index in indices}
+        if not wanted:
+            return
+        with BagReader(path) as reader:
+            messages = (message for message in reader.messages({image.name})
+                        if message.topic == image)
+            for place, message in enumerate(messages):
+                if place in wanted:
+                    yield wanted.pop(place), decode_image(message.read(), image.msgtype)
+                if not wanted:
+                    return
+
+    return read
+
+
+def decode_image(message: Any, msgtype: str) -> Optional[np.ndarray]:
+    """Return RGB uint8 (H, W, 3) of an Image or CompressedImage; None if it is damaged."""
+    if msgtype != COMPRESSED:
+        try:
+            return read_image(message)
+        except ImageRejected as error:
+            if error.reason == 'encoding':  # The same for all images of the topic.
+                raise
+            return None
+    data = np.frombuffer(message.data, np.uint8)
+    image = cv2.imdecode(data, READ_FLAGS) if data.size else None
+    return None if image is None else cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+
+
+def _info_topics(path: Path) -> list[BagTopic]:
+    with BagReader(path) as reader:
+        return [topic for topic in reader.topics if topic.msgtype.endswith('CameraInfo')]

@@ -1,0 +1,133 @@
+"""Poses over time: tracks that are interpolated, and the tree of frames that /tf describes."""
+from bisect import bisect_left
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any, Optional
+
+from neo_ros.errors import BagError, GeometryError
+from neo_ros.geometry import CameraPose
+from neo_ros.geometry.camera_pose import rotation_vector, transform_from_quaternion
+import numpy as np
+
+NS_PER_S = 1_000_000_000
+# Between two poses farther apart nobody knows how the camera moved, unless it stood still.
+MAX_GAP_NS = NS_PER_S // 2
+STILL_M, STILL_RAD = 0.02, 0.02
+# An image may be stamped a little before the first pose or after the last one.
+MAX_BEYOND_NS = NS_PER_S // 50
+
+
+@dataclass
+class PoseTrack:
+    """The transforms (4, 4) of one frame in another over time; they may come in any order."""
+
+    poses: dict[int, np.ndarray] = field(default_factory=dict)
+    _stamps: list[int] = field(default_factory=list, repr=False)
+
+    def add(self, stamp_ns: int, T: np.ndarray) -> None:
+        """Add one pose; a later one of the same stamp replaces it."""
+        self.poses[stamp_ns] = T
+        self._stamps = []
+
+    def at(self, stamp_ns: int) -> Optional[np.ndarray]:
+        """
+        Return the transform at a time; None where it is not known.
+
+        Linear in the position and on the sphere in the rotation, between poses at most half a
+        second apart or of a body that stood still.
+        """
+        if not self._stamps:
+            self._stamps = sorted(self.poses)
+        if not self._stamps:
+            return None
+        place = bisect_left(self._stamps, stamp_ns)
+        if place in (0, len(self._stamps)):
+            nearest = self._stamps[min(place, len(self._stamps) - 1)]
+            return self.poses[nearest] if abs(nearest - stamp_ns) <= MAX_BEYOND_NS else None
+        before, after = self._stamps[place - 1], self._stamps[place]
+        if after == stamp_ns:
+            return self.poses[after]
+        T0, T1 = self.poses[before], self.poses[after]
+        if after - before > MAX_GAP_NS and not _still(T0, T1):
+            return None
+        fraction = (stamp_ns - before) / (after - before)
+        return CameraPose(T0).interpolated(CameraPose(T1), fraction).T_world_cam
+
+
+@dataclass
+class TransformTree:
+    """Frames and their parents, from tf2_msgs/TFMessage; `invalid` counts what was no pose."""
+
+    parents: dict[str, str] = field(default_factory=dict)
+    static: dict[str, np.ndarray] = field(default_factory=dict)
+    moving: dict[str, PoseTrack] = field(default_factory=dict)
+    invalid: int = 0
+
+    def add(self, message: Any, is_static: bool) -> None:
+        """Take the transforms of one message."""
+        for entry in message.transforms:
+            parent = frame_name(entry.header.frame_id)
+            child = frame_name(entry.child_frame_id)
+            known = self.parents.setdefault(child, parent)
+            if known != parent:
+                raise BagError(f'/tf: expected one parent of the frame {child!r}, got {known!r} '
+                               f'and {parent!r}')
+            T = read_transform(entry.transform.translation, entry.transform.rotation)
+            if T is None:
+                self.invalid += 1
+            elif is_static:
+                self.static[child] = T
+            else:
+                self.moving.setdefault(child, PoseTrack()).add(stamp_of(entry.header), T)
+
+    def ancestors(self, frame: str) -> list[str]:
+        """Return the frame and all frames above it, up to the root."""
+        chain = [frame]
+        while (parent := self.parents.get(chain[-1])) is not None:
+            if parent in chain:
+                raise BagError(f'/tf: the frames {" -> ".join([*chain, parent])} form a loop')
+            chain.append(parent)
+        return chain
+
+    def moves(self, frames: Iterable[str]) -> bool:
+        """Whether one of the frames moves in its parent."""
+        return any(frame in self.moving for frame in frames)
+
+    def transform(self, chain: list[str], stamp_ns: int) -> Optional[np.ndarray]:
+        """Return T_last_first of a chain of ancestors at a time; None where it is not known."""
+        T = np.eye(4)
+        for frame in chain[:-1]:
+            step = (self.moving[frame].at(stamp_ns) if frame in self.moving
+                    else self.static.get(frame))
+            if step is None:
+                return None
+            T = step @ T
+        return T
+
+
+def read_transform(position: Any, orientation: Any) -> Optional[np.ndarray]:
+    """Return the (4, 4) of ROS vectors with x, y, z and x, y, z, w; None if it is no pose."""
+    xyz = np.array([position.x, position.y, position.z])
+    if not np.isfinite(xyz).all():
+        return None
+    try:
+        return transform_from_quaternion(xyz, np.array(
+            [orientation.x, orientation.y, orientation.z, orientation.w]))
+    except GeometryError:
+        return None
+
+
+def frame_name(frame_id: str) -> str:
+    """Return a frame id without the leading slash of ROS 1."""
+    return frame_id.lstrip('/')
+
+
+def stamp_of(header: Any) -> int:
+    """Return the stamp of a header in nanoseconds."""
+    return int(header.stamp.sec) * NS_PER_S + int(header.stamp.nanosec)
+
+
+def _still(T0: np.ndarray, T1: np.ndarray) -> bool:
+    moved = np.linalg.norm(T0[:3, 3] - T1[:3, 3])
+    turned = np.linalg.norm(rotation_vector(T0[:3, :3].T @ T1[:3, :3]))
+    return bool(moved <= STILL_M and turned <= STILL_RAD)

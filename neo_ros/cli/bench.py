@@ -1,0 +1,77 @@
+"""`neo bench`: how fast every part is on this machine."""
+from pathlib import Path
+from typing import Annotated, Any, Optional
+
+import typer
+
+
+def bench(
+    out: Annotated[Path, typer.Option(help='JSON file of the results.')] = Path(
+        'results/bench.json'),
+    only: Annotated[Optional[list[str]], typer.Option(
+        help='expand, messages, replay, field or node; may be repeated. Default: all.')] = None,
+    model: Annotated[Optional[Path], typer.Option(
+        help='Model file (.onnx); default: the shipped demo_flat.onnx.')] = None,
+    quick: Annotated[bool, typer.Option(
+        '--quick', help='Only see that it runs: too short for figures to be quoted.')] = False,
+) -> None:
+    """
+    Measure how fast every part is, beside what the machine can do at its best.
+
+    Latencies of the model, messages, replay, radiance field and the node on a real ROS graph;
+    run it on a machine that has nothing else to do.
+    """
+    from neo_ros.cli.progress import stage_progress
+    from neo_ros.evaluation.output import make_output_folder
+    from neo_ros.evaluation.speed import run_benchmarks, write_benchmarks
+    from neo_ros.paths import share_dir
+    import rich
+    from rich.markup import escape
+
+    make_output_folder(out.parent)
+    with stage_progress() as show:
+        results = run_benchmarks(
+            model or share_dir() / 'models' / 'demo_flat.onnx', only or (), quick,
+            lambda name, done, total: show('benchmarks', done, total, name))
+    write_benchmarks(out, results)
+    _print_table(results)
+    rich.print(f'Written: {escape(str(out))}')
+
+
+def _print_table(results: dict[str, Any]) -> None:
+    """Show the figures, a line each."""
+    import rich
+    from rich.table import Table
+
+    host = results['host']
+    best = ', '.join(f'{max(host[key].values()):.0f} {unit}' for key, unit in (
+        ('matmul_gflops', 'GFLOP/s'), ('memory_gb_s', 'GB/s in memory'),
+        ('cache_gb_s', 'GB/s in the cache')))
+    rich.print(f'{host["cpu"]}, load {host["load_average_1min"]:.1f}; at its best {best}')
+    table = Table('measured', 'note')
+    for column in ('median ms', 'p95', 'p99', 'max', 'per s', 'floor ms', 'x floor'):
+        table.add_column(column, justify='right')
+    for record in results['records']:
+        figures = (record[key] for key in (
+            'median_ms', 'p95_ms', 'p99_ms', 'max_ms', 'rate_hz', 'floor_ms',
+            'measured_over_floor'))
+        table.add_row(f'{record["benchmark"]}: {record["name"]}', _note(record),
+                      *('' if figure is None else f'{figure:.3g}' for figure in figures))
+    rich.print(table)
+
+
+def _note(record: dict[str, Any]) -> str:
+    details = record['details']
+    if record['skipped']:
+        return record['skipped']
+    if 'missed' in details:
+        return (f'missed {details["missed"]} of {details["sent"]}, jitter '
+                f'{details["jitter_ms"]:.1f} ms, CPU {details["cpu_percent"]:.0f} %, '
+                f'{details["rss_mb"]:.0f} MB, outside inference '
+                f'{details["outside_inference_ms"]:.1f} ms')
+    for key, words in (('share_in_model', '{:.0%} of it in the model'),
+                       ('views_per_s_with_panorama', '{:.0f} views/s with their panorama'),
+                       ('rays_per_s', '{:.2g} rays/s')):
+        if key in details:
+            return words.format(details[key])
+    return ''

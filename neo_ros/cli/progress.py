@@ -1,0 +1,62 @@
+"""One way to show long work: bars with the time left, or lines where there is no terminal."""
+from collections.abc import Iterator
+from contextlib import contextmanager
+import time
+from typing import Protocol
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn,
+    TimeRemainingColumn)
+
+LINE_EVERY_S = 30.0
+
+
+class Show(Protocol):
+    """Tell how far a stage is."""
+
+    def __call__(self, stage: str, done: int, total: int, note: str = '') -> None:
+        """Say that `done` of `total` are done."""
+
+
+@contextmanager
+def stage_progress() -> Iterator[Show]:
+    """Give a function that shows the progress of named stages."""
+    console = Console()
+    if not console.is_terminal:
+        yield _Lines(console)
+        return
+    tasks: dict[str, TaskID] = {}
+    with Progress(TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn(),
+                  TimeElapsedColumn(), TimeRemainingColumn(),
+                  TextColumn('{task.fields[note]}'), console=console) as bar:
+        def show(stage: str, done: int, total: int, note: str = '') -> None:
+            if stage not in tasks:
+                tasks[stage] = bar.add_task(stage, total=total, note='')
+            bar.update(tasks[stage], completed=done, total=total, note=note)
+
+        yield show
+
+
+class _Lines:
+    """For log files: a line when a stage begins, now and then, and when it ends."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._began: dict[str, tuple[float, int]] = {}
+        self._last = 0.0
+
+    def __call__(self, stage: str, done: int, total: int, note: str = '') -> None:
+        now = time.monotonic()
+        new = stage not in self._began
+        began, first = self._began.setdefault(stage, (now, done))
+        if not (new or done >= total or now - self._last > LINE_EVERY_S):
+            return
+        self._last = now
+        left = ''
+        if 0 < done - first and done < total:
+            seconds = (now - began) / (done - first) * (total - done)
+            left = f', {seconds / 60:.1f} min left'
+        self._console.print(
+            f'{stage} {done}/{total} after {(now - began) / 60:.1f} min{left} {note}'.rstrip(),
+            markup=False, highlight=False, soft_wrap=True)

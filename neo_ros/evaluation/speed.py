@@ -1,0 +1,105 @@
+"""
+How fast every part is on this machine, held against what the machine can do.
+
+`run_benchmarks` returns what `neo bench` writes as JSON:
+
+schema_version  1
+quick           True: too short to be quoted
+host            cpu, cores, platform, load_average_1min (when the benchmarks began: figures of a
+                busy machine are not worth much), python, neo_ros, versions of packages, commit;
+                matmul_gflops, memory_gb_s, cache_gb_s: best rates measured, by threads, see
+                `speed_host.Machine`
+records         a list, one per thing measured:
+  benchmark             expand, messages, replay, field or node
+  name                  what was measured
+  n                     how many times
+  mean_ms, median_ms, p95_ms, p99_ms, max_ms
+                        of one call; of a frame for replay; from the image's stamp to the receipt
+                        of its wide image for node
+  rate_hz               calls, or frames, per second
+  floor_ms, floor_of    time that the machine needs at its measured best for the 'flops' or for
+                        the 'bytes' of the work, whichever takes longer; null where not known
+  measured_over_floor   median_ms / floor_ms
+  skipped               why it was not measured, else null; then the figures are null
+  details               what is particular to it: flops and bytes of the floor (flops null: the
+                        onnx package is missing, so the floor is too low); rays_per_s,
+                        samples_per_ray; share_in_model of a replay; of the node missed (images
+                        without an answer), mean_rate_hz, jitter_ms (standard deviation of the
+                        intervals between wide images), cpu_percent (100 = one core), rss_mb,
+                        stages_ms (the node's own, over its last 300 frames),
+                        outside_inference_ms and share_outside_inference
+
+All inputs are drawn from fixed seeds.
+"""
+from collections.abc import Callable, Iterator, Sequence
+import json
+from pathlib import Path
+from typing import Any
+
+from neo_ros.errors import ConfigError
+from neo_ros.evaluation.output import write_bytes
+from neo_ros.evaluation.speed_host import describe_host, Machine, measure_machine
+from neo_ros.evaluation.speed_node import measure_node
+from neo_ros.evaluation.speed_record import Effort, QUICK, Record
+from neo_ros.evaluation.speed_runtime import measure_expand, measure_messages, measure_replay
+from neo_ros.runtime import read_model_card
+
+SCHEMA_VERSION = 1
+TRAIN_EXTRA = ('numba', 'scipy', 'torch')
+
+
+def measure_field(machine: Machine, effort: Effort) -> Iterator[Record]:
+    """Time the radiance field, where the train extra is installed."""
+    try:
+        from neo_ros.evaluation import speed_field
+    except ModuleNotFoundError as error:
+        if error.name not in TRAIN_EXTRA:
+            raise
+        yield Record('field', 'radiance field', skipped=(
+            f"{error.name} is not installed: pip install 'neo_ros[train]'"))
+        return
+    yield from speed_field.measure_field(machine, effort)
+
+
+BENCHMARKS: dict[str, Callable[[Path, Machine, Effort], Iterator[Record]]] = {
+    'expand': measure_expand,
+    'messages': lambda model, machine, effort: measure_messages(machine, effort),
+    'replay': lambda model, machine, effort: measure_replay(model, effort),
+    'field': lambda model, machine, effort: measure_field(machine, effort),
+    'node': measure_node,
+}
+NEED_MODEL = {'expand', 'replay', 'node'}
+
+
+def run_benchmarks(model: Path, only: Sequence[str] = (), quick: bool = False,
+                   report: Callable[[str, int, int], None] = lambda name, done, total: None
+                   ) -> dict[str, Any]:
+    """
+    Measure the named benchmarks, or all; see the module for what is returned.
+
+    `report(name, done, total)` is called as it goes on. Raises ConfigError for names that do not
+    exist and ModelError for a model that cannot be used, before anything is measured.
+    """
+    if unknown := sorted(set(only) - BENCHMARKS.keys()):
+        raise ConfigError(f'only: expected some of {", ".join(BENCHMARKS)}, '
+                          f'got {", ".join(unknown)}')
+    names = [name for name in BENCHMARKS if not only or name in only]
+    if NEED_MODEL & set(names):
+        read_model_card(model)
+    effort = QUICK if quick else Effort()
+    total = len(names) + 1
+    report('machine', 0, total)
+    machine = measure_machine(min(effort.seconds, 1.5))
+    host = describe_host(machine)
+    records: list[Record] = []
+    for done, name in enumerate(names, 1):
+        report(name, done, total)
+        records += BENCHMARKS[name](model, machine, effort)
+    report('done', total, total)
+    return {'schema_version': SCHEMA_VERSION, 'quick': quick, 'host': host,
+            'records': [record.to_dict() for record in records]}
+
+
+def write_benchmarks(path: Path, results: dict[str, Any]) -> None:
+    """Write the JSON file; raises NeoError with the reason when that fails."""
+    write_bytes(path, (json.dumps(results, indent=1) + '\n').encode())

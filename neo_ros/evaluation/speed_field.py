@@ -1,0 +1,129 @@
+"""Speed of the radiance field: rays, wide views, steps of the fit. Needs the train extra."""
+from collections.abc import Callable, Iterator
+import itertools
+import math
+
+from neo_ros.evaluation.speed_host import Machine
+from neo_ros.evaluation.speed_record import Effort, Record, time_calls, Work
+from neo_ros.field.fitting import FieldConfig, FieldTrainer
+from neo_ros.field.panorama import elevation_band, render_panorama, SUPERSAMPLE
+from neo_ros.field.rendering import render_view, to_uint8
+from neo_ros.field.voxel_field import RadianceField
+from neo_ros.geometry import CameraPose, Intrinsics
+import numpy as np
+
+SEED = 0
+# The paper's wide view, at quarter scale, and its narrow one.
+WIDE = Intrinsics.from_hfov(128, 128, 2 * math.atan(2))
+NARROW = Intrinsics.from_hfov(64, 64, math.pi / 2)
+YAWS = 72  # views per position in the paper
+PHOTOS = 24
+# Per sample at least: position, 8 trilinear weights, density and colour from 8 corners (multiply
+# and add of 4 values), opacity and compositing; and the corners' 4 float32 from memory.
+SAMPLE_FLOPS = 12 + 8 * 4 + 8 * 4 * 2 + 12
+SAMPLE_BYTES = 8 * 4 * 4
+# A step goes back through every sample, too: gradients are read and written.
+BACKWARD = 3
+
+
+def measure_field(machine: Machine, effort: Effort) -> Iterator[Record]:
+    """Time rendering and fitting in a furnished box; floors count samples on surfaces only."""
+    field = box_room(effort.voxels)
+    trainer = trainer_in(field, effort)
+    trainer.train_step()
+    samples = float(trainer.count.mean())
+    times = time_calls(trainer.train_step, effort.seconds)
+
+    def work(rays: int, passes: int = 1) -> Work:
+        count = rays * samples * passes
+        return Work(count * SAMPLE_FLOPS, count * SAMPLE_BYTES,
+                    min(count * SAMPLE_BYTES, field.grid.nbytes))
+
+    rays = trainer.config.pixels_per_step * trainer.config.subrays
+    yield _with_rays(Record.of('field', 'step of the fit', times, {
+        'voxels': len(field.grid), 'samples_per_ray': samples}), rays).with_floor(
+            work(rays, BACKWARD), machine, 0)
+    # The trainer has its own copy of the grid: what is rendered is the room as it was built.
+    poses = room_poses(16)
+    for supersample in (1, 2):
+        views = itertools.cycle(poses)
+        times = time_calls(
+            lambda: render_view(field, WIDE, next(views), supersample), effort.seconds)
+        rays = WIDE.width * WIDE.height * supersample ** 2
+        yield _with_rays(Record.of(
+            'field', f'wide view 128x128, rays: {supersample ** 2} per pixel', times), rays
+        ).with_floor(work(rays), machine, 0)
+    yield from _measure_panorama(field, work, machine, effort)
+
+
+def _measure_panorama(field: RadianceField, work: Callable[[int], Work],
+                      machine: Machine, effort: Effort) -> Iterator[Record]:
+    poses = room_poses(16)
+    band = elevation_band(WIDE, np.stack([pose.T_world_cam[:3, :3] for pose in poses]))
+    views = itertools.cycle(poses)
+    panorama = render_panorama(field, poses[0].position, WIDE, band)
+    times = time_calls(
+        lambda: render_panorama(field, next(views).position, WIDE, band), effort.seconds)
+    rays = panorama.image.shape[0] * panorama.image.shape[1]
+    whole = _with_rays(Record.of('field', 'panorama for wide views 128x128', times), rays
+                       ).with_floor(work(rays), machine, 0)
+    yield whole
+    times = time_calls(lambda: panorama.cut_view(WIDE, next(views).T_world_cam[:3, :3]),
+                       effort.seconds)
+    pixels = WIDE.width * WIDE.height
+    cut = Record.of('field', 'wide view 128x128 cut from a panorama', times).with_floor(
+        Work(None, 4 * pixels * (SUPERSAMPLE ** 2 + 1)), machine, 1)
+    assert whole.mean_ms is not None and cut.mean_ms is not None
+    cut.details |= {'views_per_position': YAWS, 'views_per_s_with_panorama':
+                    1e3 * YAWS / (whole.mean_ms + YAWS * cut.mean_ms)}
+    yield cut
+
+
+def box_room(voxels: int, seed: int = SEED) -> RadianceField:
+    """Build a field of a 6 x 5 x 2.7 m room with boxes in it, as a fit would leave it."""
+    half = np.array([3.0, 2.5, 1.35])
+    # Shell and near distance are those of a fit with default settings.
+    field = RadianceField.empty(voxels, np.array([0, 0, 1.35]), half, FieldConfig.shell, 0,
+                                near=FieldConfig.near)
+    points = field.world_points().reshape(-1, 3)
+    solid = (np.abs(points - field.centre) > half - 0.15).any(-1)
+    random = np.random.default_rng(seed)
+    for _ in range(8):
+        # Along the walls, so that the cameras in the middle stand free.
+        angle = random.uniform(0, 2 * np.pi)
+        middle = np.array([2.4 * np.cos(angle), 1.9 * np.sin(angle), 0])
+        size = random.uniform([0.2, 0.2, 0.4], [0.5, 0.5, 1.8])
+        solid |= (np.abs(points - middle) < size).all(-1)
+    field.grid[:, 0] = np.where(solid, 15, -5)
+    waves = random.normal(0, 3, (3, 3))
+    field.grid[:, 1:] = 4 * np.sin(points @ waves + random.uniform(0, 6, 3))
+    field.update_occupancy()
+    return field
+
+
+def room_poses(count: int, seed: int = SEED) -> list[CameraPose]:
+    """Return cameras in the middle of the room, 1.5 m high, looking anywhere around."""
+    random = np.random.default_rng([seed, 1])
+    return [CameraPose.from_planar(x, y, 1.5, yaw) for x, y, yaw in random.uniform(
+        [-0.8, -0.8, -np.pi], [0.8, 0.8, np.pi], (count, 3)).tolist()]
+
+
+def trainer_in(field: RadianceField, effort: Effort) -> FieldTrainer:
+    """Return a trainer in its last stage, which takes most of a fit, with this field so far."""
+    poses = room_poses(PHOTOS)
+    photos = np.stack([to_uint8(render_view(field, NARROW, pose, 1).image) for pose in poses])
+    config = FieldConfig(voxels=effort.voxels)
+    trainer = FieldTrainer(photos, NARROW, np.stack([pose.T_world_cam for pose in poses]),
+                           config, SEED)
+    trainer.restore(trainer.state() | {
+        'step': config.steps * 3 // 4 + 1, 'grid': field.grid.copy(), 'shape': field.shape,
+        'skip': field.skip, 'centre': field.centre, 'half_extent': field.half_extent,
+        'first': np.zeros_like(field.grid), 'second': np.zeros_like(field.grid),
+        'updates': np.zeros(len(field.grid), np.int32)})
+    return trainer
+
+
+def _with_rays(record: Record, rays: int) -> Record:
+    assert record.mean_ms is not None
+    record.details |= {'rays': rays, 'rays_per_s': 1e3 * rays / record.mean_ms}
+    return record

@@ -1,0 +1,126 @@
+"""What the machine can do at its best: the floor that benchmarks are held against."""
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+import os
+import platform
+import subprocess
+import sys
+import time
+from typing import Any
+
+from neo_ros import __version__
+from neo_ros.evaluation.evaluate import commit, host
+import numpy as np
+
+PACKAGES = ('numpy', 'onnxruntime', 'opencv-python-headless', 'rosbags', 'numba', 'torch', 'onnx')
+# A BLAS fixes its threads when it is loaded: a process of its own for each count.
+MATMUL = """
+import sys, time
+import numpy as np
+size, seconds = int(sys.argv[1]), float(sys.argv[2])
+a = np.random.default_rng(0).random((size, size), np.float32)
+out = a @ a
+best, deadline = 0.0, time.perf_counter() + seconds
+while True:
+    started = time.perf_counter()
+    np.matmul(a, a, out=out)
+    now = time.perf_counter()
+    best = max(best, 2 * size ** 3 / (now - started))
+    if now > deadline:
+        break
+print(best)
+"""
+THREAD_VARIABLES = ('OPENBLAS_NUM_THREADS', 'OMP_NUM_THREADS', 'MKL_NUM_THREADS')
+# What fits here is copied over and over in the cache of one core, what does not in memory.
+CACHED_BYTES, MEMORY_BYTES = 1 << 20, 1 << 27
+
+
+def core_count() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity') else (
+        os.cpu_count() or 1)
+
+
+@dataclass(frozen=True)
+class Machine:
+    """
+    The best rates measured, by number of threads.
+
+    matmul_gflops  float32 matrix product in NumPy's BLAS, 1e9 operations a second
+    memory_gb_s    copy of 128 MB, cache_gb_s of 1 MB a thread: read plus written, 1e9 bytes/s
+    """
+
+    matmul_gflops: dict[int, float]
+    memory_gb_s: dict[int, float]
+    cache_gb_s: dict[int, float]
+
+    def flops(self, threads: int) -> float:
+        """Floating-point operations per second; `threads` = 0 means all cores."""
+        return 1e9 * _best(self.matmul_gflops, threads)
+
+    def bandwidth(self, footprint: float, threads: int) -> float:
+        """Bytes per second for data of this size in bytes; `threads` = 0 means all cores."""
+        rates = self.cache_gb_s if footprint <= 2 * CACHED_BYTES else self.memory_gb_s
+        return 1e9 * _best(rates, threads)
+
+
+def measure_machine(seconds: float) -> Machine:
+    """Measure every rate for about so many seconds, with one thread and with all."""
+    counts = sorted({1, core_count()})
+    return Machine(
+        {threads: _matmul_rate(threads, seconds) / 1e9 for threads in counts},
+        {threads: _copy_rate(MEMORY_BYTES, threads, seconds) / 1e9 for threads in counts},
+        {threads: _copy_rate(CACHED_BYTES * threads, threads, seconds) / 1e9
+         for threads in counts})
+
+
+def describe_host(machine: Machine) -> dict[str, Any]:
+    """Return what a figure's reader must know of the machine; see `neo_ros.evaluation.speed`."""
+    return {
+        'cpu': host(), 'cores': core_count(), 'platform': platform.platform(),
+        'load_average_1min': os.getloadavg()[0],
+        'python': platform.python_version(), 'neo_ros': __version__,
+        'versions': {name: _version(name) for name in PACKAGES}, 'commit': commit(),
+        **{name: {str(threads): round(rate, 2) for threads, rate in rates.items()}
+           for name, rates in vars(machine).items()}}
+
+
+def _best(rates: dict[int, float], threads: int) -> float:
+    """Return the best rate with at most so many threads: on a busy machine fewer may do more."""
+    return max(rate for count, rate in rates.items() if not threads or count <= threads)
+
+
+def _matmul_rate(threads: int, seconds: float) -> float:
+    size = 2048 if seconds > 0.5 else 512
+    result = subprocess.run(
+        [sys.executable, '-c', MATMUL, str(size), str(seconds)], check=True, text=True,
+        env=os.environ | dict.fromkeys(THREAD_VARIABLES, str(threads)), stdout=subprocess.PIPE)
+    return float(result.stdout)
+
+
+def _copy_rate(size: int, threads: int, seconds: float) -> float:
+    """Bytes read plus written per second at the best of all copies; NumPy releases the GIL."""
+    sources = [np.ones(size // threads, np.uint8) for _ in range(threads)]
+    copies = [np.zeros_like(source) for source in sources]
+    # A small copy takes less time than handing it to a thread.
+    repeats = max(1, (1 << 26) // size)
+
+    def copy(index: int) -> None:
+        for _ in range(repeats):
+            np.copyto(copies[index], sources[index])
+
+    best, deadline = 0.0, time.perf_counter() + seconds
+    with ThreadPoolExecutor(threads) as pool:
+        while time.perf_counter() < deadline or not best:
+            started = time.perf_counter()
+            list(pool.map(copy, range(threads)))
+            best = max(best, 2 * size * repeats / (time.perf_counter() - started))
+    return best
+
+
+def _version(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None

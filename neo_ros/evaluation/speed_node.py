@@ -1,0 +1,117 @@
+"""Speed of the node on a real ROS graph: camera and consumer in one process, node in another."""
+from collections.abc import Iterator
+from importlib.util import find_spec
+import json
+import os
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import tempfile
+from typing import Any
+
+from neo_ros.errors import NeoError
+from neo_ros.evaluation.speed_host import Machine
+from neo_ros.evaluation.speed_model import count_flops, write_stand_in_model
+from neo_ros.evaluation.speed_record import Effort, Record, Work
+from neo_ros.evaluation.speed_runtime import size_name
+from neo_ros.geometry import Intrinsics, ViewExpansion
+from neo_ros.runtime import read_model_card
+import numpy as np
+
+RATE_HZ = 30.0
+PAPER_VIEW = ViewExpansion.to_size(Intrinsics.from_hfov(256, 256, np.pi / 2), 512, 512)
+STAGES = ('queue', 'decode', 'infer', 'publish', 'total')
+
+
+def measure_node(model: Path, machine: Machine, effort: Effort) -> Iterator[Record]:
+    """Run the node at 30 Hz with the given model, and with a stand-in at the paper's size."""
+    if find_spec('rclpy') is None:
+        yield Record('node', 'node', skipped='rclpy is not installed')
+        return
+    yield measure_graph(model, machine, effort)
+    name = f'{size_name(PAPER_VIEW)}, 30 Hz, stand-in network'
+    if find_spec('onnx') is None:
+        yield Record('node', name, skipped="onnx is not installed: pip install 'neo_ros[train]'")
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        stand_in = write_stand_in_model(Path(folder) / 'stand_in.onnx', PAPER_VIEW)
+        record = measure_graph(stand_in, machine, effort)
+    record.name = name
+    yield record
+
+
+def measure_graph(model: Path, machine: Machine, effort: Effort) -> Record:
+    """
+    Send images to the node, in a ROS domain of its own; latency is from stamp to receipt.
+
+    The consumer subscribes to all four outputs. Raises NeoError where nothing comes back.
+    """
+    view = read_model_card(model).expansion
+    result = _run_graph(model, view, effort.graph_s)
+    stamps, times = np.array(result['arrivals']).reshape(-1, 2).T
+    if len(times) < 2:
+        raise NeoError(f'node: expected {result["sent"]} wide images, got {len(times)}')
+    record = Record.of('node', f'{size_name(view)}, 30 Hz', (times - stamps) / 1e6)
+    intervals = np.diff(times) / 1e6
+    stages = _stages(result['diagnostics'])
+    median = {stage: spread['median'] for stage, spread in stages.items()}
+    record.rate_hz = 1e3 / float(intervals.mean())
+    record.details = {
+        'model': model.name, 'wanted_rate_hz': RATE_HZ, 'mean_rate_hz': record.rate_hz,
+        'sent': result['sent'], 'missed': result['sent'] - len(times),
+        'jitter_ms': float(intervals.std()), 'cpu_percent': result['cpu_percent'],
+        'rss_mb': result['rss_mb'], 'stages_ms': stages,
+        'outside_inference_ms': median['total'] - median['infer'],
+        'share_outside_inference': 1 - median['infer'] / median['total']}
+    moved = view.source.width * view.source.height * 3 + (
+        # Colour, mask and confidence are written by the model's side and copied to be sent.
+        2 * view.target.width * view.target.height * 5)
+    return record.with_floor(
+        Work(count_flops(model), model.stat().st_size + moved), machine, 0)
+
+
+def _run_graph(model: Path, view: ViewExpansion, seconds: float) -> dict[str, Any]:
+    # Never within reach of a robot on the same network.
+    environment = os.environ | {'ROS_DOMAIN_ID': str(1 + os.getpid() % 230),
+                                'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
+    with tempfile.TemporaryFile('w+') as log:
+        node = subprocess.Popen(
+            [sys.executable, '-m', 'neo_ros.node.main', '--ros-args',
+             '-p', f'model:={model.resolve()}'], env=environment, stdout=log, stderr=log)
+        try:
+            probe = subprocess.run(
+                [sys.executable, '-m', 'neo_ros.node.camera_probe',
+                 '--width', str(view.source.width), '--height', str(view.source.height),
+                 '--rate', str(RATE_HZ), '--seconds', str(seconds), '--pid', str(node.pid)],
+                env=environment, stdout=subprocess.PIPE, stderr=log, text=True,
+                timeout=seconds + 90, check=False)
+            ended = node.poll()
+        finally:
+            _end(node)
+        if probe.returncode or ended is not None:
+            log.seek(0)
+            raise NeoError(f'node: the measurement failed (probe {probe.returncode}, node '
+                           f'{ended}):\n{log.read()[-2000:]}')
+    return json.loads(probe.stdout.splitlines()[-1])
+
+
+def _end(process: subprocess.Popen) -> None:
+    process.send_signal(signal.SIGINT)
+    try:
+        process.wait(timeout=10)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+
+
+def _stages(diagnostics: dict[str, str]) -> dict[str, dict[str, float]]:
+    """Read the node's own latencies, by stage, from the lines of its diagnosis."""
+    stages = {}
+    for stage in STAGES:
+        line = diagnostics.get(f'latency {stage} median/p95/max [ms]')
+        if line is None:
+            raise NeoError(f'node: expected the latency of {stage} in /diagnostics, got '
+                           f'{sorted(diagnostics)}')
+        stages[stage] = dict(zip(('median', 'p95', 'max'), map(float, line.split('/'))))
+    return stages

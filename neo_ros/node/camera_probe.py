@@ -1,0 +1,152 @@
+"""
+A camera and a consumer for measurements: sends images to the node, times what comes back.
+
+A program of its own, so that the node is measured between processes as on a robot; prints one
+JSON object. `neo_ros.evaluation.speed_node` runs it.
+"""
+import argparse
+from array import array
+from collections.abc import Sequence
+import json
+import os
+from pathlib import Path
+import sys
+import time
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from neo_ros.messages import image_fields
+from neo_ros.node.fastdds_profile import use_large_image_profile
+import numpy as np
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import QoSProfile
+from rclpy.time import Time
+from sensor_msgs.msg import CameraInfo, Image
+
+START_TIMEOUT_S = 60.0
+WARM_UP_S = 1.0
+# After the last image: long enough for one that is slow and for one more diagnosis.
+DRAIN_S = 1.5
+
+
+class CameraProbe:
+    """
+    Publishes noise on `image` at a fixed rate and subscribes to everything the node offers.
+
+    `arrivals` holds, per wide image, its stamp and when it came, both in nanoseconds.
+    """
+
+    def __init__(self, width: int, height: int) -> None:
+        self._node = rclpy.create_node('camera_probe')
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self._node)
+        self._message = _noise_message(width, height)
+        self._camera = self._node.create_publisher(Image, 'image', QoSProfile(depth=1))
+        self.sent: list[int] = []
+        self.arrivals: list[tuple[int, int]] = []
+        self.stages: dict[str, str] = {}
+        for kind, topic, callback in (
+                (Image, 'wide/image', self._on_wide), (Image, 'wide/mask', _ignore),
+                (Image, 'wide/confidence', _ignore), (CameraInfo, 'wide/camera_info', _ignore),
+                (DiagnosticArray, '/diagnostics', self._on_diagnostics)):
+            self._node.create_subscription(kind, topic, callback, QoSProfile(depth=10))
+
+    def wait_for_node(self) -> None:
+        """Wait until images go in and come out; raises TimeoutError."""
+        deadline = time.monotonic() + START_TIMEOUT_S
+        while not self.arrivals:
+            if time.monotonic() > deadline:
+                raise TimeoutError(f'no wide image within {START_TIMEOUT_S:.0f} s')
+            if self._camera.get_subscription_count():
+                self._send()
+            self._spin_until(time.monotonic() + 0.2)
+
+    def run(self, rate: float, seconds: float) -> None:
+        """Send images for a while; forgets earlier ones."""
+        self.sent, self.arrivals = [], []
+        start = time.monotonic()
+        for index in range(round(rate * seconds)):
+            self._spin_until(start + index / rate)
+            self._send()
+        self._spin_until(start + seconds)
+
+    def drain(self) -> None:
+        """Wait for images that are on their way and for the node's last diagnosis."""
+        self._spin_until(time.monotonic() + DRAIN_S)
+
+    def _send(self) -> None:
+        now = time.time_ns()
+        self._message.header.stamp = Time(nanoseconds=now).to_msg()
+        self._camera.publish(self._message)
+        self.sent.append(now)
+
+    def _spin_until(self, moment: float) -> None:
+        while (left := moment - time.monotonic()) > 0:
+            self._executor.spin_once(timeout_sec=left)
+
+    def _on_wide(self, message: Image) -> None:
+        now = time.time_ns()
+        self.arrivals.append((Time.from_msg(message.header.stamp).nanoseconds, now))
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            if status.name.endswith('fov_extrapolator'):
+                self.stages = {entry.key: entry.value for entry in status.values}
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Measure once and print the result."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    for name, kind in (('width', int), ('height', int), ('rate', float), ('seconds', float),
+                       ('pid', int)):
+        parser.add_argument(f'--{name}', type=kind, required=True)
+    options = parser.parse_args(arguments)
+    use_large_image_profile()
+    rclpy.init(args=[])
+    try:
+        print(json.dumps(_measure(CameraProbe(options.width, options.height), options)))
+    except TimeoutError as error:
+        sys.exit(str(error))
+    finally:
+        rclpy.try_shutdown()
+
+
+def _measure(probe: CameraProbe, options: argparse.Namespace) -> dict[str, Any]:
+    probe.wait_for_node()
+    probe.run(options.rate, WARM_UP_S)
+    probe.drain()
+    cpu, started = _cpu_seconds(options.pid), time.monotonic()
+    probe.run(options.rate, options.seconds)
+    cpu, wall = _cpu_seconds(options.pid) - cpu, time.monotonic() - started
+    rss_mb = _rss_mb(options.pid)
+    probe.drain()
+    sent = set(probe.sent)
+    return {'sent': len(sent), 'arrivals': [pair for pair in probe.arrivals if pair[0] in sent],
+            'cpu_percent': 100 * cpu / wall, 'rss_mb': rss_mb, 'diagnostics': probe.stages}
+
+
+def _noise_message(width: int, height: int) -> Image:
+    image = np.random.default_rng(0).integers(0, 256, (height, width, 3), np.uint8)
+    message = Image(**(image_fields(image) | {'data': array('B', image.tobytes())}))
+    message.header.frame_id = 'camera_optical_frame'
+    return message
+
+
+def _cpu_seconds(pid: int) -> float:
+    # Behind the name in brackets: state first, user and system time as 12th and 13th (proc(5)).
+    fields = Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')
+
+
+def _rss_mb(pid: int) -> float:
+    lines = Path(f'/proc/{pid}/status').read_text().splitlines()
+    return next(int(line.split()[1]) / 1024 for line in lines if line.startswith('VmRSS'))
+
+
+def _ignore(message: Any) -> None:
+    """Take a message for the sake of having it sent."""
+
+
+if __name__ == '__main__':
+    main()

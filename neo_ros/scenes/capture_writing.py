@@ -1,0 +1,169 @@
+"""Write a capture as a scene folder: one pinhole camera, images that are known to be readable."""
+import json
+import logging
+import os
+from pathlib import Path
+import shutil
+from typing import Any, Optional
+
+import cv2
+from neo_ros.errors import SceneError
+from neo_ros.geometry import Intrinsics
+from neo_ros.scenes.capture import (
+    Capture, CapturedFrame, listed, no_progress, photo_size, Progress)
+from neo_ros.scenes.lens import common_pinhole, Lens, Straightener
+from neo_ros.scenes.posed_images import PosedImages
+from neo_ros.scenes.transforms_json import write_transforms
+import numpy as np
+
+logger = logging.getLogger(__name__)
+# What an interrupted import was doing, so that the next one knows which images it can keep.
+NOTE_FILE = 'import.json'
+
+
+def write_capture(capture: Capture, scene: Path, progress: Progress = no_progress) -> PosedImages:
+    """
+    Write posed frames into a scene folder: images and transforms_train.json.
+
+    Image files of a camera without distortion are copied as they are; all others are made
+    straight and written as PNG. Frames whose image cannot be read are named in a warning and
+    left out. An import that was broken off goes on where it stopped. Raises SceneError where no
+    image can be read, for images whose size is not their camera's, and where the folder cannot
+    be written.
+    """
+    assert capture.posed, 'structure from motion comes first'
+    names, pinhole = write_images(capture, scene, progress)
+    kept = [index for index, name in enumerate(names) if name is not None]
+    images = PosedImages(
+        pinhole, tuple(scene / str(names[index]) for index in kept),
+        tuple(pose for index in kept if (pose := capture.frames[index].pose) is not None),
+        tuple(capture.frames[index].path_id for index in kept))
+    write_transforms(scene / 'transforms_train.json', images)
+    return images
+
+
+def write_images(capture: Capture, folder: Path,
+                 progress: Progress = no_progress) -> tuple[list[Optional[str]], Intrinsics]:
+    """
+    Write the images alone, posed or not; frames without a lens are taken for pinhole images.
+
+    Returns the relative name of every frame's image, None where it cannot be read, and the
+    camera of all of them.
+    """
+    capture = _with_lenses(capture)
+    _check_names(capture, folder)
+    lenses = [frame.lens for frame in capture.frames if frame.lens is not None]
+    straightener = Straightener(common_pinhole(lenses))
+    names = [_written_name(frame, straightener) for frame in capture.frames]
+    _claim(folder, capture, straightener.pinhole)
+    missing = [index for index, name in enumerate(names) if not (folder / name).is_file()]
+    unreadable = []
+    done = len(names) - len(missing)
+    progress(done, len(names))
+    for index, image in capture.images(missing):
+        frame = capture.frames[index]
+        if image is None:
+            unreadable.append(index)
+        else:
+            _write_image(frame, image, straightener, folder / names[index])
+        done += 1
+        progress(done, len(names))
+    if len(unreadable) == len(names):
+        raise SceneError(f'{folder}: none of the {len(names)} images can be read')
+    if unreadable:
+        logger.warning('%d images cannot be read and are left out: %s', len(unreadable),
+                       listed([capture.frames[index].name for index in unreadable]))
+    return [None if index in set(unreadable) else name
+            for index, name in enumerate(names)], straightener.pinhole
+
+
+def _with_lenses(capture: Capture) -> Capture:
+    """Give frames without calibration a camera of their image's size; only the size counts."""
+    if all(frame.lens is not None for frame in capture.frames):
+        return capture
+    sizes = (None if frame.file is None else photo_size(frame.file) for frame in capture.frames)
+    size = next((size for size in sizes if size is not None), None)
+    if size is None:
+        size = next((image.shape[1::-1] for _, image in capture.images(range(len(capture)))
+                     if image is not None), None)
+    if size is None:
+        raise SceneError(f'none of the {len(capture)} images can be read')
+    lens = Lens(Intrinsics.from_hfov(*size, 1.0))
+    frames = tuple(CapturedFrame(frame.name, frame.pose, lens, frame.path_id, frame.stamp_ns,
+                                 frame.file) for frame in capture.frames)
+    return Capture(frames, capture.notes, capture.stream)
+
+
+def _check_names(capture: Capture, folder: Path) -> None:
+    seen: set[str] = set()
+    for frame in capture.frames:
+        if frame.name in seen:
+            raise SceneError(f'{frame.name}: expected every image once, got it twice')
+        if frame.file is not None and frame.file.resolve() == (folder / frame.name).resolve():
+            raise SceneError(f'{folder}: expected another folder than the source')
+        seen.add(frame.name)
+
+
+def _copied(frame: CapturedFrame, straightener: Straightener) -> bool:
+    return frame.file is not None and frame.lens is not None and (
+        straightener.is_identity(frame.lens))
+
+
+def _written_name(frame: CapturedFrame, straightener: Straightener) -> str:
+    """Images that are made straight become PNG; their old ending stays, so no two are alike."""
+    if _copied(frame, straightener) or frame.name.endswith('.png'):
+        return frame.name
+    return frame.name + '.png'
+
+
+def _write_image(frame: CapturedFrame, image: np.ndarray, straightener: Straightener,
+                 target: Path) -> None:
+    assert frame.lens is not None
+    camera = frame.lens.intrinsics
+    if image.shape[:2] != (camera.height, camera.width):
+        raise SceneError(
+            f'{frame.file or frame.name}: expected {camera.width}x{camera.height} pixels as its '
+            f'camera says, got {image.shape[1]}x{image.shape[0]}; photos are never resized')
+    partial = target.with_name(target.name + '.partial')
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        if _copied(frame, straightener):
+            shutil.copyfile(str(frame.file), partial)
+        else:
+            straight = straightener.apply(image, frame.lens)
+            partial.write_bytes(cv2.imencode('.png', straight[..., ::-1])[1].tobytes())
+        os.replace(partial, target)
+    except OSError as error:
+        raise SceneError(f'{target}: cannot write: {error.strerror}; '
+                         'choose another scene folder') from error
+
+
+def _claim(folder: Path, capture: Capture, pinhole: Intrinsics) -> None:
+    """Note what is imported; images of anything else that lie in the folder are written anew."""
+    note = folder / NOTE_FILE
+    wanted: dict[str, Any] = {
+        'camera': [pinhole.width, pinhole.height, pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy],
+        'lenses': sorted({repr(frame.lens) for frame in capture.frames}),
+        'sources': [_fingerprint(frame) for frame in capture.frames]}
+    try:
+        found = json.loads(note.read_text()) if note.is_file() else None
+    except (OSError, ValueError):
+        found = None
+    if found == wanted:
+        return
+    try:
+        for frame in capture.frames:
+            for name in (frame.name, frame.name + '.png'):
+                (folder / name).unlink(missing_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
+        note.write_text(json.dumps(wanted))
+    except OSError as error:
+        raise SceneError(f'{folder}: cannot write: {error.strerror}; '
+                         'choose another scene folder') from error
+
+
+def _fingerprint(frame: CapturedFrame) -> list[Any]:
+    if frame.file is None:
+        return [frame.name, frame.stamp_ns]
+    state = frame.file.stat()
+    return [frame.name, state.st_size, state.st_mtime_ns]

@@ -1,0 +1,71 @@
+"""Tell the format of a capture by the files that are there."""
+from enum import Enum
+from pathlib import Path
+
+from neo_ros.errors import SceneError
+from neo_ros.scenes.colmap import find_model, read_colmap
+from neo_ros.scenes.photos import find_photos, read_photos
+from neo_ros.scenes.scannet import is_scannet, read_scannet
+from neo_ros.scenes.seven_scenes import is_seven_scenes, read_seven_scenes
+from neo_ros.scenes.trajectory import read_trajectory, TRAJECTORY_FILE
+from neo_ros.scenes.transforms_capture import read_transforms_capture, TRANSFORMS_FILE
+
+
+class CaptureFormat(str, Enum):
+    """What `neo import` reads; the values are the names on the command line."""
+
+    SCENE = 'scene'
+    TRANSFORMS = 'transforms'
+    COLMAP = 'colmap'
+    SCANNET = 'scannet'
+    SEVEN_SCENES = '7scenes'
+    TRAJECTORY = 'trajectory'
+    BAG = 'bag'
+    PHOTOS = 'photos'
+
+
+# Readers of folders; scenes are copied, bags are read in their own room.
+FOLDER_READERS = {
+    CaptureFormat.TRANSFORMS: read_transforms_capture,
+    CaptureFormat.COLMAP: read_colmap,
+    CaptureFormat.SCANNET: read_scannet,
+    CaptureFormat.SEVEN_SCENES: read_seven_scenes,
+    CaptureFormat.TRAJECTORY: read_trajectory,
+    CaptureFormat.PHOTOS: read_photos,
+}
+_BAG_SUFFIXES = ('.mcap', '.db3')
+
+
+def detect_format(source: Path) -> CaptureFormat:
+    """
+    Return the format of a file or folder.
+
+    The order decides: nerfstudio keeps COLMAP's files beside its own, and all have photos.
+    Raises SceneError for empty folders and for folders of nothing known.
+    """
+    if source.is_file():
+        if source.suffix == '.json':
+            return CaptureFormat.TRANSFORMS
+        if source.suffix in _BAG_SUFFIXES:
+            return CaptureFormat.BAG
+        raise SceneError(f'{source}: expected a folder, a .json, a .mcap or a .db3 file')
+    if not source.is_dir():
+        raise SceneError(f'{source}: no such file or folder (and not the word "demo")')
+    for found, format_ in (
+            ((source / 'transforms_train.json').is_file(), CaptureFormat.SCENE),
+            ((source / TRANSFORMS_FILE).is_file(), CaptureFormat.TRANSFORMS),
+            (find_model(source) is not None, CaptureFormat.COLMAP),
+            (is_scannet(source), CaptureFormat.SCANNET),
+            (is_seven_scenes(source), CaptureFormat.SEVEN_SCENES),
+            ((source / TRAJECTORY_FILE).is_file(), CaptureFormat.TRAJECTORY),
+            (any(next(source.glob(f'*{suffix}'), None) for suffix in _BAG_SUFFIXES),
+             CaptureFormat.BAG),
+            (bool(find_photos(source)), CaptureFormat.PHOTOS)):
+        if found:
+            return format_
+    if not any(source.iterdir()):
+        raise SceneError(f'{source}: the folder is empty')
+    raise SceneError(
+        f'{source}: no capture found; looked for transforms_train.json, transforms.json, a COLMAP '
+        'model (cameras.bin or .txt), color/ with pose/ (ScanNet), frame-*.color.png '
+        '(7-Scenes), traj.txt, a bag (.mcap, .db3) and photos')

@@ -1,0 +1,146 @@
+"""Calibrated cameras with lens distortion, and the pinhole view that is cut out of them."""
+from dataclasses import dataclass
+from typing import Iterable, Optional
+
+import cv2
+from neo_ros.errors import GeometryError, SceneError
+from neo_ros.geometry import Intrinsics
+import numpy as np
+
+# OpenCV counts pixel centres from 0, `Intrinsics` has them at +0.5.
+CENTRE = 0.5
+EDGE_POINTS = 65
+
+
+@dataclass(frozen=True)
+class Lens:
+    """
+    A camera as it was calibrated.
+
+    intrinsics  the pinhole part of the model
+    distortion  OpenCV's coefficients: k1 k2 p1 p2 [k3 [k4 k5 k6]], or k1 k2 k3 k4 of a fisheye
+    fisheye     the equidistant model (COLMAP OPENCV_FISHEYE, ROS equidistant)
+    """
+
+    intrinsics: Intrinsics
+    distortion: tuple[float, ...] = ()
+    fisheye: bool = False
+
+    def __post_init__(self) -> None:
+        if not np.isfinite(self.distortion).all():
+            raise SceneError(f'distortion: expected finite numbers, got {self.distortion}')
+
+    @property
+    def is_pinhole(self) -> bool:
+        """Whether straight lines are straight in its images."""
+        return not self.fisheye and not any(self.distortion)
+
+    @property
+    def cv_matrix(self) -> np.ndarray:
+        """The 3x3 calibration matrix as OpenCV wants it, pixel centres at 0."""
+        return _cv_matrix(self.intrinsics)
+
+    @property
+    def coefficients(self) -> np.ndarray:
+        """The distortion as OpenCV wants it: 4, 5 or 8 numbers."""
+        count = 4 if self.fisheye else min(n for n in (4, 5, 8) if n >= len(self.distortion))
+        return np.array(self.distortion + (0.0,) * (count - len(self.distortion)))
+
+    def straight_rectangle(self) -> tuple[float, float, float, float]:
+        """
+        Return the largest rectangle of the z = 1 plane whose edges the camera sees.
+
+        (left, right, top, bottom), in tangents. Raises SceneError for lenses that bend the
+        image's border so far that there is none.
+        """
+        width, height = self.intrinsics.width, self.intrinsics.height
+        along = np.linspace(0, 1, EDGE_POINTS)
+        x, y, zero = along * width, along * height, np.zeros(EDGE_POINTS)
+        edges = [np.stack(edge, -1) for edge in (
+            (zero, y), (zero + width, y), (x, zero), (x, zero + height))]
+        left, right, top, bottom = (self._straighten(edge) for edge in edges)
+        rectangle = (left[:, 0].max(), right[:, 0].min(), top[:, 1].max(), bottom[:, 1].min())
+        seen = np.isfinite([*rectangle]).all() and (
+            rectangle[0] < rectangle[1] and rectangle[2] < rectangle[3])
+        if not seen:
+            raise SceneError(
+                f'lens: no pinhole view fits into this camera (focal length '
+                f'{self.intrinsics.fx:.1f} px, distortion {self.distortion}); is the '
+                'calibration right? A lens of 180 degrees or more cannot be used')
+        a, b, c, d = map(float, rectangle)
+        return a, b, c, d
+
+    def straighten_maps(self, pinhole: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
+        """Return the maps for cv2.remap, float32 (H, W), from this camera to `pinhole`."""
+        size = (pinhole.width, pinhole.height)
+        undistort = (cv2.fisheye.initUndistortRectifyMap if self.fisheye
+                     else cv2.initUndistortRectifyMap)
+        return undistort(self.cv_matrix, self.coefficients, np.eye(3), _cv_matrix(pinhole),
+                         size, cv2.CV_32FC1)
+
+    def _straighten(self, pixels: np.ndarray) -> np.ndarray:
+        """Undistort pixels (N, 2) to points (N, 2) of the z = 1 plane."""
+        points = np.ascontiguousarray((pixels - CENTRE)[:, None], np.float64)
+        if self.fisheye:
+            straight = cv2.fisheye.undistortPoints(points, self.cv_matrix, self.coefficients)
+        else:
+            criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
+            straight = cv2.undistortPoints(
+                points, self.cv_matrix, self.coefficients, criteria=criteria)
+        return straight[:, 0]
+
+
+def common_pinhole(lenses: Iterable[Lens]) -> Intrinsics:
+    """
+    Return the one pinhole camera that all images are brought to.
+
+    A single camera without distortion stays as it is. Otherwise the result has the images' size
+    and shows the largest rectangle that every one of the cameras sees, without black borders.
+    Raises SceneError for images of several sizes.
+    """
+    cameras = list(dict.fromkeys(lenses))
+    sizes = {(lens.intrinsics.width, lens.intrinsics.height) for lens in cameras}
+    if len(sizes) > 1:
+        raise SceneError(
+            'expected photos of one size, got '
+            + ', '.join(f'{w}x{h}' for w, h in sorted(sizes))
+            + '; photos are never resized: import the sizes as scenes of their own')
+    if len(cameras) == 1 and cameras[0].is_pinhole:
+        return cameras[0].intrinsics
+    rectangles = np.array([lens.straight_rectangle() for lens in cameras])
+    left, top = rectangles[:, 0].max(), rectangles[:, 2].max()
+    right, bottom = rectangles[:, 1].min(), rectangles[:, 3].min()
+    (width, height), = sizes
+    try:
+        fx, fy = width / (right - left), height / (bottom - top)
+        return Intrinsics(width, height, fx, fy, -left * fx, -top * fy)
+    except (GeometryError, ZeroDivisionError) as error:
+        raise SceneError(f'the {len(cameras)} cameras have no view in common: {error}') from error
+
+
+class Straightener:
+    """Bring images of several lenses to one pinhole camera; the maps are kept."""
+
+    def __init__(self, pinhole: Intrinsics) -> None:
+        self.pinhole = pinhole
+        self._last: Optional[tuple[Lens, tuple[np.ndarray, np.ndarray]]] = None
+
+    def is_identity(self, lens: Lens) -> bool:
+        """Whether the images of this lens stay as they are."""
+        return lens.is_pinhole and lens.intrinsics == self.pinhole
+
+    def apply(self, image: np.ndarray, lens: Lens) -> np.ndarray:
+        """Return the pinhole view of a uint8 (H, W, 3) image."""
+        if self.is_identity(lens):
+            return image
+        if self._last is None or self._last[0] != lens:
+            self._last = (lens, lens.straighten_maps(self.pinhole))
+        # The outermost half pixels ask for neighbours beyond the border.
+        return cv2.remap(image, *self._last[1], cv2.INTER_CUBIC,
+                         borderMode=cv2.BORDER_REPLICATE)
+
+
+def _cv_matrix(intrinsics: Intrinsics) -> np.ndarray:
+    matrix = intrinsics.matrix
+    matrix[:2, 2] -= CENTRE
+    return matrix

@@ -1,0 +1,66 @@
+"""Which way is up: turn a world so that z points up."""
+from dataclasses import replace
+import math
+
+from neo_ros.geometry import CameraPose
+from neo_ros.geometry.camera_pose import rotation_from_vector
+from neo_ros.scenes.capture import Capture
+import numpy as np
+
+# A world whose estimated up is farther from +z than this was not levelled by anyone.
+CLEARLY_TILTED = math.radians(30)
+
+
+def estimate_up(poses: list[CameraPose]) -> np.ndarray:
+    """
+    Estimate the direction up in the world from how cameras were held, (3,) unit vector.
+
+    People hold cameras level from left to right while they look up, down and around: up is the
+    direction that is most nearly at right angles to all the image rows. Where the cameras hardly
+    turn, rows say too little, and up is the mean of the images' up.
+    """
+    rotations = np.stack([pose.T_world_cam[:3, :3] for pose in poses])
+    mean_up = -rotations[:, :, 1].mean(0)
+    rows = rotations[:, :, 0]
+    spread, directions = np.linalg.eigh(rows.T @ rows / len(rows))
+    up = directions[:, 0] if spread[1] > 0.05 + 2 * spread[0] else mean_up
+    if up @ mean_up < 0:
+        up = -up
+    norm = float(np.linalg.norm(up))
+    return up / norm if norm > 1e-9 else np.array([0.0, 0.0, 1.0])
+
+
+def tilt(poses: list[CameraPose]) -> float:
+    """Return the angle between the estimated up and the world's z axis, radians."""
+    return math.acos(float(np.clip(estimate_up(poses)[2], -1, 1)))
+
+
+def level(capture: Capture, scale: float = 1.0) -> Capture:
+    """
+    Turn the world of a posed capture about its origin so that z points up, and scale it.
+
+    Only poses change.
+    """
+    poses = [frame.pose for frame in capture.frames if frame.pose is not None]
+    T = np.eye(4)
+    T[:3, :3] = rotation_between(estimate_up(poses), np.array([0.0, 0.0, 1.0]))
+    levelled = []
+    for pose in poses:
+        T_world_cam = T @ pose.T_world_cam
+        T_world_cam[:3, 3] *= scale
+        levelled.append(CameraPose(T_world_cam))
+    return replace(capture, frames=tuple(
+        replace(frame, pose=pose) for frame, pose in zip(capture.frames, levelled)))
+
+
+def rotation_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return the smallest rotation (3, 3) that turns the unit vector a to b."""
+    axis = np.cross(a, b)
+    sine = float(np.linalg.norm(axis))
+    angle = math.atan2(sine, float(a @ b))
+    if sine < 1e-9:
+        if angle < 1:
+            return np.eye(3)
+        axis = np.cross(a, [1.0, 0, 0] if abs(a[0]) < 0.9 else [0, 1.0, 0])
+        sine = float(np.linalg.norm(axis))
+    return rotation_from_vector(axis / sine * angle)

@@ -1,0 +1,80 @@
+"""
+Posed renders as Habitat and Replica tools write them: a folder of images and one traj.txt.
+
+rgb/, results/, color/ or images/ with one image per line of traj.txt (16 numbers, 4x4 camera to
+world, row by row, metres; image names in natural order, names with 'depth' left out), and one
+JSON file with the camera: cam_params.json, camera.json or intrinsics.json, here or one folder
+above: w, h, fx, fy, cx, cy, or w, h, hfov (degrees), at the top or below "camera". Its key
+"axes" says whether the camera looks along +z ("opencv", the default; NICE-SLAM's Replica) or
+along -z ("opengl"; agent and sensor states of Habitat).
+"""
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+from neo_ros.errors import GeometryError, SceneError
+from neo_ros.geometry import Intrinsics
+from neo_ros.scenes.capture import Capture, CapturedFrame, list_photos, listed
+from neo_ros.scenes.lens import Lens
+from neo_ros.scenes.pose_files import parse_matrix, pose_or_lost
+
+TRAJECTORY_FILE = 'traj.txt'
+IMAGE_FOLDERS = ('rgb', 'results', 'color', 'images')
+CAMERA_FILES = ('cam_params.json', 'camera.json', 'intrinsics.json')
+
+
+def read_trajectory(source: Path) -> Capture:
+    """Read the images with their poses; lost poses (not finite) are counted and left out."""
+    folder = next((source / name for name in IMAGE_FOLDERS if (source / name).is_dir()), None)
+    if folder is None:
+        raise SceneError(f'{source}: expected a folder {", ".join(IMAGE_FOLDERS)} beside '
+                         f'{TRAJECTORY_FILE}')
+    photos = [path for path in list_photos(folder) if 'depth' not in path.name]
+    path = source / TRAJECTORY_FILE
+    try:
+        lines = [line for line in path.read_text().splitlines() if line.strip()]
+    except (OSError, UnicodeDecodeError) as error:
+        raise SceneError(f'{path}: cannot read: {error}') from error
+    if len(lines) != len(photos) or not photos:
+        raise SceneError(f'{path}: expected one line per image, got {len(lines)} lines and '
+                         f'{len(photos)} images in {folder}')
+    intrinsics, opengl = _camera(source)
+    frames, lost = [], []
+    for number, (line, photo) in enumerate(zip(lines, photos), start=1):
+        pose = pose_or_lost(parse_matrix(line, f'{path}:{number}'), f'{path}:{number}', opengl)
+        if pose is None:
+            lost.append(photo.name)
+            continue
+        frames.append(CapturedFrame(f'images/{photo.name}', pose, Lens(intrinsics), file=photo))
+    if not frames:
+        raise SceneError(f'{path}: none of the {len(lines)} poses is finite')
+    notes = ((f'{len(lost)} frames with a lost pose are left out: {listed(lost)}',)
+             if lost else ())
+    return Capture(tuple(frames), notes)
+
+
+def _camera(source: Path) -> tuple[Intrinsics, bool]:
+    files = [folder / name for folder in (source, source.resolve().parent)
+             for name in CAMERA_FILES]
+    file = next((file for file in files if file.is_file()), None)
+    if file is None:
+        raise SceneError(f'{source}: expected the camera in one of {", ".join(CAMERA_FILES)} '
+                         'with w, h, fx, fy, cx, cy or w, h, hfov (degrees)')
+    try:
+        document: dict[str, Any] = json.loads(file.read_text())
+        values = {**document, **document.get('camera', {})}
+        width, height = int(values['w']), int(values['h'])
+        if 'fx' in values:
+            intrinsics = Intrinsics(width, height, values['fx'], values.get('fy', values['fx']),
+                                    values.get('cx', width / 2), values.get('cy', height / 2))
+        else:
+            intrinsics = Intrinsics.from_hfov(width, height, math.radians(values['hfov']))
+        axes = values.get('axes', 'opencv')
+    except KeyError as error:
+        raise SceneError(f'{file}: expected the key {error}') from error
+    except (OSError, TypeError, ValueError, AttributeError, GeometryError) as error:
+        raise SceneError(f'{file}: {error}') from error
+    if axes not in ('opencv', 'opengl'):
+        raise SceneError(f'{file}: axes: expected "opencv" or "opengl", got {axes!r}')
+    return intrinsics, axes == 'opengl'

@@ -1,0 +1,136 @@
+"""
+Captures as nerfstudio and instant-ngp describe them: one transforms.json.
+
+Read are OPENCV and OPENCV_FISHEYE cameras with distortion, cameras per frame, focal lengths as
+`camera_angle_x`, and image names without their ending. `applied_transform` is not undone: it
+says how the world was turned, and the poses fit one another as they are.
+"""
+import json
+import math
+import os
+from pathlib import Path
+from typing import Any, Optional
+
+from neo_ros.errors import GeometryError, SceneError
+from neo_ros.geometry import Intrinsics
+from neo_ros.scenes.capture import (
+    Capture, CapturedFrame, first_photo_size, listed, PHOTO_SUFFIXES)
+from neo_ros.scenes.lens import Lens
+from neo_ros.scenes.pose_files import pose_or_lost
+import numpy as np
+
+TRANSFORMS_FILE = 'transforms.json'
+_FISHEYE = 'OPENCV_FISHEYE'
+_MODELS = ('', 'PINHOLE', 'SIMPLE_PINHOLE', 'OPENCV', 'SIMPLE_RADIAL', 'RADIAL', _FISHEYE)
+
+
+def read_transforms_capture(source: Path) -> Capture:
+    """
+    Read SOURCE/transforms.json, or the file itself.
+
+    Listed images that are missing, and frames whose pose is not finite, are named in the notes
+    and left out. Raises SceneError that names the frame for anything else that is wrong.
+    """
+    path = source / TRANSFORMS_FILE if source.is_dir() else source
+    try:
+        document = json.loads(path.read_text())
+        entries = document['frames']
+    except FileNotFoundError as error:
+        raise SceneError(f'{path}: no such file') from error
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise SceneError(f'{path}: expected a JSON object with "frames": {error!r}') from error
+    if not isinstance(entries, list) or not entries:
+        raise SceneError(f'{path}: frames: expected a list with at least one frame')
+    frames, missing, lost = [], [], []
+    files = [_image_file(path, index, entry) for index, entry in enumerate(entries)]
+    present = [file for file in files if file is not None]
+    if not present:
+        raise SceneError(f'{path}: none of the {len(entries)} listed images exists')
+    size: Optional[tuple[int, int]] = None
+    for index, (entry, file) in enumerate(zip(entries, files)):
+        where = f'{path}: frames[{index}]'
+        if file is None:
+            missing.append(entry['file_path'])
+            continue
+        pose = pose_or_lost(_matrix(entry, where), where, opengl=True)
+        if pose is None:
+            lost.append(file.name)
+            continue
+        values = {**document, **entry}
+        if not {'w', 'h'} <= values.keys():
+            size = size or first_photo_size(present, path)
+            values |= {'w': size[0], 'h': size[1]}
+        frames.append(CapturedFrame(
+            _scene_name(file, path.parent), pose, _read_lens(values, where),
+            _path_id(entry, where), file=file))
+    if not frames:
+        raise SceneError(f'{path}: none of the {len(entries)} frames has a pose')
+    notes = []
+    if missing:
+        notes.append(f'{len(missing)} listed images are missing and left out: {listed(missing)}')
+    if lost:
+        notes.append(f'{len(lost)} frames have no finite pose and are left out: {listed(lost)}')
+    return Capture(tuple(frames), tuple(notes))
+
+
+def _image_file(path: Path, index: int, entry: Any) -> Optional[Path]:
+    if not isinstance(entry, dict) or not isinstance(entry.get('file_path'), str):
+        raise SceneError(f'{path}: frames[{index}]: expected an object with "file_path"')
+    file = path.parent / entry['file_path']
+    names = [file]
+    if file.suffix.lower() not in PHOTO_SUFFIXES:
+        names += [file.with_name(file.name + suffix) for suffix in PHOTO_SUFFIXES]
+    return next((name for name in names if name.is_file()), None)
+
+
+def _matrix(entry: dict[str, Any], where: str) -> np.ndarray:
+    try:
+        matrix = np.array(entry['transform_matrix'], np.float64)
+    except KeyError as error:
+        raise SceneError(f'{where}: expected the key {error}') from error
+    except (TypeError, ValueError) as error:
+        raise SceneError(f'{where}: transform_matrix: {error}') from error
+    if matrix.shape not in ((3, 4), (4, 4)):
+        raise SceneError(f'{where}: transform_matrix: expected 4x4, got {matrix.shape}')
+    return matrix
+
+
+def _path_id(entry: dict[str, Any], where: str) -> int:
+    try:
+        return int(entry.get('path_id', 0))
+    except (TypeError, ValueError) as error:
+        raise SceneError(f'{where}: path_id: {error}') from error
+
+
+def _scene_name(file: Path, folder: Path) -> str:
+    """Keep the folders of images below the file; those beside it come to 'beside/'."""
+    parts = Path(os.path.relpath(file, folder)).parts
+    return Path(*('beside' if part == '..' else part for part in parts)).as_posix()
+
+
+def _read_lens(values: dict[str, Any], where: str) -> Lens:
+    model = values.get('camera_model') or ''
+    if model not in _MODELS:
+        raise SceneError(f'{where}: camera_model: expected one of {", ".join(_MODELS[1:])}, '
+                         f'got {model!r}')
+    try:
+        width, height = int(values['w']), int(values['h'])
+        focal_x = values.get('fl_x')
+        if focal_x is None:
+            if 'camera_angle_x' not in values:
+                raise SceneError(f'{where}: expected the key fl_x or camera_angle_x')
+            focal_x = width / 2 / math.tan(values['camera_angle_x'] / 2)
+        intrinsics = Intrinsics(width, height, focal_x, values.get('fl_y', focal_x),
+                                values.get('cx', width / 2), values.get('cy', height / 2))
+        k1, k2, k3, k4, p1, p2 = (
+            float(values.get(key) or 0) for key in ('k1', 'k2', 'k3', 'k4', 'p1', 'p2'))
+    except SceneError:
+        raise
+    except (TypeError, ValueError, GeometryError) as error:
+        raise SceneError(f'{where}: camera: {error}') from error
+    if model == _FISHEYE or values.get('is_fisheye'):
+        return Lens(intrinsics, (k1, k2, k3, k4), fisheye=True)
+    if k4:
+        # nerfstudio's r^8 term: OpenCV's fourth radial coefficient means something else.
+        raise SceneError(f'{where}: k4: expected 0 for {model or "this camera"}, got {k4}')
+    return Lens(intrinsics, (k1, k2, p1, p2, k3))

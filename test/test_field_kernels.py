@@ -1,0 +1,197 @@
+"""The gradients of the compiled loops, against autograd and against differences."""
+from typing import Any, NamedTuple
+
+from neo_ros.field import kernels
+from neo_ros.field.voxel_field import RadianceField
+import numpy as np
+from plain_field import plain_samples, random_rays, room_field
+import pytest
+import torch
+
+PIXELS, SUBRAYS = 40, 2
+
+
+class Batch(NamedTuple):
+    """What a step of the fit works on."""
+
+    rays_o: np.ndarray
+    rays_d: np.ndarray
+    jitter: np.ndarray
+    target: np.ndarray
+    gain: np.ndarray
+    background: np.ndarray
+
+
+class Gradients(NamedTuple):
+    """What the kernels make of a batch."""
+
+    grid: np.ndarray
+    touched: np.ndarray
+    error: np.ndarray
+    d_gain: np.ndarray
+
+
+@pytest.fixture
+def batch() -> Batch:
+    random = np.random.default_rng(3)
+    rays_o, rays_d = random_rays(PIXELS * SUBRAYS, 2)
+    # The rays of a pixel are neighbours.
+    rays_o, rays_d = rays_o.reshape(PIXELS, SUBRAYS, 3), rays_d.reshape(PIXELS, SUBRAYS, 3)
+    rays_o[:, 1] = rays_o[:, 0]
+    rays_d[:, 1] = rays_d[:, 0] + 0.03
+    rays_d /= np.linalg.norm(rays_d, axis=-1, keepdims=True)
+    return Batch(rays_o.reshape(-1, 3), rays_d.reshape(-1, 3),
+                 random.random(PIXELS * SUBRAYS, np.float32),
+                 *(random.random((PIXELS, 3), np.float32) for _ in range(3)))
+
+
+def foggy_field(sh_degree: int) -> RadianceField:
+    """Return a small field in which rays have many samples of middling opacity."""
+    field = room_field(3000, sh_degree=sh_degree)
+    random = np.random.default_rng(1)
+    field.grid[:, 0] = field.grid[:, 0] * 0.1 + 6 + random.normal(0, 1, len(field.grid))
+    field.grid[:, 1:] += random.normal(0, 1, field.grid[:, 1:].shape)
+    return field
+
+
+def differentiate(field: RadianceField, batch: Batch, distortion: float = 0,
+                  pointwise: float = 0, sparsity: float = 0) -> tuple[Gradients, Any]:
+    rays, limit = len(batch.rays_o), field.sample_limit
+    cell, count = np.empty((rays, limit), np.int64), np.empty(rays, np.int64)
+    frac, d_rgb = (np.empty((rays, limit, 3), np.float32) for _ in range(2))
+    d_density = np.empty((rays, limit), np.float32)
+    error, d_gain = np.empty(PIXELS, np.float32), np.empty((PIXELS, 3), np.float32)
+    kernels.differentiate_rays(
+        batch.rays_o, batch.rays_d, batch.target, batch.gain, batch.jitter, SUBRAYS,
+        batch.background, field.grid, np.array(field.shape), field.skip, field.box, field.step,
+        field.near, field.shift, field.terms, np.float32(distortion), np.float32(pointwise),
+        np.float32(sparsity), cell, frac, d_density, d_rgb, count, error, d_gain)
+    samples = (batch.rays_d, cell, frac, d_density, d_rgb, count)
+    gradient, touched = scatter(field, samples, 2)
+    return Gradients(gradient, touched, error, d_gain), samples
+
+
+def scatter(field: RadianceField, samples: Any, threads: int) -> tuple[np.ndarray, np.ndarray]:
+    gradient, touched = np.zeros_like(field.grid), np.zeros(len(field.grid), np.uint8)
+    kernels.scatter_gradients(*samples, np.array(field.shape), field.terms, threads, gradient,
+                              touched)
+    return gradient, touched
+
+
+def plain_loss(field: RadianceField, grid: torch.Tensor, gain: torch.Tensor, batch: Batch,
+               distortion: float, pointwise: float, sparsity: float) -> torch.Tensor:
+    """Sum over pixels of the loss that the kernel's docstring states."""
+    samples = plain_samples(field, grid, batch.rays_o, batch.rays_d, batch.jitter)
+    target, background = (torch.from_numpy(values).double()
+                          for values in (batch.target, batch.background))
+    behind = background.repeat_interleave(SUBRAYS, 0) * samples.light[:, None]
+    rays = (samples.weight[..., None] * samples.colour).sum(1) + behind
+    error = (gain * rays.unflatten(0, (-1, SUBRAYS)).mean(1) - target).square().sum()
+    place = samples.depth / (samples.depth + 1)
+    away = (place[:, :, None] - place[:, None, :]).abs()
+    spread = torch.einsum('ri,rij,rj->', samples.weight, away, samples.weight)
+    own = (gain.repeat_interleave(SUBRAYS, 0)[:, None] * samples.colour
+           - target.repeat_interleave(SUBRAYS, 0)[:, None]).square().sum(-1)
+    return error + (distortion * spread + pointwise * (samples.weight * own).sum()
+                    + sparsity * samples.alpha.sum()) / SUBRAYS
+
+
+@pytest.mark.parametrize('sh_degree', [0, 1], ids=['matt', 'shiny'])
+@pytest.mark.parametrize('terms', [
+    {}, {'distortion': 0.3}, {'pointwise': 0.2}, {'sparsity': 0.1},
+    {'distortion': 0.3, 'pointwise': 0.2, 'sparsity': 0.1},
+], ids=['colour', 'distortion', 'pointwise', 'sparsity', 'all'])
+def test_gradients_agree_with_autograd(
+        batch: Batch, terms: dict[str, float], sh_degree: int) -> None:
+    field = foggy_field(sh_degree)
+    found, _ = differentiate(field, batch, **terms)
+    grid = torch.from_numpy(field.grid).double().requires_grad_()
+    gain = torch.from_numpy(batch.gain).double()
+    weights = {'distortion': 0.0, 'pointwise': 0.0, 'sparsity': 0.0, **terms}
+    plain_loss(field, grid, gain, batch, **weights).backward()
+    assert grid.grad is not None
+    expected = grid.grad.numpy()
+    for columns in (slice(0, 1), slice(1, None)):
+        scale = np.abs(expected[:, columns]).max()
+        np.testing.assert_allclose(
+            found.grid[:, columns], expected[:, columns], atol=3e-3 * scale)
+    untouched = found.touched == 0
+    assert untouched.any() and np.abs(expected[untouched]).max() < 1e-6
+
+
+def test_gain_gradient_agrees_with_autograd(batch: Batch) -> None:
+    field = foggy_field(0)
+    found, _ = differentiate(field, batch)
+    grid = torch.from_numpy(field.grid).double()
+    gain = torch.from_numpy(batch.gain).double().requires_grad_()
+    loss = plain_loss(field, grid, gain, batch, 0, 0, 0)
+    loss.backward()
+    assert gain.grad is not None
+    np.testing.assert_allclose(found.d_gain, gain.grad, atol=3e-3 * gain.grad.abs().max())
+    assert found.error.sum() == pytest.approx(float(loss.detach()), rel=1e-3)
+
+
+@pytest.mark.parametrize('column', [0, 1, 3], ids=['density', 'constant', 'linear'])
+def test_gradients_agree_with_differences(batch: Batch, column: int) -> None:
+    field, change = foggy_field(1), 1e-2
+    found, _ = differentiate(field, batch)
+    for row in np.argsort(-np.abs(found.grid[:, column]))[:6]:
+        values = []
+        for sign in (1, -1):
+            changed = foggy_field(1)
+            changed.grid[row, column] += sign * change
+            values.append(differentiate(changed, batch)[0].error.sum(dtype=np.float64))
+        assert (values[0] - values[1]) / (2 * change) == pytest.approx(
+            found.grid[row, column], rel=0.03)
+
+
+def test_the_number_of_threads_does_not_change_a_bit(batch: Batch) -> None:
+    field = foggy_field(1)
+    _, samples = differentiate(field, batch, 0.3, 0.2, 0.1)
+    gradient, touched = scatter(field, samples, 1)
+    assert touched.sum() > 300
+    for threads in (2, 3, 8):
+        again, marks = scatter(field, samples, threads)
+        np.testing.assert_array_equal(again, gradient)
+        np.testing.assert_array_equal(marks, touched)
+
+
+def test_adam_steps_touched_rows_as_torch_does() -> None:
+    random = np.random.default_rng(0)
+    grid = random.normal(size=(50, 4)).astype(np.float32)
+    plain = torch.tensor(grid, requires_grad=True)
+    optimizer = torch.optim.Adam([plain], lr=0.1, betas=(0.9, 0.99), eps=1e-8)
+    first, second, gradient = (np.zeros_like(grid) for _ in range(3))
+    updates, touched = np.zeros(50, np.int32), np.zeros(50, np.uint8)
+    frozen = grid[:10].copy()
+    for _ in range(5):
+        gradient[:] = random.normal(size=grid.shape)
+        touched[10:] = 1
+        plain.grad = torch.from_numpy(gradient.copy())
+        optimizer.step()
+        gradient[:10] = 0
+        kernels.adam_step(grid, gradient, first, second, touched, updates, np.float32(0.1),
+                          np.float32(0.1))
+        assert not gradient.any() and not touched.any()
+    np.testing.assert_allclose(grid[10:], plain.detach()[10:], atol=1e-5)
+    np.testing.assert_array_equal(grid[:10], frozen)
+    assert (updates[10:] == 5).all() and not updates[:10].any()
+
+
+def test_total_variation_pulls_towards_the_neighbours() -> None:
+    field = room_field(3000)
+    field.grid[:] = np.random.default_rng(0).uniform(-0.4, 0.4, field.grid.shape)
+    touched = np.ones(len(field.grid), np.uint8)
+    touched[7] = 0
+    gradient = np.zeros_like(field.grid)
+    kernels.add_total_variation(field.grid, np.array(field.shape), touched, np.float32(2),
+                                np.float32(0.5), gradient)
+    volume = torch.tensor(field.grid.reshape(*field.shape, -1), dtype=torch.float64,
+                          requires_grad=True)
+    squares = torch.stack([torch.diff(volume, dim=axis).square().sum((0, 1, 2)) / 2
+                           for axis in range(3)]).sum(0)
+    (2 * squares[0] + 0.5 * squares[1:].sum()).backward()
+    assert volume.grad is not None
+    expected = volume.grad.reshape(field.grid.shape).numpy()
+    expected[7] = 0
+    np.testing.assert_allclose(gradient, expected, atol=1e-4)

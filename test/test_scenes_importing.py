@@ -1,0 +1,123 @@
+import json
+from pathlib import Path
+import shutil
+
+from capture_files import CAMERA, picture, write_capture, write_picture
+from neo_ros.errors import SceneError
+from neo_ros.geometry import Intrinsics, ViewExpansion
+from neo_ros.scenes.importing import import_transforms
+from neo_ros.scenes.scene import read_scene
+from neo_ros.scenes.transforms_json import read_transforms
+from neo_ros.scenes.walkable import WalkableMap, write_walkable
+import numpy as np
+import pytest
+
+WIDE = ViewExpansion(CAMERA, 4, 4, 2, 2)
+
+
+@pytest.fixture
+def source(tmp_path: Path) -> Path:
+    folder = tmp_path / 'capture'
+    write_capture(folder, 3, images='photos/day one')
+    write_capture(folder, 2, WIDE.target, 'transforms_test.json', 'test', WIDE)
+    write_walkable(folder / 'walkable.json', WalkableMap(0.5, (0, 0), np.ones((2, 3)), 1.5))
+    return folder
+
+
+def test_a_capture_becomes_a_scene(tmp_path: Path, source: Path) -> None:
+    calls: list[tuple[int, int]] = []
+    import_transforms(source, tmp_path / 'scene', lambda *counts: calls.append(counts))
+    assert calls == [(done, 5) for done in range(1, 6)]
+    scene, original = read_scene(tmp_path / 'scene'), read_scene(source)
+    assert scene.name == 'scene' and scene.expansion == WIDE
+    assert scene.walkable is not None and scene.walkable.area == 1.5
+    assert scene.train.image_paths[0] == tmp_path / 'scene' / 'photos/day one' / '0.png'
+    np.testing.assert_array_equal(scene.train.read_images(), original.train.read_images())
+    np.testing.assert_allclose(scene.train.T_world_cam, original.train.T_world_cam)
+    assert scene.test is not None and scene.test.path_ids == (0, 0)
+    shutil.rmtree(source)
+    assert scene.test.read_images().shape == (2, 16, 24, 3)
+
+
+def test_a_broken_off_import_goes_on(tmp_path: Path, source: Path) -> None:
+    class Killed(Exception):
+        """What ends the first import."""
+
+    def kill(done: int, total: int) -> None:
+        if done == 2:
+            raise Killed
+
+    scene = tmp_path / 'scene'
+    with pytest.raises(Killed):
+        import_transforms(source, scene, kill)
+    assert not (scene / 'transforms_train.json').exists()
+    first = scene / 'photos/day one/0.png'
+    (scene / 'photos/day one/1.png').write_bytes(b'cut off')
+    before = first.stat().st_mtime_ns
+    import_transforms(source, scene)
+    assert first.stat().st_mtime_ns == before
+    assert len(read_scene(scene).train.read_images()) == 3
+
+
+def test_pictures_of_another_capture_are_not_taken_for_done(tmp_path: Path) -> None:
+    # Bitmaps of one size all have the same length.
+    write_capture(tmp_path / 'a', 1, suffix='.bmp')
+    write_capture(tmp_path / 'b', 1, suffix='.bmp')
+    write_picture(tmp_path / 'b/images/0.bmp', picture(CAMERA, 77))
+    import_transforms(tmp_path / 'a', tmp_path / 'scene')
+    import_transforms(tmp_path / 'b', tmp_path / 'scene')
+    np.testing.assert_array_equal(read_scene(tmp_path / 'scene').train.read_image(0),
+                                  picture(CAMERA, 77))
+
+
+def test_images_beside_the_folder_keep_apart(tmp_path: Path) -> None:
+    source = tmp_path / 'source'
+    write_capture(source, 2)
+    document = json.loads((source / 'transforms_train.json').read_text())
+    for camera, frame in enumerate(document['frames']):
+        frame['file_path'] = f'../cam{camera}/frame.png'
+        write_picture(tmp_path / f'cam{camera}/frame.png', picture(CAMERA, 10 + camera))
+    (source / 'transforms_train.json').write_text(json.dumps(document))
+    import_transforms(source, tmp_path / 'scene')
+    scene = read_scene(tmp_path / 'scene')
+    np.testing.assert_array_equal(scene.train.read_image(0), picture(CAMERA, 10))
+    np.testing.assert_array_equal(scene.train.read_image(1), picture(CAMERA, 11))
+    assert all(path.is_relative_to(tmp_path / 'scene') for path in scene.train.image_paths)
+
+
+@pytest.mark.parametrize('names, photos', [
+    (['transforms.json'], 4), (['transforms_train.json', 'transforms.json'], 2),
+], ids=['all in one', 'a training set of its own'])
+def test_the_training_set_is_what_the_capture_says(
+        tmp_path: Path, names: list[str], photos: int) -> None:
+    source = tmp_path / 'source'
+    for name in names:
+        write_capture(source, {'transforms.json': 4, 'transforms_train.json': 2}[name], name=name)
+    import_transforms(source, tmp_path / 'scene')
+    assert len(read_transforms(tmp_path / 'scene' / 'transforms_train.json')) == photos
+
+
+def test_bad_sources_are_refused(tmp_path: Path, source: Path) -> None:
+    for folder, message in ((tmp_path / 'none', 'expected a folder'), (tmp_path, 'transforms')):
+        with pytest.raises(SceneError, match=message):
+            import_transforms(folder, tmp_path / 'scene')
+    with pytest.raises(SceneError, match='expected another folder than the source'):
+        import_transforms(source, tmp_path / 'capture' / '..' / 'capture')
+    assert not (tmp_path / 'scene').exists()
+
+
+@pytest.mark.parametrize('spoil, message', [
+    (lambda path: path.write_bytes(path.read_bytes()[:40]), '1.png: expected a readable image'),
+    (lambda path: write_picture(path, picture(Intrinsics(8, 12, 9, 9, 4, 6), 0)),
+     '1.png: expected 16x12 pixels .* got 8x12'),
+], ids=['truncated', 'another size'])
+def test_bad_images_are_named(tmp_path: Path, source: Path, spoil, message: str) -> None:
+    spoil(source / 'photos/day one/1.png')
+    with pytest.raises(SceneError, match=message):
+        import_transforms(source, tmp_path / 'scene')
+
+
+def test_a_scene_folder_that_cannot_be_made_is_named(tmp_path: Path, source: Path) -> None:
+    (tmp_path / 'file').write_text('')
+    with pytest.raises(SceneError, match='cannot write: .*; choose another scene folder'):
+        import_transforms(source, tmp_path / 'file' / 'scene')

@@ -1,0 +1,151 @@
+import math
+from pathlib import Path
+
+from hypothesis import given, strategies as st
+from neo_ros.errors import ConfigError
+from neo_ros.geometry import CameraPose, Intrinsics
+from neo_ros.geometry.camera_pose import rotation_from_vector
+from neo_ros.scenes.demo_flat import build_demo_flat
+from neo_ros.scenes.demo_walks import CLEARANCE, obstacle_distance
+from neo_ros.scenes.pose_sampling import (
+    PoseSampler, rotation_from_angles, SamplingConfig, yaw_pitch_roll)
+from neo_ros.scenes.posed_images import PosedImages
+from neo_ros.scenes.walkable import WalkableMap
+import numpy as np
+import pytest
+
+FLOOR = WalkableMap(0.05, (-1.0, 2.0), np.ones((40, 60), bool), 1.2)
+# Below 85 degrees of pitch: at the pole yaw and roll are one.
+angles = st.tuples(st.floats(-3.14, 3.14), st.floats(-1.48, 1.48), st.floats(-3.14, 3.14))
+
+
+def photos_with(angles_xyz: list[tuple[float, float, float, float, float, float]]) -> PosedImages:
+    """Return photos (no files) at x, y, z with yaw, pitch, roll."""
+    poses = []
+    for x, y, z, yaw, pitch, roll in angles_xyz:
+        T = np.eye(4)
+        T[:3, :3] = rotation_from_angles(yaw, pitch, roll)
+        T[:3, 3] = x, y, z
+        poses.append(CameraPose(T))
+    return PosedImages(Intrinsics(4, 4, 4, 4, 2, 2), (Path('none.png'),) * len(poses),
+                       tuple(poses), (0,) * len(poses))
+
+
+def drawn_angles(sampler: PoseSampler, count: int = 4000) -> np.ndarray:
+    random = np.random.default_rng(0)
+    return np.array([yaw_pitch_roll(sampler.draw_rotation(random)) for _ in range(count)])
+
+
+@given(angles)
+def test_angles_round_trip(triple: tuple[float, float, float]) -> None:
+    R = rotation_from_angles(*triple)
+    np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-12)
+    assert yaw_pitch_roll(R) == pytest.approx(triple, abs=1e-6)
+
+
+def test_angles_mean_what_they_say() -> None:
+    level = rotation_from_angles(0.7, 0, 0)
+    np.testing.assert_allclose(
+        level, CameraPose.from_planar(0, 0, 0, 0.7).T_world_cam[:3, :3], atol=1e-12)
+    assert rotation_from_angles(0.7, 0.3, 0)[2, 2] == pytest.approx(math.sin(0.3))  # looks up
+    assert rotation_from_angles(0.7, 0, 0.2)[2, 0] == pytest.approx(-math.sin(0.2))  # right dips
+    # Roll turns the camera about its optical axis.
+    about_z = rotation_from_vector(np.array([0, 0, 0.2]))
+    np.testing.assert_allclose(rotation_from_angles(0.7, 0.3, 0.2),
+                               rotation_from_angles(0.7, 0.3, 0) @ about_z, atol=1e-12)
+
+
+@pytest.mark.parametrize('interval, expected', [(0.05, 0.05), (0.1, 0.1), (0.5, 0.5),
+                                                (0.01, 0.05), (0.12, 0.1)], ids=str)
+def test_the_floor_is_sampled_on_a_grid(interval: float, expected: float) -> None:
+    sampler = PoseSampler.for_walkable(FLOOR, SamplingConfig(interval=interval))
+    for axis, length in ((0, 3.0), (1, 2.0)):
+        values = np.unique(sampler.positions_xy[:, axis].round(6))
+        np.testing.assert_allclose(np.diff(values), expected)
+        assert len(values) == math.ceil(length / expected - 1e-6)
+    assert FLOOR.contains(sampler.positions_xy).all()
+
+
+def test_positions_in_the_flat_keep_their_clearance() -> None:
+    flat = build_demo_flat()
+    sampler = PoseSampler.for_walkable(flat.walkable(), SamplingConfig(interval=0.2))
+    assert len(sampler.positions_xy) > 200
+    assert obstacle_distance(flat.solids, sampler.positions_xy).min() > CLEARANCE
+
+
+def test_planar_cameras_stand_level_and_look_everywhere() -> None:
+    sampler = PoseSampler.for_walkable(FLOOR, SamplingConfig())
+    random = np.random.default_rng(1)
+    positions = np.array([sampler.draw_position(random) for _ in range(500)])
+    assert FLOOR.contains(positions[:, :2]).all() and (positions[:, 2] == 1.2).all()
+    yaw, pitch, roll = drawn_angles(sampler).T
+    np.testing.assert_allclose([pitch, roll], 0, atol=1e-12)
+    counts, _ = np.histogram(yaw, bins=8, range=(-math.pi, math.pi))
+    assert counts.min() > 0.8 * 500 and counts.max() < 1.2 * 500
+
+
+@pytest.mark.parametrize('yaws, low, width', [
+    ([0.1, 0.5, 0.3], 0.1, 0.4),
+    ([-3.0, 3.0, math.pi], 3.0, 2 * math.pi - 6.0),
+    ([3.1, -2.5], 3.1, 2 * math.pi - 5.6),
+    ([2.0], 2.0, 0.0),
+    ([0.0, 1.5, 3.0, -1.5], -1.5, 4.5),
+], ids=['plain', 'around +-pi', 'across +-pi', 'one', 'most of the circle'])
+def test_yaws_stay_within_those_of_the_photos(
+        yaws: list[float], low: float, width: float) -> None:
+    photos = photos_with([(0, 0, 1, yaw, 0, 0) for yaw in yaws])
+    sampler = PoseSampler.around_photos(photos, SamplingConfig())
+    assert math.remainder(sampler.yaw_range[0] - low, 2 * math.pi) == pytest.approx(0, abs=1e-9)
+    assert sampler.yaw_range[1] == pytest.approx(width)
+    drawn = np.mod(drawn_angles(sampler, 500)[:, 0] - low + 1e-9, 2 * math.pi)
+    assert drawn.max() <= width + 1e-6 and np.ptp(drawn) >= 0.95 * width
+
+
+@pytest.mark.parametrize('mount', [0.0, math.pi], ids=['upright', 'upside down'])
+def test_hand_held_cameras_tilt_as_the_photos_do(mount: float) -> None:
+    random = np.random.default_rng(2)
+    photos = photos_with([
+        (random.uniform(0, 2), 0, random.normal(1.4, 0.1), random.uniform(-1, 1),
+         random.normal(-0.3, 0.1), mount + random.normal(0.1, 0.05)) for _ in range(400)])
+    sampler = PoseSampler.around_photos(photos, SamplingConfig())
+    _, pitch, roll = drawn_angles(sampler).T
+    roll = np.mod(roll - mount + math.pi, 2 * math.pi) - math.pi
+    assert (pitch.mean(), pitch.std()) == pytest.approx((-0.3, 0.1), abs=0.015)
+    assert (roll.mean(), roll.std()) == pytest.approx((0.1, 0.05), abs=0.01)
+    heights = [sampler.draw_position(random)[2] for _ in range(2000)]
+    assert (np.mean(heights), np.std(heights)) == pytest.approx((1.4, 0.1), abs=0.015)
+
+
+def test_hand_held_cameras_stay_near_the_photos() -> None:
+    photos = photos_with([(x, y, 1.5, 0, 0, 0) for x, y in ((0, 0), (2, 0), (2, 1.5))])
+    sampler = PoseSampler.around_photos(photos, SamplingConfig(interval=0.05, radius=0.35))
+    places = photos.T_world_cam[:, :2, 3]
+    distance = np.linalg.norm(sampler.positions_xy[:, None] - places, axis=-1)
+    assert distance.min(1).max() <= 0.35
+    # Three discs of that radius, a point on every 0.05 x 0.05 m.
+    assert len(sampler.positions_xy) == pytest.approx(3 * math.pi * 0.35 ** 2 / 0.0025, rel=0.1)
+    assert (distance < 0.36).sum(0).min() > 120
+
+
+def test_a_seed_fixes_the_poses() -> None:
+    sampler = PoseSampler.for_walkable(FLOOR, SamplingConfig())
+    first, second = (np.random.default_rng(5) for _ in range(2))
+    np.testing.assert_array_equal(sampler.draw_position(first), sampler.draw_position(second))
+    np.testing.assert_array_equal(sampler.draw_rotation(first), sampler.draw_rotation(second))
+
+
+@pytest.mark.parametrize('changes', [{'interval': 0.0}, {'radius': -1.0}, {'positions': 0},
+                                     {'interval': math.nan}], ids=str)
+def test_sampling_settings_out_of_range(changes: dict[str, float]) -> None:
+    with pytest.raises(ConfigError, match='sampling: expected interval, radius and positions'):
+        SamplingConfig(**changes)  # type: ignore[arg-type]
+
+
+def test_a_grid_that_misses_every_place_is_an_error() -> None:
+    # A floor whose lowest row and lowest column meet in no free cell.
+    corner = WalkableMap(0.5, (0, 0), np.array([[0, 1], [1, 0]], bool), 1.5)
+    with pytest.raises(ConfigError, match='choose a smaller interval'):
+        PoseSampler.for_walkable(corner, SamplingConfig(interval=5.0))
+    with pytest.raises(ConfigError, match='choose a smaller interval'):
+        PoseSampler.around_photos(photos_with([(0, 0, 1.5, 0, 0, 0)]),
+                                  SamplingConfig(interval=1.0, radius=0.3))

@@ -1,0 +1,40 @@
+from pathlib import Path
+
+from capture_files import CAMERA, write_capture
+from neo_ros.errors import SceneError
+from neo_ros.geometry import ViewExpansion
+from neo_ros.scenes.scene import read_scene
+import pytest
+
+
+@pytest.mark.parametrize('name', ['transforms.json', 'transforms_train.json'])
+def test_photos_alone_make_a_scene(tmp_path: Path, name: str) -> None:
+    write_capture(tmp_path / 'kitchen', 3, name=name)
+    scene = read_scene(tmp_path / 'kitchen')
+    assert scene.name == 'kitchen' and len(scene.train) == 3
+    assert scene.test is scene.expansion is scene.walkable is None
+
+
+def test_the_training_file_comes_before_the_file_of_all(tmp_path: Path) -> None:
+    write_capture(tmp_path, 4, name='transforms.json')
+    write_capture(tmp_path, 2)
+    assert len(read_scene(tmp_path).train) == 2
+
+
+def test_wide_truth_brings_its_expansion(tmp_path: Path) -> None:
+    wide = ViewExpansion(CAMERA, 2, 2, 0, 0)
+    write_capture(tmp_path, 2)
+    write_capture(tmp_path, 3, wide.target, 'transforms_test.json', 'test', wide)
+    scene = read_scene(tmp_path)
+    assert scene.test is not None and len(scene.test) == 3 and scene.expansion == wide
+
+
+def test_what_is_no_scene_is_told(tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match='none: expected a scene folder, there is none'):
+        read_scene(tmp_path / 'none')
+    with pytest.raises(SceneError, match='make one with: neo import'):
+        read_scene(tmp_path)
+    write_capture(tmp_path)
+    (tmp_path / 'walkable.json').write_text('{}')
+    with pytest.raises(SceneError, match="walkable.json: expected the key 'width'"):
+        read_scene(tmp_path)
