@@ -1,6 +1,8 @@
 """Where the package finds the models, settings and launch files it ships with."""
+import os
 from pathlib import Path
-import sys
+
+from neo_ros.errors import NeoError
 
 PACKAGE = 'neo_ros'
 
@@ -9,22 +11,15 @@ def share_dir() -> Path:
     """
     Return the folder that holds `models/`, `config/` and `launch/`.
 
-    In a source checkout that is the repository; installed, it is the package's share folder of
-    the ament prefix (colcon) or of the Python environment (pip).
+    In a source checkout that is the repository; installed, it is share/neo_ros of the prefix
+    above this file (pip), or of a prefix on AMENT_PREFIX_PATH (colcon). Raises NeoError where
+    there is none.
     """
-    checkout = Path(__file__).resolve().parent.parent
-    if (checkout / 'package.xml').is_file():
-        return checkout
-    for prefix in _ament_prefixes():
-        share = prefix / 'share' / PACKAGE
+    here = Path(__file__).resolve()
+    listed = os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)
+    prefixes = [*here.parents[2:], *(Path(prefix) for prefix in listed if prefix)]
+    for share in (here.parents[1], *(prefix / 'share' / PACKAGE for prefix in prefixes)):
         if (share / 'package.xml').is_file():
             return share
-    raise FileNotFoundError(
-        f'{PACKAGE}: expected its share folder below AMENT_PREFIX_PATH or {sys.prefix}; '
-        'reinstall the package')
-
-
-def _ament_prefixes() -> list[Path]:
-    import os
-    listed = os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)
-    return [Path(prefix) for prefix in listed if prefix] + [Path(sys.prefix)]
+    raise NeoError(f'{PACKAGE}: expected share/{PACKAGE} in a prefix above {here} or on '
+                   'AMENT_PREFIX_PATH; install the package again')

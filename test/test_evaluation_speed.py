@@ -76,6 +76,14 @@ def test_the_machine_is_measured_with_one_thread_and_with_all():
     assert machine.bandwidth(100 * CACHED_BYTES, 1) == 1e9 * machine.memory_gb_s[1]
 
 
+@pytest.mark.parametrize('rates, load, busy', [
+    ({1: 100.0, 2: 190.0}, 0.1, False), ({1: 100.0, 2: 60.0}, 0.1, True),
+    ({1: 100.0, 2: 190.0}, 1.1, True), ({1: 100.0}, 0.1, False), ({1: 100.0}, 0.6, True),
+], ids=['two cores', 'others compute', 'load of two cores', 'one core', 'load of one core'])
+def test_a_busy_machine_is_told_from_a_quiet_one(rates, load, busy):
+    assert Machine(rates, {1: 1.0}, {1: 1.0}).is_busy(load) is busy
+
+
 def one_node(kind, shapes, out, **attributes):
     """Return a model of one node; the output's shape is left to inference."""
     inputs = [f'in_{index}' for index in range(len(shapes))]
@@ -148,13 +156,14 @@ def test_the_field_is_measured_in_a_room_that_is_closed():
     field = box_room(20_000)
     for pose in room_poses(4):
         view = render_view(field, WIDE, pose, 1)
-        assert view.opacity.min() > 0.99 and 0.3 < view.depth.max() < 7
+        assert view.opacity.min() > 0.8 and view.opacity.mean() > 0.98
+        assert 0.5 < np.median(view.depth) < 5
         assert view.image.std() > 0.05
     assert np.array_equal(field.grid, box_room(20_000).grid)
     records = list(measure_field(MACHINE, Effort(seconds=0.0, voxels=20_000)))
     assert [record.name.split(' 128')[0] for record in records] == [
         'step of the fit', 'wide view', 'wide view', 'panorama for wide views', 'wide view']
-    assert records[0].details['samples_per_ray'] > 1
+    assert 10 < records[0].details['samples_per_ray'] < 40
     assert records[2].details['rays'] == 4 * records[1].details['rays'] == 4 * 128 * 128
     whole, cut = records[3].mean_ms, records[4].mean_ms
     assert records[4].details['views_per_s_with_panorama'] == pytest.approx(

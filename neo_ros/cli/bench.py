@@ -48,6 +48,8 @@ def _print_table(results: dict[str, Any]) -> None:
         ('matmul_gflops', 'GFLOP/s'), ('memory_gb_s', 'GB/s in memory'),
         ('cache_gb_s', 'GB/s in the cache')))
     rich.print(f'{host["cpu"]}, load {host["load_average_1min"]:.1f}; at its best {best}')
+    if host['busy']:
+        rich.print('[yellow]The machine is busy: these figures should not be quoted.[/yellow]')
     table = Table('measured', 'note')
     for column in ('median ms', 'p95', 'p99', 'max', 'per s', 'floor ms', 'x floor'):
         table.add_column(column, justify='right')

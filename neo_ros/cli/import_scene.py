@@ -1,47 +1,125 @@
-"""`neo import`: bring photos with poses into a scene folder."""
+"""`neo import`: bring a capture into a scene folder."""
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, Optional
 
+from neo_ros.errors import ConfigError
 import typer
+
+FORMATS = 'scene, transforms, colmap, scannet, 7scenes, trajectory, bag or photos'
 
 
 def import_scene(
     source: Annotated[str, typer.Argument(
-        help='Folder with transforms_train.json or transforms.json (nerfstudio, instant-ngp), '
-             'or the word "demo" for the built-in flat.')],
+        help='What was captured: nerfstudio or instant-ngp (transforms.json), COLMAP, ScanNet, '
+             '7-Scenes, images with traj.txt, a ROS 2 bag, photos without poses; or the word '
+             '"demo" for the built-in flat.')],
     scene: Annotated[Path, typer.Argument(help='Scene folder to write.')],
+    format_name: Annotated[Optional[str], typer.Option(
+        '--format', help=f'{FORMATS}; by default told from the files.')] = None,
+    image_topic: Annotated[Optional[str], typer.Option(
+        help='Bags: the camera, where there are several.')] = None,
+    pose_topic: Annotated[Optional[str], typer.Option(
+        help='Bags: /tf, or a topic of PoseStamped or Odometry.')] = None,
+    keyframe_distance: Annotated[Optional[float], typer.Option(
+        help='Keep the sharpest frame of every so many metres.')] = None,
+    keyframe_angle: Annotated[Optional[float], typer.Option(
+        help='Keep the sharpest frame of every so many degrees.')] = None,
+    level: Annotated[bool, typer.Option(
+        '--level', help='Turn the world so that z points up, as the photos were held.')] = False,
     size: Annotated[int, typer.Option(
         help='Demo only: edge of the training photos in pixels.', min=16)] = 128,
     photos: Annotated[int, typer.Option(help='Demo only: number of photos.', min=1)] = 1000,
 ) -> None:
     """
-    Copy photos with poses into a scene folder and check them.
+    Bring photos with poses into a scene folder, check them, and say how good the capture is.
 
-    Every image is read, every pose is checked; images that are listed but missing are named
-    and left out.
+    Distorted photos are made straight. Photos without poses get them by structure from motion.
+    The report on the capture is SCENE/capture.html. Run again after an interruption, the import
+    goes on where it stopped.
     """
+    from neo_ros.cli.progress import stage_progress
+    from neo_ros.evaluation.capture_report import REPORT_FILE, write_capture_report
     from neo_ros.scenes.demo_captures import write_demo_scene
+    from neo_ros.scenes.formats import CaptureFormat, detect_format
     from neo_ros.scenes.importing import import_transforms
+    from neo_ros.scenes.scene import read_scene
     import rich
     from rich.markup import escape
-    from rich.progress import (
-        BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn)
 
-    with Progress(TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn(),
-                  TimeRemainingColumn()) as bar:
-        task = bar.add_task('images', total=None)
-
-        def show(done: int, total: int) -> None:
-            bar.update(task, completed=done, total=total)
-
+    with stage_progress() as show:
         if source == 'demo':
-            write_demo_scene(scene, image_size=size, n_train=photos, progress=show)
+            write_demo_scene(scene, image_size=size, n_train=photos,
+                             progress=lambda done, total: show('images', done, total))
+            notes: list[str] = []
         else:
-            import_transforms(Path(source), scene, show)
-    from neo_ros.scenes.scene import read_scene
-    found = read_scene(scene)
+            format_ = (detect_format(Path(source)) if format_name is None
+                       else _named_format(format_name))
+            if format_ == CaptureFormat.SCENE:
+                if keyframe_distance or keyframe_angle or level:
+                    raise ConfigError(
+                        f'{source}: --keyframe-distance, --keyframe-angle and --level are for '
+                        'captures; this is a scene already and is copied as it is')
+                import_transforms(Path(source), scene,
+                                  lambda done, total: show('images', done, total))
+                notes = []
+            else:
+                notes = _import_capture(
+                    Path(source), scene, format_, image_topic, pose_topic, keyframe_distance,
+                    keyframe_angle, level, show)
+        found = read_scene(scene)
+        verdict = write_capture_report(scene, found, notes,
+                                       lambda done, total: show('capture report', done, total))
     camera = found.train.intrinsics
     tests = 'no test frames' if found.test is None else f'{len(found.test)} test frames'
+    for line in [*notes, *verdict]:
+        rich.print(escape(line))
     rich.print(f'{escape(str(scene))}: {len(found.train)} photos of '
                f'{camera.width}x{camera.height} pixels, {tests}')
+    rich.print(f'Report on the capture: {escape(str(scene / REPORT_FILE))}')
     rich.print(f'Next: neo train {escape(str(scene))} --out out/{escape(found.name)}')
+
+
+def _named_format(name: str) -> Any:
+    from neo_ros.scenes.formats import CaptureFormat
+    try:
+        return CaptureFormat(name)
+    except ValueError:
+        raise ConfigError(f'--format: expected {FORMATS}, got {name!r}') from None
+
+
+def _import_capture(source: Path, scene: Path, format_: Any, image_topic: Optional[str],
+                    pose_topic: Optional[str], keyframe_distance: Optional[float],
+                    keyframe_angle: Optional[float], level: bool, show: Any) -> list[str]:
+    """Read, place, choose and write; returns what the user should know."""
+    import math
+
+    from neo_ros.scenes.capture_writing import write_capture
+    from neo_ros.scenes.formats import CaptureFormat, FOLDER_READERS
+    from neo_ros.scenes.keyframes import keyframes
+    from neo_ros.scenes.levelling import CLEARLY_TILTED, level as level_world, tilt
+
+    notes = []
+    if format_ == CaptureFormat.BAG:
+        from neo_ros.bags.capture import read_bag_capture
+        capture = read_bag_capture(source, image_topic, pose_topic,
+                                   lambda done, total: show('messages', done, total))
+    else:
+        capture = FOLDER_READERS[format_](source)
+    if not capture.posed:
+        from neo_ros.scenes.structure_from_motion import reconstruct
+        capture, verdict = reconstruct(capture, scene / 'sfm', show)
+        notes.append(str(verdict))
+    elif level:
+        capture = level_world(capture)
+    else:
+        angle = tilt([frame.pose for frame in capture.frames if frame.pose is not None])
+        if angle > CLEARLY_TILTED:
+            notes.append(f'the photos were held {math.degrees(angle):.0f} degrees from the '
+                         "world's z axis; if z shall point up, import with --level")
+    if keyframe_distance is not None or keyframe_angle is not None:
+        capture = keyframes(
+            capture, keyframe_distance,
+            None if keyframe_angle is None else math.radians(keyframe_angle),
+            lambda done, total: show('sharpness', done, total))
+    write_capture(capture, scene, lambda done, total: show('photos', done, total))
+    return [*capture.notes, *notes]

@@ -13,7 +13,7 @@ from neo_ros.evaluation.report_plot import N_COLOURS, Plot, plot_svg, Series
 from neo_ros.evaluation.strips import Strip
 import numpy as np
 
-__all__ = ['Plot', 'Series', 'Strip', 'Table', 'Text', 'write_report']
+__all__ = ['Picture', 'Plot', 'Series', 'Strip', 'Table', 'Text', 'write_report']
 
 _PNG_UP_TO_PIXELS = 160 * 160  # JPEG saves nothing on pictures this small
 
@@ -37,7 +37,16 @@ class Table:
     strong_row: int | None = None
 
 
-Section = Text | Table | Strip | Plot
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """One large picture, RGB uint8 (H, W, 3), with a heading."""
+
+    title: str
+    image: np.ndarray
+    note: str = ''
+
+
+Section = Text | Table | Strip | Plot | Picture
 
 
 def write_report(path: Path, title: str, sections: Sequence[Section]) -> None:

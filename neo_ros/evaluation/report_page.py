@@ -42,6 +42,7 @@ tr.strong td { background: var(--mark); }
 figure { margin: 0; min-width: 0; }
 figure img { display: block; width: 100%; height: auto; border-radius: 4px;
   background: var(--card); }
+.picture { max-width: 800px; }
 figcaption { color: var(--pale); font-size: .8125rem; margin-top: .25rem; }
 .plot { background: var(--card); border-radius: 8px; padding: .8rem; max-width: 800px; }
 .plot svg { display: block; width: 100%; height: auto; }
@@ -86,6 +87,12 @@ figcaption { color: var(--pale); font-size: .8125rem; margin-top: .25rem; }
 {{ section|svg }}
 </div>
 {% if section.note %}<p class="note">{{ section.note }}</p>{% endif %}
+{% elif kind == 'Picture' %}
+<h2>{{ section.title }}</h2>
+<figure class="picture"><img src="{{ section.image|data_uri }}"
+ width="{{ section.image.shape[1] }}" height="{{ section.image.shape[0] }}"
+ alt="{{ section.title }}">
+{% if section.note %}<figcaption>{{ section.note }}</figcaption>{% endif %}</figure>
 {% elif kind == 'Strip' %}
 <h3>{{ section.title }}{% if section.note %}<span class="note">{{ section.note }}</span>
 {%- endif %}</h3>

@@ -5,8 +5,10 @@ How fast every part is on this machine, held against what the machine can do.
 
 schema_version  1
 quick           True: too short to be quoted
-host            cpu, cores, platform, load_average_1min (when the benchmarks began: figures of a
-                busy machine are not worth much), python, neo_ros, versions of packages, commit;
+host            cpu, cores, platform, python, neo_ros, versions of packages, commit;
+                load_average_1min before the start, busy (by that load, or because all cores
+                computed little more than one: others were at work, the figures are not to be
+                quoted and the floors may be too high);
                 matmul_gflops, memory_gb_s, cache_gb_s: best rates measured, by threads, see
                 `speed_host.Machine`
 records         a list, one per thing measured:
@@ -29,10 +31,12 @@ records         a list, one per thing measured:
                         stages_ms (the node's own, over its last 300 frames),
                         outside_inference_ms and share_outside_inference
 
-All inputs are drawn from fixed seeds.
+The field is synthetic, see `speed_field.box_room`; its steps are those of the last stage without
+the occupancy update after every hundredth. All inputs are drawn from fixed seeds.
 """
 from collections.abc import Callable, Iterator, Sequence
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -89,8 +93,9 @@ def run_benchmarks(model: Path, only: Sequence[str] = (), quick: bool = False,
     effort = QUICK if quick else Effort()
     total = len(names) + 1
     report('machine', 0, total)
+    load_average = os.getloadavg()[0]
     machine = measure_machine(min(effort.seconds, 1.5))
-    host = describe_host(machine)
+    host = describe_host(machine, load_average)
     records: list[Record] = []
     for done, name in enumerate(names, 1):
         report(name, done, total)

@@ -18,17 +18,16 @@ PACKAGES = ('numpy', 'onnxruntime', 'opencv-python-headless', 'rosbags', 'numba'
 MATMUL = """
 import sys, time
 import numpy as np
-size, seconds = int(sys.argv[1]), float(sys.argv[2])
-a = np.random.default_rng(0).random((size, size), np.float32)
-out = a @ a
-best, deadline = 0.0, time.perf_counter() + seconds
-while True:
-    started = time.perf_counter()
-    np.matmul(a, a, out=out)
-    now = time.perf_counter()
-    best = max(best, 2 * size ** 3 / (now - started))
-    if now > deadline:
-        break
+best = 0.0
+# Small ones get through between two turns of a neighbour, large ones show many cores at work.
+for size in (512, 1024):
+    a = np.random.default_rng(0).random((size, size), np.float32)
+    out = a @ a
+    deadline = time.perf_counter() + float(sys.argv[1]) / 2
+    while time.perf_counter() < deadline:
+        started = time.perf_counter()
+        np.matmul(a, a, out=out)
+        best = max(best, 2 * size ** 3 / (time.perf_counter() - started))
 print(best)
 """
 THREAD_VARIABLES = ('OPENBLAS_NUM_THREADS', 'OMP_NUM_THREADS', 'MKL_NUM_THREADS')
@@ -55,6 +54,12 @@ class Machine:
     memory_gb_s: dict[int, float]
     cache_gb_s: dict[int, float]
 
+    def is_busy(self, load_average: float) -> bool:
+        """Tell whether others use the cores, by the load before the measurements or by these."""
+        most = max(self.matmul_gflops)
+        outrun = most > 1 and self.matmul_gflops[most] < 1.3 * self.matmul_gflops[1]
+        return outrun or load_average > most / 2
+
     def flops(self, threads: int) -> float:
         """Floating-point operations per second; `threads` = 0 means all cores."""
         return 1e9 * _best(self.matmul_gflops, threads)
@@ -75,11 +80,11 @@ def measure_machine(seconds: float) -> Machine:
          for threads in counts})
 
 
-def describe_host(machine: Machine) -> dict[str, Any]:
+def describe_host(machine: Machine, load_average: float) -> dict[str, Any]:
     """Return what a figure's reader must know of the machine; see `neo_ros.evaluation.speed`."""
     return {
         'cpu': host(), 'cores': core_count(), 'platform': platform.platform(),
-        'load_average_1min': os.getloadavg()[0],
+        'load_average_1min': load_average, 'busy': machine.is_busy(load_average),
         'python': platform.python_version(), 'neo_ros': __version__,
         'versions': {name: _version(name) for name in PACKAGES}, 'commit': commit(),
         **{name: {str(threads): round(rate, 2) for threads, rate in rates.items()}
@@ -92,9 +97,8 @@ def _best(rates: dict[int, float], threads: int) -> float:
 
 
 def _matmul_rate(threads: int, seconds: float) -> float:
-    size = 2048 if seconds > 0.5 else 512
     result = subprocess.run(
-        [sys.executable, '-c', MATMUL, str(size), str(seconds)], check=True, text=True,
+        [sys.executable, '-c', MATMUL, str(seconds)], check=True, text=True,
         env=os.environ | dict.fromkeys(THREAD_VARIABLES, str(threads)), stdout=subprocess.PIPE)
     return float(result.stdout)
 

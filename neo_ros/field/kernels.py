@@ -17,8 +17,9 @@ import numpy as np
 
 # Light that is left is taken for none; at 8 bits a pixel this is far below one step.
 MIN_TRANSMITTANCE = 1e-4
-# Samples that contribute less get no colour lookup.
-MIN_WEIGHT = 1e-4
+# Samples that contribute less get no colour lookup. All samples of a new field are faint
+# (initial_alpha): without their colour's pull, bright surfaces would fade instead of forming.
+MIN_WEIGHT = 1e-6
 FAST: dict[str, Any] = {
     'cache': True, 'fastmath': {'nsz', 'arcp', 'contract', 'afn', 'reassoc'},
     'error_model': 'numpy'}

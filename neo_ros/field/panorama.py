@@ -1,8 +1,8 @@
 """
 Many wide views from one position: render a panorama once, then cut every view out of it.
 
-The paper renders 72 yaws at each grid point; all of them share their rays. A panorama with
-`DENSITY` times the views' resolution costs as much as a few views and yields any number.
+The paper renders 72 yaws at each grid point; all of them share their rays. A panorama a little
+finer than the views costs as much as a few of them and yields any number.
 """
 from dataclasses import dataclass
 
@@ -12,76 +12,109 @@ from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import Intrinsics
 import numpy as np
 
-# Panorama pixels per view pixel in the middle of the view, where a view is coarsest.
-DENSITY = 2.0
+# A view's pixels are coarsest in its middle; up to so many panorama pixels are spent on one there.
+MOST_DENSE = 2.0
 SUPERSAMPLE = 2
+# Radians around the sampled headings, which are not quite the extreme ones.
+MARGIN = 0.05
+
+
+@dataclass(frozen=True)
+class Band:
+    """
+    The part of the sphere that a panorama covers, radians; world z is up.
+
+    Elevations run from `top` down to `bottom`, azimuths from `low` counter-clockwise over
+    `width`, at most 2 pi.
+    """
+
+    top: float
+    bottom: float
+    low: float = -np.pi
+    width: float = 2 * np.pi
 
 
 @dataclass(frozen=True, eq=False)
 class Panorama:
     """
-    What is seen from `position`, over all azimuths and a band of elevations.
+    What is seen from `position` (3,) in a band of the sphere.
 
-    image      RGBA uint8 (H, W, 4): A is coverage, 255 = seen by a training camera
-    elevation  (top, bottom) radians above the horizon (world z is up)
+    image: RGBA uint8 (H, W, 4); A is coverage, 255 = seen by a training camera.
     """
 
     position: np.ndarray
     image: np.ndarray
-    elevation: tuple[float, float]
+    band: Band
 
     def cut_view(self, view: Intrinsics, R_world_cam: np.ndarray) -> np.ndarray:
         """
         Return RGBA uint8 (H, W, 4) of the view with that rotation (OpenCV camera axes).
 
-        Above and below the panorama's band of elevations nothing is covered: A is 0 there.
+        Outside the band nothing is covered: A is 0 there.
         """
         fine = view.scaled(SUPERSAMPLE)
         rays = fine.pixel_rays() @ R_world_cam.T.astype(np.float32)
         height, width = self.image.shape[:2]
-        azimuth = np.arctan2(rays[..., 1], rays[..., 0])
+        band = self.band
+        azimuth = np.mod(np.arctan2(rays[..., 1], rays[..., 0]) - band.low, 2 * np.pi)
         elevation = np.arctan2(rays[..., 2], np.hypot(rays[..., 0], rays[..., 1]))
-        top, bottom = self.elevation
-        columns = (azimuth / (2 * np.pi) + 0.5) * width - 0.5
-        rows = (top - elevation) / (top - bottom) * height - 0.5
+        columns = azimuth / band.width * width - 0.5
+        rows = (band.top - elevation) / (band.top - band.bottom) * height - 0.5
         cut = cv2.remap(self.image, columns.astype(np.float32),
                         np.clip(rows, 0, height - 1).astype(np.float32),
                         cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
-        cut[(rows < -1) | (rows > height), 3] = 0
+        cut[(rows < -1) | (rows > height) | (columns > width), 3] = 0
         return cv2.resize(cut, (view.width, view.height), interpolation=cv2.INTER_AREA)
 
 
 def render_panorama(field: RadianceField, position: np.ndarray, view: Intrinsics,
-                    elevation: tuple[float, float]) -> Panorama:
-    """Render all azimuths between two elevations (top, bottom), radians, for views like `view`."""
-    top, bottom = elevation
-    width = int(2 * np.pi * view.fx * DENSITY)
-    height = max(int((top - bottom) * view.fy * DENSITY), 2)
-    azimuth = ((np.arange(width) + 0.5) / width - 0.5) * 2 * np.pi
-    rise = top - (np.arange(height)[:, None] + 0.5) / height * (top - bottom)
+                    band: Band) -> Panorama:
+    """Render a band of the sphere around a position for views like `view`."""
+    # At the rim a perspective view has 1 / cos^2 as many pixels per radian as in its middle.
+    density = min(1 / np.cos(max(view.hfov, view.vfov) / 2) ** 2, MOST_DENSE)
+    width = int(band.width * view.fx * density)
+    height = max(int((band.top - band.bottom) * view.fy * density), 2)
+    azimuth = band.low + (np.arange(width) + 0.5) / width * band.width
+    rise = band.top - (np.arange(height)[:, None] + 0.5) / height * (band.top - band.bottom)
     rays = np.stack([np.cos(rise) * np.cos(azimuth), np.cos(rise) * np.sin(azimuth),
                      np.broadcast_to(np.sin(rise), (height, width))], axis=-1)
     rendering = render_rays(field, position, rays.astype(np.float32))
     image = np.dstack([rendering.image, rendering.coverage])
-    return Panorama(np.asarray(position), to_uint8(image), elevation)
+    return Panorama(np.asarray(position), to_uint8(image), band)
 
 
-def elevation_band(view: Intrinsics, rotations: np.ndarray) -> tuple[float, float]:
-    """Return (top, bottom) elevations, radians, that views with these rotations (N, 3, 3) need."""
+def view_band(view: Intrinsics, rotations: np.ndarray, yaw_range: tuple[float, float]) -> Band:
+    """
+    Find the band that views with these camera-to-world rotations (N, 3, 3) need.
+
+    yaw_range is the (low, width) that their headings lie in, radians.
+    """
     rays = view.pixel_rays()
     border = np.concatenate([rays[0], rays[-1], rays[:, 0], rays[:, -1]])
     border /= np.linalg.norm(border, axis=-1, keepdims=True)
-    rise = np.arcsin(np.clip(border @ rotations[:, 2, :].T, -1, 1))
-    top, bottom = float(rise.max()), float(rise.min())
+    world = np.einsum('nij,bj->nbi', rotations, border)
+    rise = np.arcsin(np.clip(world[..., 2], -1, 1))
     # The border does not show it when a pole lies inside the image.
-    if _any_inside(view, rotations[:, 2, :]):
-        top = np.pi / 2
-    if _any_inside(view, -rotations[:, 2, :]):
-        bottom = -np.pi / 2
-    return top, bottom
+    up = _in_image(view, rotations[:, 2, :])
+    down = _in_image(view, -rotations[:, 2, :])
+    top = np.pi / 2 if up else float(rise.max())
+    bottom = -np.pi / 2 if down else float(rise.min())
+    heading = np.arctan2(rotations[:, 1, 2], rotations[:, 0, 2])[:, None]
+    aside = np.arctan2(world[..., 1], world[..., 0]) - heading
+    reach = float(np.abs(np.angle(np.exp(1j * aside))).max()) + MARGIN
+    width = yaw_range[1] + 2 * reach
+    if up or down or width >= 2 * np.pi:
+        return Band(top, bottom)
+    return Band(top, bottom, yaw_range[0] - reach, width)
 
 
 def _any_inside(view: Intrinsics, directions: np.ndarray) -> bool:
     """Tell whether a view shows any of these directions (N, 3) in its camera's axes."""
     pixels = view.project(directions)
     return bool(((pixels > 0) & (pixels < [view.width, view.height])).all(-1).any())
+
+
+def _in_image(view: Intrinsics, directions: np.ndarray) -> bool:
+    """Tell whether any of the directions (N, 3), camera axes, shows in the image."""
+    pixels = view.project(directions)
+    return bool(((pixels >= 0) & (pixels <= [view.width, view.height])).all(axis=-1).any())

@@ -108,7 +108,7 @@ class RadianceField:
         points = np.stack(np.meshgrid(*axes, indexing='ij'), axis=-1)
         norm = np.abs(points).max(-1, keepdims=True)
         # The outermost points lie at infinity; a large number does for them.
-        far = self.shell / np.maximum(1 + self.shell - norm, 1e-2 * self.shell)
+        far = self.shell / np.maximum(1 + self.shell - norm, max(1e-2 * self.shell, 1e-9))
         points = np.where(norm > 1, points / np.maximum(norm, 1e-9) * far, points)
         return points * self.half_extent + self.centre
 

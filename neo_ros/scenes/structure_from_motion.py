@@ -1,0 +1,197 @@
+"""Poses for photos that have none: structure from motion with pycolmap, on the CPU."""
+from dataclasses import dataclass, replace
+from itertools import combinations
+import json
+from pathlib import Path
+import shutil
+from typing import Any, Callable, Iterator, Optional, Sequence
+
+from neo_ros.errors import SceneError
+from neo_ros.geometry import Intrinsics
+from neo_ros.scenes.capture import Capture
+from neo_ros.scenes.capture_writing import write_images
+from neo_ros.scenes.colmap import read_colmap_model
+from neo_ros.scenes.levelling import level
+import numpy as np
+
+# All pairs up to this number of photos; beyond it photos are taken for a walk.
+EXHAUSTIVE_UP_TO = 100
+# Along a walk: the next ones, then 16, 32, ... frames on; and some photos each with each, which
+# closes loops without a vocabulary of image words.
+NEIGHBOURS, ANCHORS = 10, 60
+FEATURES = 4096
+CHUNK = 100
+# Nobody knows the scale: the median point is put as far away as walls of a room often are.
+MEDIAN_DISTANCE = 3.0
+StageProgress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What structure from motion made of the photos; the error is the mean, in pixels."""
+
+    registered: int
+    photos: int
+    reprojection_error: float
+    points: int
+
+    def __str__(self) -> str:
+        return (
+            f'structure from motion: {self.registered} of {self.photos} photos registered '
+            f'({self.points} points, mean reprojection error {self.reprojection_error:.2f} px). '
+            f'The scale is arbitrary, not metres: the median point is {MEDIAN_DISTANCE:g} units '
+            'away')
+
+
+def reconstruct(capture: Capture, work: Path,
+                progress: StageProgress = lambda stage, done, total: None
+                ) -> tuple[Capture, Verdict]:
+    """
+    Find the poses of an unposed capture; needs pycolmap (the train extra).
+
+    All photos are of one camera: of the capture's lens if it has one, else its focal length and
+    radial distortion are estimated. `work` keeps the images, the database and the model, so
+    that an interrupted run goes on. The world is turned so that z points up. Photos that could
+    not be placed are counted in the verdict and left out. Raises SceneError where no model
+    comes about.
+    """
+    import pycolmap
+    names, pinhole = write_images(
+        capture, work, lambda done, total: progress('images', done, total))
+    chosen = [name for name in names if name is not None]
+    calibrated = all(frame.lens is not None for frame in capture.frames)
+    pycolmap.logging.minloglevel = int(pycolmap.logging.ERROR)
+    _claim(work, chosen, pinhole if calibrated else None)
+    model = work / 'model'
+    if not (model / 'images.bin').is_file():
+        database = work / 'database.db'
+        _extract(database, work, chosen, pinhole if calibrated else None, progress)
+        _match(database, work, chosen, progress)
+        _map(database, work, model, len(chosen), calibrated, progress)
+    reconstruction = pycolmap.Reconstruction(model)
+    verdict = Verdict(
+        reconstruction.num_reg_images(), len(capture),
+        reconstruction.compute_mean_reprojection_error(), reconstruction.num_points3D())
+    posed = {str(frame.file): frame for frame in read_colmap_model(model, work).frames}
+    frames = []
+    for frame, name in zip(capture.frames, names):
+        found = posed.get(str(work / str(name)))
+        if found is not None:
+            frames.append(replace(frame, pose=found.pose, lens=found.lens, file=found.file,
+                                  name=str(name)))
+    registered = Capture(tuple(frames), capture.notes)
+    scale = MEDIAN_DISTANCE / _median_depth(reconstruction)
+    return level(registered, scale), verdict
+
+
+def photo_pairs(names: Sequence[str]) -> list[tuple[str, str]]:
+    """Return which photos are compared: all, or along a walk the near ones and some far ones."""
+    count = len(names)
+    if count <= EXHAUSTIVE_UP_TO:
+        return list(combinations(names, 2))
+    steps = [*range(1, NEIGHBOURS + 1)]
+    while steps[-1] * 2 < min(count, 256):
+        steps.append(1 << steps[-1].bit_length())
+    pairs = {(i, i + step) for i in range(count) for step in steps if i + step < count}
+    anchors = np.unique(np.linspace(0, count - 1, ANCHORS).round().astype(int)).tolist()
+    pairs.update(combinations(anchors, 2))
+    return [(names[i], names[j]) for i, j in sorted(pairs)]
+
+
+def _claim(work: Path, names: list[str], pinhole: Optional[Intrinsics]) -> None:
+    """Keep the database of the same photos, and begin anew with others."""
+    note = work / 'photos.json'
+    wanted = json.dumps([names, repr(pinhole), (work / 'import.json').read_text()])
+    if note.is_file() and note.read_text() == wanted:
+        return
+    for old in ('database.db', 'database.db-wal', 'database.db-shm'):
+        (work / old).unlink(missing_ok=True)
+    shutil.rmtree(work / 'model', ignore_errors=True)
+    note.write_text(wanted)
+
+
+def _extract(database: Path, work: Path, names: list[str], pinhole: Optional[Intrinsics],
+             progress: StageProgress) -> None:
+    import pycolmap
+    reader = pycolmap.ImageReaderOptions()
+    if pinhole is not None:
+        reader.camera_model = 'PINHOLE'
+        reader.camera_params = ','.join(
+            repr(value) for value in (pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy))
+    options = pycolmap.FeatureExtractionOptions()
+    options.sift.max_num_features = FEATURES
+    done = 0
+    for chunk in _chunks(names, 8):
+        with pycolmap.Database.open(database) as stored:
+            cameras = stored.read_all_cameras()
+        if cameras:  # one camera for all chunks
+            reader.existing_camera_id = cameras[0].camera_id
+        pycolmap.extract_features(
+            database, work, list(chunk), pycolmap.CameraMode.SINGLE, reader, options,
+            pycolmap.Device.cpu)
+        done += len(chunk)
+        progress('features', done, len(names))
+
+
+def _match(database: Path, work: Path, names: list[str], progress: StageProgress) -> None:
+    import pycolmap
+    pairs = photo_pairs(names)
+    options = pycolmap.ImportedPairingOptions()
+    options.match_list_path = work / 'pairs.txt'
+    done = 0
+    for chunk in _chunks(pairs, CHUNK):  # pairs that are in the database are not matched again
+        (work / 'pairs.txt').write_text('\n'.join(f'{a} {b}' for a, b in chunk))
+        pycolmap.match_image_pairs(database, pairing_options=options,
+                                   device=pycolmap.Device.cpu)
+        done += len(chunk)
+        progress('matches', done, len(pairs))
+
+
+def _map(database: Path, work: Path, model: Path, count: int, calibrated: bool,
+         progress: StageProgress) -> None:
+    import pycolmap
+    options = pycolmap.IncrementalPipelineOptions()
+    options.random_seed = 0
+    options.min_model_size = 3
+    options.ba_refine_focal_length = options.ba_refine_extra_params = not calibrated
+    placed = [0]
+
+    def one_more() -> None:
+        placed[0] = min(placed[0] + 1, count)
+        progress('poses', placed[0], count)
+
+    folder = work / 'models'
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    models = pycolmap.incremental_mapping(
+        database, work, folder, options, next_image_callback=one_more)
+    if not models:
+        raise SceneError(
+            f'{work}: structure from motion placed none of the {count} photos. Photos need '
+            'texture, more than half in common with the one before, and a camera that moves '
+            'sideways and does not only turn')
+    best = max(models.values(), key=lambda found: found.num_reg_images())
+    partial = work / 'model.partial'
+    shutil.rmtree(partial, ignore_errors=True)
+    partial.mkdir()
+    best.write(partial)
+    partial.rename(model)
+    shutil.rmtree(folder, ignore_errors=True)
+    progress('poses', count, count)
+
+
+def _median_depth(reconstruction: Any) -> float:
+    depths = []
+    for image in reconstruction.images.values():
+        if not image.has_pose:
+            continue
+        points = [reconstruction.points3D[point.point3D_id].xyz
+                  for point in image.points2D if point.has_point3D()]
+        if points:
+            T_cam_world = image.cam_from_world().matrix()
+            depths.append(np.array(points) @ T_cam_world[2, :3] + T_cam_world[2, 3])
+    return float(np.median(np.concatenate(depths))) if depths else MEDIAN_DISTANCE
+
+
+def _chunks(items: Sequence[Any], size: int) -> Iterator[Sequence[Any]]:
+    return (items[start:start + size] for start in range(0, len(items), size))

@@ -1,0 +1,178 @@
+from typing import Any
+
+from neo_ros.errors import ConfigError, SceneError
+from neo_ros.evaluation.metrics import psnr
+from neo_ros.field.fitting import FieldConfig, FieldTrainer
+from neo_ros.field.rendering import render_view, to_uint8
+from neo_ros.field.voxel_field import RadianceField
+from neo_ros.geometry import Intrinsics
+from numba import get_num_threads, set_num_threads
+import numpy as np
+from plain_field import CENTRE, room_field, standing, WALLS
+import pytest
+
+CAMERA = Intrinsics.from_hfov(24, 20, 1.6)
+YAWS = np.linspace(0, 2 * np.pi, 12, endpoint=False)
+POSES = [standing(0.5 * np.cos(3 * yaw), 0.4 * np.sin(2 * yaw), yaw) for yaw in YAWS]
+SETTINGS: dict[str, Any] = {
+    'voxels': 8000, 'steps': 60, 'pixels_per_step': 256, 'margin': 1.5, 'subrays': 2,
+    'sh_degree': 1, 'exposure': True, 'smooth_density': 1e-4, 'smooth_colour': 1e-4}
+
+
+@pytest.fixture(scope='module')
+def images() -> np.ndarray:
+    field = room_field(40_000)
+    field.update_occupancy()
+    return np.stack([to_uint8(render_view(field, CAMERA, pose).image) for pose in POSES])
+
+
+def trainer(images: np.ndarray, seed: int = 0, **changes: Any) -> FieldTrainer:
+    return FieldTrainer(images, CAMERA, np.stack([pose.T_world_cam for pose in POSES]),
+                        FieldConfig(**{**SETTINGS, **changes}), seed)
+
+
+def trained(images: np.ndarray, until: int = 60, **changes: Any) -> FieldTrainer:
+    result = trainer(images, **changes)
+    while result.step < until:
+        result.train_step()
+    return result
+
+
+def copied(state: dict[str, Any]) -> dict[str, Any]:
+    """Copy a state as a checkpoint on disk would."""
+    return {key: value.copy() if isinstance(value, np.ndarray) else value
+            for key, value in state.items()}
+
+
+def assert_same_state(first: FieldTrainer, second: FieldTrainer) -> None:
+    a, b = first.state(), second.state()
+    assert a.keys() == b.keys()
+    for key in a:
+        np.testing.assert_array_equal(a[key], b[key], err_msg=key)
+
+
+@pytest.fixture(scope='module')
+def unbroken(images: np.ndarray) -> FieldTrainer:
+    return trained(images)
+
+
+def test_a_seed_decides_every_bit(images: np.ndarray, unbroken: FieldTrainer) -> None:
+    assert_same_state(trained(images), unbroken)
+    assert (trained(images, 3, seed=1).field.grid != trained(images, 3).field.grid).any()
+
+
+# 3, 10 and 24 are steps at which the grid is refined next.
+@pytest.mark.parametrize('stop', [3, 7, 10, 24, 59], ids=str)
+def test_a_broken_fit_goes_on_to_the_same_bits(
+        images: np.ndarray, unbroken: FieldTrainer, stop: int) -> None:
+    state = copied(trained(images, stop).state())
+    resumed = trainer(images)
+    resumed.restore(state)
+    assert resumed.step == stop
+    while resumed.step < 60:
+        resumed.train_step()
+    assert_same_state(resumed, unbroken)
+
+
+@pytest.mark.skipif(get_num_threads() < 2, reason='one processor')
+def test_the_number_of_threads_does_not_change_a_bit(
+        images: np.ndarray, unbroken: FieldTrainer) -> None:
+    before = get_num_threads()
+    try:
+        set_num_threads(1)
+        assert_same_state(trained(images), unbroken)
+    finally:
+        set_num_threads(before)
+
+
+# A field that loses the pull of faint samples leaves white walls empty for good.
+@pytest.mark.parametrize('low, high', [(0.0, 1.0), (0.0, 0.2), (0.8, 1.0)],
+                         ids=['colourful', 'dark', 'white'])
+def test_a_fit_shows_the_room_from_new_places(
+        images: np.ndarray, low: float, high: float) -> None:
+    painted = to_uint8(low + (high - low) * images.astype(np.float32) / 255)
+    result = trained(painted, 200, steps=200, voxels=30_000, sh_degree=0, exposure=False,
+                     subrays=1, smooth_density=0, smooth_colour=0)
+    truth, field, pose = room_field(40_000), result.finished(), standing(0.2, 0.1, 0.35)
+    shown = to_uint8(low + (high - low) * render_view(truth, CAMERA, pose).image)
+    print(result.psnr, psnr(shown, to_uint8(render_view(field, CAMERA, pose).image)), field.centre,field.half_extent)
+    assert psnr(shown, to_uint8(render_view(field, CAMERA, pose).image)) > 22
+    assert np.abs(field.centre - CENTRE).max() < 0.4
+    assert (field.half_extent < WALLS + 0.6).all()
+
+
+def test_gains_find_the_exposure_of_the_photos(images: np.ndarray) -> None:
+    dark = images.copy()
+    dark[::2] = (dark[::2] * 0.7).astype(np.uint8)
+    result = trained(dark, 150, steps=150, sh_degree=0)
+    gain = np.exp(result.log_gain)
+    assert gain[::2].mean() / gain[1::2].mean() == pytest.approx(0.7, abs=0.1)
+    np.testing.assert_allclose(result.log_gain.mean(0), 0, atol=1e-5)
+    assert not trained(dark, 20, exposure=False).log_gain.any()
+
+
+def looking_at(field: RadianceField, images: np.ndarray, **changes: Any) -> FieldTrainer:
+    result = trainer(images, pixels_per_step=4096, subrays=1, **changes)
+    result.field, result.random = field, np.random.default_rng(0)
+    return result
+
+
+def test_the_content_box_is_the_room(images: np.ndarray) -> None:
+    # The first guess: metres around the cameras, far larger than the room.
+    field = room_field(120_000, half_extent=WALLS + 2.0)
+    field.update_occupancy()
+    centre, half = looking_at(field, images).content_box()
+    np.testing.assert_allclose(centre, CENTRE, atol=0.12)
+    assert (half > WALLS - 0.05).all() and (half < WALLS + 0.3).all()
+
+
+def test_a_view_through_a_window_does_not_stretch_the_box(images: np.ndarray) -> None:
+    field = room_field(120_000, half_extent=WALLS + 2.0)
+    points = field.world_points().reshape(-1, 3) - CENTRE
+    window = (points[:, 0] > 0) & (np.abs(points[:, 1:]) < 0.2).all(1)
+    field.grid[window, 0] = np.where(points[window, 0] < WALLS[0] + 1.5, -8, 40)
+    field.update_occupancy()
+    centre, half = looking_at(field, images).content_box()
+    assert centre[0] + half[0] < CENTRE[0] + WALLS[0] + 0.4
+
+
+def test_a_field_that_shows_nothing_yet_keeps_its_box(images: np.ndarray) -> None:
+    start = trainer(images)
+    start.random = np.random.default_rng(0)
+    centre, half = start.content_box()
+    np.testing.assert_array_equal(centre, start.field.centre)
+    np.testing.assert_array_equal(half, start.field.half_extent)
+
+
+def test_what_no_photo_shows_is_not_covered(images: np.ndarray) -> None:
+    result = looking_at(room_field(40_000), images)
+    ahead = np.stack([standing(-0.3, y, 0.0).T_world_cam for y in (-0.5, 0.0, 0.5)])
+    result.rotations = ahead[:, :3, :3].astype(np.float32)
+    result.origins = ahead[:, :3, 3].astype(np.float32)
+    field = result.finished()
+    seen = render_view(field, CAMERA, standing(-0.1, 0.1, 0.0))
+    behind = render_view(field, CAMERA, standing(0.0, 0.0, np.pi))
+    print(seen.coverage.mean(), behind.coverage.mean(), behind.opacity.mean())
+    assert seen.coverage.mean() > 0.9
+    assert behind.coverage.mean() < 0.02 and behind.opacity.mean() > 0.99
+
+
+def test_a_fit_that_left_nothing_says_so(images: np.ndarray) -> None:
+    with pytest.raises(SceneError, match='the photos left nothing in it; are the poses right'):
+        trainer(images).finished()
+
+
+@pytest.mark.parametrize('changes, message', [
+    ({'sh_degree': 3}, 'field.sh_degree: expected 0, 1 or 2, got 3'),
+    ({'steps': 9}, 'expected steps >= 10'),
+    ({'voxels': 10}, 'voxels >= 1000'),
+    ({'pixels_per_step': 0}, 'pixels_per_step >= 1'),
+    ({'subrays': 0}, 'expected subrays >= 1'),
+    ({'margin': 0.0}, 'margin > 0'),
+    ({'learning_rate': float('nan')}, 'learning_rate > 0'),
+    ({'shell': -0.1}, 'expected shell and near >= 0'),
+    ({'near': -1.0}, 'expected shell and near >= 0'),
+], ids=str)
+def test_settings_out_of_range(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        FieldConfig(**changes)

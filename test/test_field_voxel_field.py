@@ -1,0 +1,135 @@
+from pathlib import Path
+
+from hypothesis import given, strategies as st
+from neo_ros.errors import SceneError
+from neo_ros.evaluation.metrics import psnr
+from neo_ros.field.rendering import render_view, to_uint8
+from neo_ros.field.voxel_field import OCCUPIED_ALPHA, RadianceField
+from neo_ros.geometry import Intrinsics
+import numpy as np
+from plain_field import CENTRE, room_field, standing, WALLS
+import pytest
+
+VIEW = Intrinsics.from_hfov(48, 40, 1.6)
+shells = st.floats(0.05, 2.0)
+
+
+@given(shells, st.tuples(*[st.floats(0.3, 9.0)] * 3))
+def test_contraction_undoes_its_inverse(shell: float, half: tuple[float, float, float]) -> None:
+    field = RadianceField.empty(1000, CENTRE, np.array(half), shell, 0)
+    axes = [np.linspace(-1, 1, size) for size in field.shape]
+    expected = np.stack(np.meshgrid(*axes, indexing='ij'), axis=-1)
+    found = field.grid_position(field.world_points())
+    # The outermost points stand for infinity and come back a hundredth of the shell short.
+    rim = np.abs(expected).max(-1) > 1 - 1e-9
+    np.testing.assert_allclose(found[~rim], expected[~rim], atol=1e-9)
+    np.testing.assert_allclose(found[rim], expected[rim], atol=0.011 * shell / (1 + shell))
+
+
+@given(shells, st.integers(0, 99))
+def test_the_whole_world_fits_into_the_grid(shell: float, seed: int) -> None:
+    field = RadianceField.empty(1000, CENTRE, WALLS, shell, 0)
+    random = np.random.default_rng(seed)
+    points = CENTRE + random.normal(size=(50, 3)) * 10 ** random.uniform(-2, 5, (50, 1))
+    position = field.grid_position(points)
+    assert np.abs(position).max() <= 1
+    inside = np.abs((points - CENTRE) / WALLS).max(1) <= 1
+    np.testing.assert_allclose(position[inside], ((points - CENTRE) / WALLS)[inside] / (1 + shell))
+    assert (np.abs(position[~inside]).max(1) >= 1 / (1 + shell) - 1e-9).all()
+
+
+def test_without_a_shell_the_grid_is_the_box() -> None:
+    field = RadianceField.empty(1000, CENTRE, WALLS, 0.0, 0)
+    corners = field.world_points()[[0, -1], [0, -1], [0, -1]]
+    np.testing.assert_allclose(corners, [CENTRE - WALLS, CENTRE + WALLS])
+
+
+@pytest.mark.parametrize('sh_degree, terms', [(0, 1), (1, 4), (2, 9)], ids=str)
+def test_an_empty_field_has_cubic_voxels_and_is_grey(sh_degree: int, terms: int) -> None:
+    field = RadianceField.empty(50_000, CENTRE, WALLS, 0.2, sh_degree)
+    assert len(field.grid) == pytest.approx(50_000, rel=0.15)
+    assert field.terms == terms and field.grid.shape[1] == 1 + 3 * terms
+    edges = 2 * WALLS * 1.2 / (np.array(field.shape) - 1)
+    np.testing.assert_allclose(edges, field.voxel, rtol=0.05)
+    rendering = render_view(field, VIEW, standing())
+    np.testing.assert_allclose(rendering.image, 0.5, atol=1e-3)
+    assert rendering.opacity.max() < 0.05
+
+
+def test_a_finer_grid_keeps_the_picture() -> None:
+    coarse = room_field(30_000)
+    fine = coarse.resampled(120_000, CENTRE + 0.05, WALLS * 1.2)
+    assert len(fine.grid) > 3 * len(coarse.grid) and fine.terms == coarse.terms
+    assert (fine.near, fine.step, fine.shell) == (coarse.near, coarse.step, coarse.shell)
+    for yaw in (0.0, 2.0):
+        images = [to_uint8(render_view(field, VIEW, standing(0.2, 0.1, yaw)).image)
+                  for field in (coarse, fine)]
+        assert psnr(*images) > 33
+
+
+def test_resampling_onto_the_same_grid_changes_nothing() -> None:
+    field = room_field(20_000, sh_degree=1)
+    again = field.resampled(20_000, field.centre, field.half_extent)
+    assert again.shape == field.shape
+    # But for the outermost points, which lie at infinity.
+    inner = (np.abs(field.grid_position(field.world_points())).max(-1) < 0.99).ravel()
+    np.testing.assert_allclose(again.grid[inner], field.grid[inner], atol=5e-3)
+
+
+def test_occupancy_counts_the_cells_to_the_nearest_matter() -> None:
+    field = RadianceField.empty(8000, CENTRE, WALLS, 0.2, 0)
+    field.grid[:, 0] = -10
+    place = (7, 9, 6)
+    field.grid[np.ravel_multi_index(place, field.shape), 0] = 30
+    share = field.update_occupancy()
+    skip = field.skip.reshape(field.shape)
+    # A grid point is a corner of eight cells; a cell stands at its lowest corner.
+    low, high = np.array(place) - 1, np.array(place)
+    index = np.moveaxis(np.array(np.indices(field.shape)), 0, -1)
+    away = np.maximum(np.maximum(low - index, index - high), 0).max(-1)
+    np.testing.assert_array_equal(skip, np.minimum(away, 255))
+    assert share == pytest.approx(8 / len(field.grid))
+
+
+@pytest.mark.parametrize('factor, occupied', [(0.9, False), (1.1, True)], ids=['thin', 'thick'])
+def test_occupied_means_opaque_enough_in_one_step(factor: float, occupied: bool) -> None:
+    field = RadianceField.empty(1000, CENTRE, WALLS, 0.2, 0)
+    sigma = -np.log(1 - factor * OCCUPIED_ALPHA) / field.step
+    field.grid[:, 0] = np.log(np.expm1(sigma)) - field.shift
+    assert (field.update_occupancy() > 0) == occupied
+    # An empty field, early in a fit, is searched everywhere.
+    assert (field.skip == 0).any() and (occupied or not field.skip.any())
+
+
+def test_saved_fields_read_back(tmp_path: Path) -> None:
+    field = room_field(10_000, sh_degree=1)
+    field.near = 0.25
+    field.update_occupancy()
+    field.seen = np.random.default_rng(0).integers(0, 2, len(field.grid)).astype(np.uint8)
+    field.save(tmp_path / 'field.npz')
+    again = RadianceField.load(tmp_path / 'field.npz')
+    assert [path.name for path in tmp_path.iterdir()] == ['field.npz']
+    assert (again.shape, again.near, again.shell) == (field.shape, 0.25, field.shell)
+    for name in ('grid', 'skip', 'seen', 'centre', 'half_extent'):
+        np.testing.assert_array_equal(getattr(again, name), getattr(field, name))
+    for first, second in zip(render_view(field, VIEW, standing()),
+                             render_view(again, VIEW, standing())):
+        np.testing.assert_array_equal(first, second)
+
+
+@pytest.mark.parametrize('content', [None, b'', b'no field', 'cut'], ids=[
+    'missing', 'empty', 'text', 'cut off'])
+def test_what_is_no_field_is_refused(tmp_path: Path, content: bytes | str | None) -> None:
+    path = tmp_path / 'field.npz'
+    if content == 'cut':
+        room_field(5000).save(path)
+        path.write_bytes(path.read_bytes()[:2000])
+    elif isinstance(content, bytes):
+        path.write_bytes(content)
+    with pytest.raises(SceneError, match='field.npz: expected a radiance field'):
+        RadianceField.load(path)
+
+
+def test_an_unwritable_place_is_named(tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match='field.npz: cannot write the field'):
+        room_field(5000).save(tmp_path / 'none' / 'field.npz')
