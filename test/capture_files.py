@@ -1,38 +1,154 @@
-"""Small captures on disk for tests: pictures, poses, transforms files."""
+"""One small posed capture of the demo flat, written as every format that `neo import` reads."""
+from dataclasses import dataclass
+from functools import lru_cache
+import json
 import math
 from pathlib import Path
-from typing import Optional
+import struct
+from typing import Sequence
 
 import cv2
+from neo_ros.bags import write_demo_bag
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
-from neo_ros.scenes.posed_images import PosedImages
-from neo_ros.scenes.transforms_json import write_transforms
+from neo_ros.geometry.camera_pose import quaternion_from_rotation
+from neo_ros.scenes.demo_flat import build_demo_flat
 import numpy as np
 
-CAMERA = Intrinsics(16, 12, 10.0, 11.0, 7.5, 6.5)
+# The camera of 7-Scenes at a tenth of its size: all formats can say this one.
+CAMERA = Intrinsics(64, 48, 58.5, 58.5, 32.0, 24.0)
+START_NS, STEP_NS = 1_700_000_000_000_000_000, 100_000_000
 
 
-def picture(camera: Intrinsics, seed: int) -> np.ndarray:
-    """Return uint8 RGB noise, coarse enough to survive being resized."""
-    coarse = np.random.default_rng(seed).integers(0, 256, (3, 4, 3), np.uint8)
-    return cv2.resize(coarse, (camera.width, camera.height))
+@dataclass(frozen=True, eq=False)
+class Photos:
+    """Pictures (N, H, W, 3) uint8 with their poses."""
+
+    images: np.ndarray
+    poses: tuple[CameraPose, ...]
 
 
-def write_picture(path: Path, image: np.ndarray) -> None:
+@lru_cache(maxsize=None)
+def demo_photos(count: int = 5, camera: Intrinsics = CAMERA) -> Photos:
+    """Render a short walk that also tilts the camera."""
+    flat = build_demo_flat()
+    poses = []
+    for i in range(count):
+        T = CameraPose.from_planar(2.6 + 0.1 * i, 1.2, 1.5, 0.3 * i).T_world_cam.copy()
+        tilt = 0.05 * i
+        T[:3, :3] = T[:3, :3] @ np.array([
+            [1, 0, 0], [0, math.cos(tilt), -math.sin(tilt)],
+            [0, math.sin(tilt), math.cos(tilt)]])
+        poses.append(CameraPose(T))
+    return Photos(np.stack([flat.render(camera, pose)[0] for pose in poses]), tuple(poses))
+
+
+def write_image(path: Path, image: np.ndarray) -> Path:
+    """Write RGB uint8, uint16 or grayscale."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    assert cv2.imwrite(str(path), image[..., ::-1])
+    assert cv2.imwrite(str(path), image[..., ::-1] if image.ndim == 3 else image)
+    return path
 
 
-def write_capture(folder: Path, count: int = 3, camera: Intrinsics = CAMERA,
-                  name: str = 'transforms_train.json', images: str = 'images',
-                  expansion: Optional[ViewExpansion] = None, suffix: str = '.png') -> PosedImages:
-    """Write `count` pictures and their transforms file; poses go round in a circle."""
-    paths = tuple(folder / images / f'{index}{suffix}' for index in range(count))
-    for index, path in enumerate(paths):
-        write_picture(path, picture(camera, index))
-    turn = 2 * math.pi / count
-    poses = tuple(CameraPose.from_planar(math.cos(i * turn), math.sin(i * turn), 1.5, i * turn)
-                  for i in range(count))
-    capture = PosedImages(camera, paths, poses, tuple(i // 2 for i in range(count)))
-    write_transforms(folder / name, capture, expansion)
-    return capture
+def write_matrix(path: Path, matrix: np.ndarray) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    np.savetxt(path, matrix, fmt='%.17g')
+
+
+def write_transforms_capture(folder: Path, photos: Photos, **camera: object) -> Path:
+    keys: dict[str, object] = {
+        'camera_model': 'OPENCV', 'w': CAMERA.width, 'h': CAMERA.height, 'fl_x': CAMERA.fx,
+        'fl_y': CAMERA.fy, 'cx': CAMERA.cx, 'cy': CAMERA.cy, 'k1': 0.0, 'k2': 0.0, 'p1': 0.0,
+        'p2': 0.0, 'applied_transform': np.eye(4)[:3].tolist()}
+    frames = []
+    for index, (image, pose) in enumerate(zip(photos.images, photos.poses)):
+        write_image(folder / f'images/{index}.png', image)
+        frames.append({'file_path': f'images/{index}.png',
+                       'transform_matrix': pose.to_opengl().tolist()})
+    (folder / 'transforms.json').write_text(json.dumps({**keys, **camera, 'frames': frames}))
+    return folder
+
+
+def colmap_rows(photos: Photos) -> list[tuple[list[float], str]]:
+    """Return QW QX QY QZ TX TY TZ and the name of every image."""
+    rows = []
+    for index, pose in enumerate(photos.poses):
+        T_cam_world = pose.inverse()
+        x, y, z, w = quaternion_from_rotation(T_cam_world[:3, :3])
+        rows.append(([w, x, y, z, *T_cam_world[:3, 3]], f'{index}.png'))
+    return rows
+
+
+def write_colmap_images(folder: Path, photos: Photos) -> None:
+    for index, image in enumerate(photos.images):
+        write_image(folder / f'images/{index}.png', image)
+
+
+def write_colmap_text(folder: Path, photos: Photos, model: str = 'PINHOLE',
+                      params: Sequence[float] = (58.5, 58.5, 32, 24)) -> Path:
+    write_colmap_images(folder, photos)
+    place = folder / 'sparse' / '0'
+    place.mkdir(parents=True)
+    (place / 'cameras.txt').write_text(
+        f'# comment\n7 {model} 64 48 {" ".join(map(str, params))}\n')
+    # The second line of every image lists its points; the last image has none.
+    (place / 'images.txt').write_text('# comment\n' + ''.join(
+        f'{index + 1} {" ".join(map(repr, map(float, numbers)))} 7 {name}\n'
+        + ('1.5 2.5 -1 3.5 4.5 12\n' if index < 2 else '\n')
+        for index, (numbers, name) in enumerate(colmap_rows(photos))))
+    return folder
+
+
+def write_colmap_binary(folder: Path, photos: Photos) -> Path:
+    write_colmap_images(folder, photos)
+    place = folder / 'sparse'
+    place.mkdir()
+    (place / 'cameras.bin').write_bytes(
+        struct.pack('<QIiQQ4d', 1, 7, 1, 64, 48, 58.5, 58.5, 32, 24))
+    data = struct.pack('<Q', len(photos.poses))
+    for index, (numbers, name) in enumerate(colmap_rows(photos)):
+        data += struct.pack('<I7dI', index + 1, *numbers, 7) + name.encode() + b'\0'
+        data += struct.pack('<Qddqddq', 2, 1.5, 2.5, -1, 3.5, 4.5, 12)
+    (place / 'images.bin').write_bytes(data)
+    return folder
+
+
+def write_scannet(folder: Path, photos: Photos) -> Path:
+    for index, (image, pose) in enumerate(zip(photos.images, photos.poses)):
+        write_image(folder / f'color/{index}.png', image)
+        write_matrix(folder / f'pose/{index}.txt', pose.T_world_cam)
+    matrix = np.eye(4)
+    matrix[:3, :3] = CAMERA.matrix
+    write_matrix(folder / 'intrinsic/intrinsic_color.txt', matrix)
+    return folder
+
+
+def write_seven_scenes(folder: Path, photos: Photos) -> Path:
+    for index, (image, pose) in enumerate(zip(photos.images, photos.poses)):
+        stem = folder / f'seq-{1 + index // 3:02d}/frame-{index:06d}'
+        write_image(stem.with_name(stem.name + '.color.png'), image)
+        write_matrix(stem.with_name(stem.name + '.pose.txt'), pose.T_world_cam)
+    return folder
+
+
+def write_trajectory(folder: Path, photos: Photos, axes: str = 'opencv') -> Path:
+    for index, image in enumerate(photos.images):
+        write_image(folder / f'rgb/frame{index}.png', image)
+        write_image(folder / f'rgb/depth{index}.png', image[..., 0])
+    matrices = [pose.T_world_cam if axes == 'opencv' else pose.to_opengl()
+                for pose in photos.poses]
+    (folder / 'traj.txt').write_text(''.join(
+        ' '.join(map(repr, map(float, matrix.ravel()))) + '\n' for matrix in matrices))
+    (folder / 'camera.json').write_text(json.dumps({
+        'camera': {'w': 64, 'h': 48, 'fx': 58.5, 'fy': 58.5, 'cx': 32, 'cy': 24},
+        'axes': axes}))
+    return folder
+
+
+def write_bag(folder: Path, photos: Photos) -> Path:
+    """Write the photos as the inner window of wide frames with a black border."""
+    expansion = ViewExpansion.to_size(CAMERA, 80, 56)
+    wide = np.zeros((len(photos.images), 56, 80, 3), np.uint8)
+    wide[(slice(None), *expansion.observed)] = photos.images
+    write_demo_bag(folder, ((START_NS + i * STEP_NS, wide[i], pose)
+                            for i, pose in enumerate(photos.poses)), expansion)
+    return folder

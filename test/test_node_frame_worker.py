@@ -4,7 +4,7 @@ import time
 from types import SimpleNamespace
 
 from camera_messages import image_message, noise_image
-from neo_ros.node.frame_processor import FrameProcessor
+from neo_ros.messages.frame_processor import FrameProcessor
 from neo_ros.node.frame_statistics import Statistics
 from neo_ros.node.frame_worker import Frame, FrameWorker, Wanted
 from neo_ros.runtime import WideView

@@ -2,7 +2,7 @@ import json
 from pathlib import Path
 import shutil
 
-from capture_files import CAMERA, picture, write_capture, write_picture
+from scene_files import CAMERA, picture, write_capture, write_picture
 from neo_ros.errors import SceneError
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.scenes.importing import import_transforms

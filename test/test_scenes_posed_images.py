@@ -1,7 +1,7 @@
 from pathlib import Path
 import struct
 
-from capture_files import CAMERA, picture, write_capture, write_picture
+from scene_files import CAMERA, picture, write_capture, write_picture
 import cv2
 from neo_ros.errors import SceneError
 from neo_ros.geometry import CameraPose, Intrinsics

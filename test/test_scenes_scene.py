@@ -1,6 +1,6 @@
 from pathlib import Path
 
-from capture_files import CAMERA, write_capture
+from scene_files import CAMERA, write_capture
 from neo_ros.errors import SceneError
 from neo_ros.geometry import ViewExpansion
 from neo_ros.scenes.scene import read_scene

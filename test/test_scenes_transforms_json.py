@@ -4,7 +4,7 @@ import math
 from pathlib import Path
 from typing import Any, Callable
 
-from capture_files import CAMERA, write_capture
+from scene_files import CAMERA, write_capture
 from neo_ros.errors import SceneError
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.scenes.transforms_json import read_input_crop, read_transforms, write_transforms

@@ -9,9 +9,7 @@ from typing import Any
 from neo_ros.bags.reading import BagMessage, BagReader, BagTopic, describe_topics
 from neo_ros.bags.writing import BagWriter
 from neo_ros.errors import BagError, ImageRejected
-from neo_ros.messages import (
-    camera_info_fields, check_same_camera, expand_camera_info, image_fields, read_camera_info,
-    read_image)
+from neo_ros.messages import FrameProcessor, image_fields, read_image
 from neo_ros.runtime import FovExtrapolator
 import numpy as np
 
@@ -83,13 +81,14 @@ class _Replay:
         self._topics = {
             name: writer.add_topic(topic, CAMERA_INFO if name == 'camera_info' else IMAGE)
             for topic, name in self.outputs.items()}
-        self._writer, self._extrapolator, self._result = writer, extrapolator, result
+        self._writer, self._result = writer, result
+        self._target = extrapolator.expansion.target
         self._types = writer.typestore.types
         self._image_topic, self._truth_topic = source.name, truth_topic
         self._info_topic = next((topic.name for topic in reader.topics if (
             topic.name, topic.msgtype) == (f'{camera}/camera_info', CAMERA_INFO)), None)
         self._camera_info: Any = None
-        self._mask_image = extrapolator.extrapolated_mask.astype(np.uint8) * 255
+        self._processor = FrameProcessor(extrapolator)
         self._on_pair = on_pair
         self._unmatched: tuple[dict[int, np.ndarray], dict[int, np.ndarray]] = ({}, {})
 
@@ -110,33 +109,22 @@ class _Replay:
     def _take_image(self, message: BagMessage) -> None:
         """Write the outputs of one image, as the node would publish them."""
         content = _read(message)
-        image = read_image(content)
-        camera_info = self._wide_camera_info()
-        started = time.perf_counter()
-        view = self._extrapolator.expand(image)
-        self._result.expand_seconds += time.perf_counter() - started
-        self._write('camera_info', message.stamp_ns, content.header, camera_info)
-        for name, pixels in (('mask', self._mask_image), ('confidence', view.confidence),
-                             ('image', view.wide_image)):
-            self._write(name, message.stamp_ns, content.header, image_fields(pixels))
-        self._result.frames += 1
-        self._pair(0, _stamp_ns(content.header), view.wide_image)
-
-    def _wide_camera_info(self) -> dict[str, Any]:
-        """Expand the newest camera_info; before there is one, it is the model's camera."""
-        expansion = self._extrapolator.expansion
-        if self._camera_info is None:
-            fields = camera_info_fields(expansion.target)
-        else:
-            check_same_camera(read_camera_info(self._camera_info), expansion.source)
-            fields = expand_camera_info(self._camera_info, expansion)
+        frame = self._processor.process(content, self._camera_info)
+        self._result.expand_seconds += frame.stages_ms['infer'] / 1e3
         whole = self._types['sensor_msgs/msg/RegionOfInterest'](
             x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
-        return {'binning_x': 0, 'binning_y': 0, 'roi': whole, **fields}
+        self._write('camera_info', message.stamp_ns, content.header,
+                    {'binning_x': 0, 'binning_y': 0, 'roi': whole, **frame.camera_info})
+        assert frame.image is not None and frame.confidence is not None
+        for name, pixels in (('mask', frame.extrapolated_mask), ('confidence', frame.confidence),
+                             ('image', frame.image)):
+            self._write(name, message.stamp_ns, content.header, image_fields(pixels))
+        self._result.frames += 1
+        self._pair(0, _stamp_ns(content.header), frame.image)
 
     def _take_truth(self, message: BagMessage) -> None:
         content = _read(message)
-        truth, target = read_image(content), self._extrapolator.expansion.target
+        truth, target = read_image(content), self._target
         if truth.shape[:2] != (target.height, target.width):
             raise ImageRejected('size', f'truth: expected {target.width}x{target.height}, got '
                                 f'{truth.shape[1]}x{truth.shape[0]}')

@@ -9,15 +9,18 @@ from neo_ros.messages.camera_info import (
     expand_camera_info,
     read_camera_info,
 )
+from neo_ros.messages.frame_processor import FrameProcessor, WideFrame
 from neo_ros.messages.image import image_fields, MONO8, read_image, RGB8
 
 __all__ = [
     'camera_info_fields',
     'check_same_camera',
     'expand_camera_info',
+    'FrameProcessor',
     'image_fields',
     'MONO8',
     'read_camera_info',
     'read_image',
     'RGB8',
+    'WideFrame',
 ]

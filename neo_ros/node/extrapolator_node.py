@@ -7,8 +7,8 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from neo_ros.errors import NeoError
+from neo_ros.messages.frame_processor import Extrapolator, FrameProcessor
 from neo_ros.node.diagnostics import build_array, build_status, Health
-from neo_ros.node.frame_processor import Extrapolator, FrameProcessor
 from neo_ros.node.frame_statistics import Statistics
 from neo_ros.node.frame_worker import Frame, FrameWorker
 from neo_ros.node.parameters import (

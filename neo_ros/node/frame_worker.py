@@ -6,7 +6,7 @@ import time
 from typing import Any, NamedTuple, Protocol
 
 from neo_ros.errors import ImageRejected
-from neo_ros.node.frame_processor import FrameProcessor, WideFrame
+from neo_ros.messages.frame_processor import FrameProcessor, WideFrame
 from neo_ros.node.frame_statistics import Statistics
 from neo_ros.node.one_slot import Mailbox
 

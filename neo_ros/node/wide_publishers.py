@@ -4,7 +4,7 @@ from typing import Any
 
 from neo_ros.geometry import Intrinsics
 from neo_ros.messages import image_fields
-from neo_ros.node.frame_processor import WideFrame
+from neo_ros.messages.frame_processor import WideFrame
 from neo_ros.node.frame_worker import Wanted
 import numpy as np
 from rclpy.lifecycle import LifecycleNode

@@ -1,29 +1,36 @@
-"""From one camera message to the content of the wide messages; no ROS in here."""
+"""From one camera message to the content of the wide messages: the node's and the replay's way."""
 from dataclasses import dataclass
 import time
 from typing import Any, Protocol
 
 from neo_ros.errors import ImageRejected
 from neo_ros.geometry import ViewExpansion
-from neo_ros.messages import (
-    camera_info_fields,
-    check_same_camera,
-    expand_camera_info,
-    read_camera_info,
-    read_image,
-)
-from neo_ros.runtime import WideView
+from neo_ros.messages.camera_info import (
+    camera_info_fields, check_same_camera, expand_camera_info, read_camera_info)
+from neo_ros.messages.image import read_image
 import numpy as np
 
 
+class View(Protocol):
+    """A widened image and how sure the model is of its pixels, as in runtime's WideView."""
+
+    @property
+    def wide_image(self) -> np.ndarray:
+        """Uint8 RGB (H, W, 3)."""
+
+    @property
+    def confidence(self) -> np.ndarray:
+        """Uint8 (H, W), 255 = sure."""
+
+
 class Extrapolator(Protocol):
-    """What the node needs of a FovExtrapolator."""
+    """What is needed of a FovExtrapolator."""
 
     @property
     def expansion(self) -> ViewExpansion:
         """The source and target views of the model."""
 
-    def expand(self, image: np.ndarray) -> WideView:
+    def expand(self, image: np.ndarray) -> View:
         """Widen one camera image, uint8 RGB (h, w, 3)."""
 
 

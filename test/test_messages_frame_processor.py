@@ -5,7 +5,7 @@ from camera_messages import camera_info_message, image_message, noise_image
 from neo_ros.errors import ImageRejected
 from neo_ros.geometry import Intrinsics
 from neo_ros.messages import camera_info_fields
-from neo_ros.node.frame_processor import FrameProcessor
+from neo_ros.messages.frame_processor import FrameProcessor
 from neo_ros.runtime import FovExtrapolator
 import numpy as np
 import pytest

@@ -1,0 +1,290 @@
+"""Every format gives back the same photos and poses, and says clearly what is wrong."""
+from dataclasses import astuple
+import json
+from pathlib import Path
+from typing import Callable
+
+from capture_files import (
+    CAMERA, demo_photos, START_NS, STEP_NS, write_bag, write_colmap_binary, write_colmap_text, write_image,
+    write_matrix, write_scannet, write_seven_scenes, write_trajectory, write_transforms_capture)
+from neo_ros.bags.capture import read_bag_capture
+from neo_ros.errors import SceneError
+from neo_ros.scenes.capture import Capture
+from neo_ros.scenes.capture_writing import write_capture
+from neo_ros.scenes.colmap import read_colmap
+from neo_ros.scenes.formats import CaptureFormat, detect_format, FOLDER_READERS
+from neo_ros.scenes.photos import read_photos
+from neo_ros.scenes.scannet import read_scannet
+from neo_ros.scenes.scene import read_scene
+from neo_ros.scenes.seven_scenes import read_seven_scenes
+from neo_ros.scenes.trajectory import read_trajectory
+from neo_ros.scenes.transforms_capture import read_transforms_capture
+import numpy as np
+import pytest
+
+FORMATS: dict[str, tuple[Callable[..., Path], CaptureFormat]] = {
+    'transforms': (write_transforms_capture, CaptureFormat.TRANSFORMS),
+    'colmap text': (write_colmap_text, CaptureFormat.COLMAP),
+    'colmap binary': (write_colmap_binary, CaptureFormat.COLMAP),
+    'scannet': (write_scannet, CaptureFormat.SCANNET),
+    '7scenes': (write_seven_scenes, CaptureFormat.SEVEN_SCENES),
+    'trajectory': (write_trajectory, CaptureFormat.TRAJECTORY),
+    'bag': (write_bag, CaptureFormat.BAG),
+}
+
+
+def read(source: Path) -> Capture:
+    format_ = detect_format(source)
+    return (read_bag_capture(source) if format_ == CaptureFormat.BAG
+            else FOLDER_READERS[format_](source))
+
+
+@pytest.mark.parametrize('write, format_', FORMATS.values(), ids=FORMATS.keys())
+def test_every_format_gives_the_same_scene(tmp_path: Path, write: Callable[..., Path],
+                                           format_: CaptureFormat) -> None:
+    photos = demo_photos()
+    source = write(tmp_path / 'source', photos)
+    assert detect_format(source) == format_
+    write_capture(read(source), tmp_path / 'scene')
+    found = read_scene(tmp_path / 'scene').train
+    assert astuple(found.intrinsics) == pytest.approx(astuple(CAMERA), abs=1e-9)
+    np.testing.assert_allclose(
+        found.T_world_cam, [pose.T_world_cam for pose in photos.poses], atol=1e-6)
+    np.testing.assert_array_equal(found.read_images(), photos.images)
+    assert found.path_ids == ((0, 0, 0, 1, 1) if format_ == CaptureFormat.SEVEN_SCENES
+                              else (0,) * 5)
+
+
+def test_a_plain_folder_of_images_is_taken_for_photos(tmp_path: Path) -> None:
+    write_image(tmp_path / 'b10.jpg', demo_photos().images[0])
+    write_image(tmp_path / 'b9.jpg', demo_photos().images[1])
+    assert detect_format(tmp_path) == CaptureFormat.PHOTOS
+    capture = read_photos(tmp_path)
+    assert [frame.name for frame in capture.frames] == ['images/b9.jpg', 'images/b10.jpg']
+    assert not capture.posed
+
+
+def test_habitat_poses_look_along_minus_z(tmp_path: Path) -> None:
+    photos = demo_photos()
+    capture = read_trajectory(write_trajectory(tmp_path / 's', photos, axes='opengl'))
+    for frame, pose in zip(capture.frames, photos.poses):
+        assert frame.pose is not None
+        np.testing.assert_allclose(frame.pose.T_world_cam, pose.T_world_cam, atol=1e-12)
+
+
+def test_a_camera_of_habitat_is_given_by_its_field_of_view(tmp_path: Path) -> None:
+    source = write_trajectory(tmp_path / 's', demo_photos())
+    (source / 'camera.json').write_text(json.dumps({'w': 64, 'h': 48, 'hfov': 90}))
+    lens = read_trajectory(source).frames[0].lens
+    assert lens is not None and lens.intrinsics.fx == pytest.approx(32)
+    assert (lens.intrinsics.cx, lens.intrinsics.cy) == (32, 24)
+
+
+def test_instant_ngp_states_an_angle_and_leaves_the_ending_out(tmp_path: Path) -> None:
+    source = write_transforms_capture(tmp_path / 's', demo_photos())
+    document = json.loads((source / 'transforms.json').read_text())
+    for frame in document['frames']:
+        frame['file_path'] = './' + frame['file_path'].removesuffix('.png')
+    (source / 'transforms.json').write_text(json.dumps(
+        {'camera_angle_x': 2 * np.arctan(32 / 58.5), 'frames': document['frames']}))
+    capture = read_transforms_capture(source)
+    assert capture.frames[3].name == 'images/3.png'
+    lens = capture.frames[0].lens
+    assert lens is not None and lens.intrinsics.fx == pytest.approx(58.5)
+    assert (lens.intrinsics.width, lens.intrinsics.height) == (64, 48)
+
+
+@pytest.mark.parametrize('write, reader, where, names, notes', [
+    (write_scannet, read_scannet, 'pose/{}.txt', ['0.png', '3.png', '4.png'],
+     ['1 frames whose pose was lost', '1 images have no file in pose/']),
+    (write_seven_scenes, read_seven_scenes, 'seq-01/frame-{:06d}.pose.txt',
+     [f'frame-00000{i}.color.png' for i in (0, 3, 4)], ['2 frames have no pose']),
+], ids=['scannet', '7scenes'])
+def test_lost_poses_are_counted_and_left_out(
+        tmp_path: Path, write: Callable[..., Path], reader: Callable[[Path], Capture],
+        where: str, names: list[str], notes: list[str]) -> None:
+    source = write(tmp_path / 's', demo_photos())
+    write_matrix(source / where.format(1), np.full((4, 4), -np.inf))
+    (source / where.format(2)).unlink()
+    capture = reader(source)
+    assert [Path(frame.name).name for frame in capture.frames] == names
+    assert all(found.startswith(note) for found, note in zip(capture.notes, notes, strict=True))
+
+
+def test_a_capture_that_lost_all_poses_is_refused(tmp_path: Path) -> None:
+    source = write_scannet(tmp_path / 's', demo_photos())
+    for index in range(5):
+        write_matrix(source / f'pose/{index}.txt', np.full((4, 4), -np.inf))
+    with pytest.raises(SceneError, match='none of the 5 images has a pose: 5 lost'):
+        read_scannet(source)
+
+
+def test_listed_images_that_are_missing_are_named(tmp_path: Path) -> None:
+    source = write_transforms_capture(tmp_path / 'a', demo_photos())
+    (source / 'images/3.png').unlink()
+    capture = read_transforms_capture(source)
+    assert len(capture) == 4 and 'images/3.png' in capture.notes[0]
+    source = write_colmap_text(tmp_path / 'b', demo_photos())
+    (source / 'images/2.png').unlink()
+    capture = read_colmap(source)
+    assert len(capture) == 4 and '2.png' in capture.notes[0]
+
+
+@pytest.mark.parametrize('change, message', [
+    (lambda T: T * [[1], [1], [1.1], [1]], r'frames\[1\].*rotation'),
+    (lambda T: T @ np.diag([-1, 1, 1, 1]), r'frames\[1\].*mirrored'),
+    (lambda T: T[:2], r'frames\[1\].*4x4'),
+], ids=['scaled', 'left-handed', 'cut'])
+def test_poses_that_are_none_are_refused_by_frame(
+        tmp_path: Path, change: Callable[[np.ndarray], np.ndarray], message: str) -> None:
+    source = write_transforms_capture(tmp_path / 's', demo_photos())
+    document = json.loads((source / 'transforms.json').read_text())
+    matrix = change(np.array(document['frames'][1]['transform_matrix']))
+    document['frames'][1]['transform_matrix'] = matrix.tolist()
+    (source / 'transforms.json').write_text(json.dumps(document))
+    with pytest.raises(SceneError, match=message):
+        read_transforms_capture(source)
+
+
+def test_poses_that_are_not_finite_are_named_and_left_out(tmp_path: Path) -> None:
+    source = write_transforms_capture(tmp_path / 's', demo_photos())
+    document = json.loads((source / 'transforms.json').read_text())
+    document['frames'][1]['transform_matrix'][0][3] = float('nan')
+    (source / 'transforms.json').write_text(json.dumps(document))
+    capture = read_transforms_capture(source)
+    assert len(capture) == 4 and '1.png' in capture.notes[0]
+
+
+@pytest.mark.parametrize('text, message', [
+    ('', 'expected a JSON object'),
+    ('{"frames": []}', 'at least one frame'),
+    ('{"frames": [{"file_path": 3}]}', r'frames\[0\]'),
+    ('{"frames": [{"file_path": "none.png"}]}', 'none of the 1 listed images exists'),
+], ids=['empty', 'no frames', 'no path', 'no image'])
+def test_damaged_transforms_are_refused(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / 'transforms.json').write_text(text)
+    with pytest.raises(SceneError, match=message):
+        read_transforms_capture(tmp_path)
+
+
+@pytest.mark.parametrize('camera, message', [
+    ({'camera_model': 'EQUIRECTANGULAR'}, 'camera_model: expected one of'),
+    ({'k4': 0.1}, 'k4: expected 0'),
+    ({'fl_x': 'wide'}, r'frames\[0\]: camera'),
+    ({'k1': float('nan')}, 'distortion: expected finite'),
+], ids=['model', 'k4', 'word', 'nan'])
+def test_cameras_that_cannot_be_used_are_refused(
+        tmp_path: Path, camera: dict[str, object], message: str) -> None:
+    source = write_transforms_capture(tmp_path / 's', demo_photos(), **camera)
+    with pytest.raises(SceneError, match=message):
+        read_transforms_capture(source)
+
+
+def test_colmap_models_that_cannot_be_made_straight_are_refused(tmp_path: Path) -> None:
+    source = write_colmap_text(tmp_path / 's', demo_photos(), 'FOV', (58.5, 58.5, 32, 24, 0.9))
+    with pytest.raises(SceneError, match='FOV is not supported.*image_undistorter'):
+        read_colmap(source)
+
+
+@pytest.mark.parametrize('model, params, distortion', [
+    ('SIMPLE_PINHOLE', (60, 32, 24), ()),
+    ('SIMPLE_RADIAL', (60, 32, 24, 0.1), (0.1, 0, 0, 0)),
+    ('RADIAL', (60, 32, 24, 0.1, 0.2), (0.1, 0.2, 0, 0)),
+    ('OPENCV', (60, 60, 32, 24, 0.1, 0.2, 0.3, 0.4), (0.1, 0.2, 0.3, 0.4)),
+    ('OPENCV_FISHEYE', (60, 60, 32, 24, 0.1, 0.2, 0.3, 0.4), (0.1, 0.2, 0.3, 0.4)),
+], ids=lambda value: value if isinstance(value, str) else '')
+def test_colmap_parameters_come_in_the_order_of_opencv(
+        tmp_path: Path, model: str, params: tuple[float, ...],
+        distortion: tuple[float, ...]) -> None:
+    lens = read_colmap(
+        write_colmap_text(tmp_path / 's', demo_photos(), model, params)).frames[0].lens
+    assert lens is not None and lens.distortion == distortion
+    assert lens.fisheye == ('FISHEYE' in model)
+    assert (lens.intrinsics.fx, lens.intrinsics.fy) == (60, 60)
+    assert (lens.intrinsics.cx, lens.intrinsics.cy) == (32, 24)
+
+
+@pytest.mark.parametrize('length', [4, 20, 100], ids=lambda n: f'{n} bytes')
+def test_cut_off_colmap_files_are_refused(tmp_path: Path, length: int) -> None:
+    source = write_colmap_binary(tmp_path / 's', demo_photos())
+    images = source / 'sparse/images.bin'
+    images.write_bytes(images.read_bytes()[:length])
+    with pytest.raises(SceneError, match='images.bin: damaged or cut off'):
+        read_colmap(source)
+
+
+def test_pycolmap_writes_what_is_read(tmp_path: Path) -> None:
+    pycolmap = pytest.importorskip('pycolmap', reason='needs pycolmap (the train extra)')
+    source = write_colmap_text(tmp_path / 's', demo_photos())
+    (source / 'sparse/0/points3D.txt').write_text('')
+    images = source / 'sparse/0/images.txt'
+    images.write_text(images.read_text().replace('1.5 2.5 -1 3.5 4.5 12', '1.5 2.5 -1'))
+    reconstruction = pycolmap.Reconstruction(source / 'sparse/0')
+    (source / 'colmap/sparse/0').mkdir(parents=True)
+    reconstruction.write_binary(source / 'colmap/sparse/0')
+    ours = read_colmap(source)
+    (source / 'sparse/0').rename(source / 'text')
+    binary = read_colmap(source)
+    assert len(binary) == 5
+    for a, b in zip(ours.frames, binary.frames):
+        assert a.pose is not None and b.pose is not None and a.lens == b.lens
+        np.testing.assert_allclose(a.pose.T_world_cam, b.pose.T_world_cam, atol=1e-12)
+
+
+def test_scannet_intrinsics_of_another_size_are_refused(tmp_path: Path) -> None:
+    source = write_scannet(tmp_path / 's', demo_photos())
+    write_matrix(source / 'intrinsic/intrinsic_color.txt', np.diag([1170.0, 1170, 1, 1])
+                 + np.array([[0, 0, 648, 0], [0, 0, 484, 0], [0] * 4, [0] * 4]))
+    with pytest.raises(SceneError, match='expected the camera of the 64x48 images'):
+        read_scannet(source)
+
+
+def test_a_trajectory_of_another_length_is_refused(tmp_path: Path) -> None:
+    source = write_trajectory(tmp_path / 's', demo_photos())
+    (source / 'rgb/frame4.png').unlink()
+    with pytest.raises(SceneError, match='got 5 lines and 4 images'):
+        read_trajectory(source)
+
+
+@pytest.mark.parametrize('files, message', [
+    ([], 'the folder is empty'),
+    (['notes.txt'], 'no capture found; looked for'),
+], ids=['empty', 'nothing known'])
+def test_folders_without_a_capture_are_refused(tmp_path: Path, files: list[str],
+                                               message: str) -> None:
+    for name in files:
+        (tmp_path / name).write_text('')
+    with pytest.raises(SceneError, match=message):
+        detect_format(tmp_path)
+
+
+def test_photos_of_several_sizes_are_refused_by_name(tmp_path: Path) -> None:
+    image = demo_photos().images[0]
+    write_image(tmp_path / 'a.png', image)
+    write_image(tmp_path / 'b.png', image[:40])
+    with pytest.raises(SceneError, match=r'64x48: a.png; 64x40: b.png.*never resized'):
+        read_photos(tmp_path)
+
+
+def test_a_folder_without_a_readable_photo_is_refused(tmp_path: Path) -> None:
+    for name in ('a.png', 'b.jpg'):
+        (tmp_path / name).write_bytes(b'no image')
+    with pytest.raises(SceneError, match='none of the 2 images can be read'):
+        read_photos(tmp_path)
+
+
+def test_photos_that_cannot_be_read_are_named_and_left_out(tmp_path: Path) -> None:
+    write_image(tmp_path / 'a.png', demo_photos().images[0])
+    (tmp_path / 'b.png').write_bytes(b'no image')
+    capture = read_photos(tmp_path)
+    assert len(capture) == 1 and 'b.png' in capture.notes[0]
+
+
+def test_a_subset_keeps_images_with_their_frames(tmp_path: Path) -> None:
+    photos = demo_photos()
+    capture = read_bag_capture(write_bag(tmp_path / 'bag', photos)).subset([3, 1])
+    found = {index: image for index, image in capture.images([0, 1])}
+    for place, original in enumerate((3, 1)):
+        np.testing.assert_array_equal(found[place], photos.images[original])
+        assert capture.frames[place].pose is not None
+    assert capture.frames[0].stamp_ns == START_NS + 3 * STEP_NS

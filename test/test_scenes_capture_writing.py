@@ -1,0 +1,140 @@
+"""What comes into a scene folder: copies, straight pictures, and nothing that is broken."""
+from dataclasses import replace
+import json
+import logging
+from pathlib import Path
+
+from capture_files import (
+    CAMERA, demo_photos, write_bag, write_image, write_transforms_capture)
+import cv2
+from neo_ros.bags.capture import read_bag_capture
+from neo_ros.errors import SceneError
+from neo_ros.scenes.capture import Capture, read_photo
+from neo_ros.scenes.capture_writing import write_capture
+from neo_ros.scenes.scene import read_scene
+from neo_ros.scenes.transforms_capture import read_transforms_capture
+import numpy as np
+import pytest
+
+
+@pytest.fixture
+def source(tmp_path: Path) -> Path:
+    return write_transforms_capture(tmp_path / 'source', demo_photos())
+
+
+def test_images_of_a_pinhole_camera_are_copied_byte_by_byte(tmp_path: Path, source: Path) -> None:
+    write_capture(read_transforms_capture(source), tmp_path / 'scene')
+    for index in range(5):
+        name = f'images/{index}.png'
+        assert (tmp_path / 'scene' / name).read_bytes() == (source / name).read_bytes()
+
+
+def test_distorted_images_are_made_straight(tmp_path: Path) -> None:
+    source = write_transforms_capture(tmp_path / 's', demo_photos(), k1=-0.1, p1=0.001)
+    write_capture(read_transforms_capture(source), tmp_path / 'scene')
+    found = read_scene(tmp_path / 'scene').train
+    assert found.intrinsics.fx > CAMERA.fx  # barrel distortion: the straight part is narrower
+    assert (found.read_image(0) != demo_photos().images[0]).any()
+    document = json.loads((tmp_path / 'scene/transforms_train.json').read_text())
+    assert document['camera_model'] == 'PINHOLE' and 'k1' not in document
+
+
+@pytest.mark.parametrize('convert, expected', [
+    (lambda image: image.astype(np.uint16) * 257, lambda image: image),
+    (lambda image: image[..., 1], lambda image: np.repeat(image[..., 1:2], 3, axis=2)),
+], ids=['16 bit', 'grayscale'])
+def test_other_pixels_become_8_bit_rgb(tmp_path: Path, source: Path, convert: object,
+                                       expected: object) -> None:
+    assert callable(convert) and callable(expected)
+    image = demo_photos().images[2]
+    write_image(source / 'images/2.png', convert(image))
+    write_capture(read_transforms_capture(source), tmp_path / 'scene')
+    found = read_scene(tmp_path / 'scene').train.read_image(2)
+    assert np.abs(found.astype(int) - expected(image)).max() <= 1
+
+
+def test_exif_orientation_does_not_turn_the_pixels(tmp_path: Path) -> None:
+    image = demo_photos().images[0]
+    jpeg = cv2.imencode('.jpg', image[..., ::-1])[1].tobytes()
+    tiff = b'MM\x00*\x00\x00\x00\x08\x00\x01\x01\x12\x00\x03\x00\x00\x00\x01\x00\x06\x00\x00' + (
+        b'\x00\x00\x00\x00')
+    exif = b'\xff\xe1' + (8 + len(tiff)).to_bytes(2, 'big') + b'Exif\x00\x00' + tiff
+    (tmp_path / 'a.jpg').write_bytes(jpeg[:2] + exif + jpeg[2:])
+    turned = cv2.imread(str(tmp_path / 'a.jpg'))
+    assert turned is not None and turned.shape == (64, 48, 3)  # so the tag is there
+    found = read_photo(tmp_path / 'a.jpg')
+    assert found is not None and found.shape == (48, 64, 3)
+
+
+def test_unreadable_images_are_named_and_left_out(
+        tmp_path: Path, source: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (source / 'images/3.png').write_bytes(b'no image')
+    with caplog.at_level(logging.WARNING):
+        write_capture(read_transforms_capture(source), tmp_path / 'scene')
+    assert 'images/3.png' in caplog.text
+    found = read_scene(tmp_path / 'scene').train
+    np.testing.assert_allclose(
+        found.T_world_cam, [demo_photos().poses[i].T_world_cam for i in (0, 1, 2, 4)], atol=1e-9)
+
+
+def test_a_capture_without_a_readable_image_is_refused(tmp_path: Path, source: Path) -> None:
+    for index in range(5):
+        (source / f'images/{index}.png').write_bytes(b'no image')
+    with pytest.raises(SceneError, match='none of the 5 images can be read'):
+        write_capture(read_transforms_capture(source), tmp_path / 'scene')
+
+
+def test_images_of_another_size_than_their_camera_are_refused(tmp_path: Path,
+                                                              source: Path) -> None:
+    write_image(source / 'images/2.png', demo_photos().images[2][:40])
+    with pytest.raises(SceneError, match='2.png: expected 64x48.*got 64x40.*never resized'):
+        write_capture(read_transforms_capture(source), tmp_path / 'scene')
+
+
+def test_an_image_listed_twice_is_refused(tmp_path: Path, source: Path) -> None:
+    capture = read_transforms_capture(source)
+    twice = replace(capture, frames=(*capture.frames, capture.frames[0]))
+    with pytest.raises(SceneError, match='images/0.png: expected every image once'):
+        write_capture(twice, tmp_path / 'scene')
+
+
+def test_a_scene_is_not_written_over_its_source(source: Path) -> None:
+    before = (source / 'images/0.png').read_bytes()
+    with pytest.raises(SceneError, match='another folder than the source'):
+        write_capture(read_transforms_capture(source), source)
+    assert (source / 'images/0.png').read_bytes() == before
+
+
+def interrupted(capture: Capture, scene: Path, after: int) -> None:
+    def stop(done: int, total: int) -> None:
+        if done == after:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_capture(capture, scene, stop)
+
+
+def test_an_interrupted_import_goes_on(tmp_path: Path) -> None:
+    capture = read_bag_capture(write_bag(tmp_path / 'bag', demo_photos()))
+    scene = tmp_path / 'scene'
+    interrupted(capture, scene, 3)
+    assert not (scene / 'transforms_train.json').exists()
+    first = {path: path.stat().st_mtime_ns for path in (scene / 'images').iterdir()}
+    assert len(first) == 3
+    steps: list[int] = []
+    write_capture(capture, scene, lambda done, total: steps.append(done))
+    assert steps == [3, 4, 5]
+    assert all(path.stat().st_mtime_ns == time for path, time in first.items())
+    np.testing.assert_array_equal(read_scene(scene).train.read_images(), demo_photos().images)
+
+
+def test_another_capture_does_not_keep_the_images_of_the_first(tmp_path: Path) -> None:
+    scene = tmp_path / 'scene'
+    photos = demo_photos()
+    interrupted(read_bag_capture(write_bag(tmp_path / 'a', photos)), scene, 2)
+    turned = replace(photos, images=photos.images[:, ::-1])
+    capture = read_bag_capture(write_bag(tmp_path / 'b', turned))
+    later = replace(capture, frames=tuple(
+        replace(frame, stamp_ns=(frame.stamp_ns or 0) + 7) for frame in capture.frames))
+    write_capture(later, scene)
+    np.testing.assert_array_equal(read_scene(scene).train.read_images(), turned.images)

@@ -1,0 +1,95 @@
+"""Sharp frames per step of the camera, and worlds with z up."""
+import math
+
+from capture_files import demo_photos
+import cv2
+from hypothesis import given, strategies as st
+from neo_ros.errors import ConfigError
+from neo_ros.geometry import CameraPose
+from neo_ros.geometry.camera_pose import rotation_from_vector
+from neo_ros.scenes.capture import Capture, CapturedFrame
+from neo_ros.scenes.keyframes import keyframes, sharpness, split_steps
+from neo_ros.scenes.levelling import estimate_up, level, rotation_between, tilt
+import numpy as np
+import pytest
+
+
+def walk(count: int, step: float = 0.1, turn: float = 0.0) -> list[CameraPose]:
+    return [CameraPose.from_planar(step * i, 0, 1.5, turn * i) for i in range(count)]
+
+
+@pytest.mark.parametrize('poses, paths, distance, angle, expected', [
+    (walk(6), [0] * 6, 0.25, math.inf, [(0, 3), (3, 6)]),
+    (walk(6, 0, 0.1), [0] * 6, math.inf, 0.25, [(0, 3), (3, 6)]),
+    (walk(4), [0, 0, 1, 1], math.inf, math.inf, [(0, 2), (2, 4)]),
+    (walk(3), [0] * 3, 0.05, math.inf, [(0, 1), (1, 2), (2, 3)]),
+], ids=['distance', 'angle', 'new path', 'every frame'])
+def test_steps_end_where_the_camera_has_moved(
+        poses: list[CameraPose], paths: list[int], distance: float, angle: float,
+        expected: list[tuple[int, int]]) -> None:
+    steps = split_steps(poses, paths, distance, angle)
+    assert [(step.start, step.stop) for step in steps] == expected
+
+
+def test_the_sharpest_readable_frame_of_a_step_is_kept() -> None:
+    sharp = demo_photos().images[0]
+    images = {0: cv2.GaussianBlur(sharp, (0, 0), 2), 1: sharp, 2: None, 3: None,
+              4: cv2.GaussianBlur(sharp, (0, 0), 2), 5: cv2.GaussianBlur(sharp, (0, 0), 1)}
+    capture = Capture(
+        tuple(CapturedFrame(f'{i}.png', pose, None) for i, pose in enumerate(walk(6))),
+        stream=lambda indices: ((index, images[index]) for index in indices))
+    kept = keyframes(capture, 0.25, None)
+    assert [frame.name for frame in kept.frames] == ['1.png', '5.png']
+    np.testing.assert_array_equal(dict(kept.images([1]))[1], images[5])
+    assert '2 keyframes chosen of 6' in kept.notes[-1]
+
+
+def test_blur_lowers_sharpness() -> None:
+    image = demo_photos().images[0]
+    assert sharpness(image) > 2 * sharpness(cv2.GaussianBlur(image, (0, 0), 1))
+
+
+@pytest.mark.parametrize('distance, angle', [(0.0, None), (None, -1.0), (math.nan, None)])
+def test_steps_have_a_size(distance: float | None, angle: float | None) -> None:
+    with pytest.raises(ConfigError, match='expected a number > 0'):
+        keyframes(Capture(()), distance, angle)
+
+
+units = st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda v: np.linalg.norm(v) > 0.1).map(
+    lambda v: np.array(v) / np.linalg.norm(v))
+
+
+@given(units, units)
+def test_a_rotation_between_directions_turns_one_to_the_other(a: np.ndarray,
+                                                              b: np.ndarray) -> None:
+    R = rotation_between(a, b)
+    np.testing.assert_allclose(R @ a, b, atol=1e-6)
+    np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-9)
+
+
+@pytest.mark.parametrize('vector', [(0, 0, 0), (1.2, 0.3, 0), (math.pi, 0, 0), (0, -1.5, 0.4)],
+                         ids=['level', 'tilted', 'upside down', 'sideways'])
+@pytest.mark.parametrize('pitch', [0.0, 0.6], ids=['ahead', 'looking down'])
+def test_levelling_finds_up_whatever_the_world_was(vector: tuple[float, ...],
+                                                   pitch: float) -> None:
+    down = rotation_from_vector(np.array([-pitch, 0, 0]))
+    T = np.eye(4)
+    T[:3, :3] = rotation_from_vector(np.array(vector))
+    poses = []
+    for pose in walk(12, 0.2, 0.5):
+        T_world_cam = pose.T_world_cam.copy()
+        T_world_cam[:3, :3] = T_world_cam[:3, :3] @ down
+        poses.append(CameraPose(T @ T_world_cam))
+    np.testing.assert_allclose(estimate_up(poses), T[:3, 2], atol=1e-6)
+    capture = level(Capture(tuple(CapturedFrame(f'{i}', pose, None)
+                                  for i, pose in enumerate(poses))), scale=2.0)
+    levelled = [frame.pose for frame in capture.frames if frame.pose is not None]
+    assert tilt(levelled) < 1e-4
+    steps = np.diff([pose.position for pose in levelled], axis=0)
+    np.testing.assert_allclose(np.linalg.norm(steps, axis=1), 0.4, atol=1e-9)
+    np.testing.assert_allclose(steps[:, 2], 0, atol=1e-6)
+
+
+def test_cameras_that_hardly_turn_give_their_own_up() -> None:
+    up = estimate_up(walk(5, 0.1, 0.001))
+    np.testing.assert_allclose(up, [0, 0, 1], atol=1e-9)

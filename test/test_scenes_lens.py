@@ -1,0 +1,94 @@
+"""Distorted cameras become one pinhole camera, and what it shows is where it should be."""
+import math
+
+import cv2
+from neo_ros.errors import SceneError
+from neo_ros.geometry import CameraPose, Intrinsics
+from neo_ros.scenes.demo_flat import build_demo_flat
+from neo_ros.scenes.lens import common_pinhole, Lens, Straightener
+import numpy as np
+import pytest
+
+CAMERA = Intrinsics(96, 72, 60.0, 61.0, 47.0, 37.5)
+LENSES = {
+    'barrel': Lens(CAMERA, (-0.2, 0.05, 0.002, -0.003)),
+    'pincushion': Lens(CAMERA, (0.15, 0.02, 0.0, 0.0, 0.01)),
+    'rational': Lens(CAMERA, (0.1, 0.01, 0.001, 0.0, 0.0, 0.2, 0.01, 0.0)),
+    'fisheye': Lens(CAMERA, (0.02, -0.01, 0.003, 0.0), fisheye=True),
+    'fisheye without coefficients': Lens(CAMERA, (), fisheye=True),
+}
+POSE = CameraPose.from_planar(3.0, 1.3, 1.5, 0.4)
+
+
+def distorted_photo(lens: Lens, scale: int = 4) -> np.ndarray:
+    """Photograph the demo flat through the lens: look up each pixel's true ray in a wide view."""
+    camera = lens.intrinsics
+    wide = Intrinsics.from_hfov(160 * scale, 160 * scale, math.radians(130))
+    sharp = build_demo_flat().render(wide, POSE)[0]
+    rows, columns = np.indices((camera.height, camera.width), np.float64)
+    pixels = np.stack([columns, rows], -1).reshape(-1, 1, 2)  # OpenCV's: centres at 0
+    undistort = cv2.fisheye.undistortPoints if lens.fisheye else cv2.undistortPoints
+    rays = undistort(pixels, lens.cv_matrix, lens.coefficients).reshape(
+        camera.height, camera.width, 2)
+    x = (rays[..., 0] * wide.fx + wide.cx - 0.5).astype(np.float32)
+    y = (rays[..., 1] * wide.fy + wide.cy - 0.5).astype(np.float32)
+    return cv2.remap(cv2.GaussianBlur(sharp, (0, 0), 0.3 * scale), x, y, cv2.INTER_LINEAR)
+
+
+@pytest.mark.parametrize('lens', LENSES.values(), ids=LENSES.keys())
+def test_a_straightened_photo_is_the_pinhole_view_of_the_scene(lens: Lens) -> None:
+    pinhole = common_pinhole([lens])
+    assert (pinhole.width, pinhole.height) == (CAMERA.width, CAMERA.height)
+    straight = Straightener(pinhole).apply(distorted_photo(lens), lens)
+    truth = build_demo_flat().render(pinhole, POSE)[0]
+
+    def psnr(image: np.ndarray) -> float:
+        error = (image[2:-2, 2:-2].astype(float) - truth[2:-2, 2:-2]) ** 2
+        return 10 * math.log10(255 ** 2 / error.mean())
+
+    # Both are sampled, so they never agree exactly; a shift by half a pixel costs decibels.
+    assert psnr(straight) > 26
+    assert psnr(straight) > psnr(np.roll(straight, 1, axis=1)) + 2
+    assert psnr(straight) > psnr(np.roll(straight, 1, axis=0)) + 2
+
+
+@pytest.mark.parametrize('lens', LENSES.values(), ids=LENSES.keys())
+def test_the_pinhole_view_has_no_border_and_wastes_no_side(lens: Lens) -> None:
+    pinhole = common_pinhole([lens])
+    x, y = lens.straighten_maps(pinhole)
+    # Half a pixel beyond the last centre is still inside the picture.
+    assert x.min() > -0.6 and x.max() < CAMERA.width - 0.4
+    assert y.min() > -0.6 and y.max() < CAMERA.height - 0.4
+    assert x[:, 0].min() < 1 and x[:, -1].max() > CAMERA.width - 2
+    assert y[0].min() < 1 and y[-1].max() > CAMERA.height - 2
+
+
+def test_a_single_pinhole_camera_stays_as_it_is() -> None:
+    lens = Lens(CAMERA, (0.0, 0.0, 0.0, 0.0))
+    assert lens.is_pinhole
+    assert common_pinhole([lens, Lens(CAMERA, (0.0, 0.0, 0.0, 0.0))]) == CAMERA
+    image = np.random.default_rng(0).integers(0, 256, (72, 96, 3), np.uint8)
+    assert Straightener(CAMERA).apply(image, lens) is image
+
+
+def test_several_cameras_are_brought_to_what_all_of_them_see() -> None:
+    a = Intrinsics(96, 72, 60, 60, 48, 36)
+    b = Intrinsics(96, 72, 66, 60, 40, 36)
+    common = common_pinhole([Lens(a), Lens(b)])
+    left, right = -common.cx / common.fx, (96 - common.cx) / common.fx
+    assert left == pytest.approx(max(-48 / 60, -40 / 66))
+    assert right == pytest.approx(min(48 / 60, 56 / 66))
+    assert (common.fy, common.cy) == pytest.approx((60, 36))
+
+
+@pytest.mark.parametrize('make, message', [
+    (lambda: common_pinhole([Lens(CAMERA), Lens(Intrinsics(48, 36, 30, 30, 24, 18))]),
+     'one size, got 48x36, 96x72'),
+    (lambda: common_pinhole([Lens(Intrinsics(96, 72, 20, 20, 48, 36), (-0.9, 0, 0, 0))]),
+     'no pinhole view fits'),
+    (lambda: Lens(CAMERA, (math.nan,)), 'distortion: expected finite'),
+], ids=['two sizes', 'absurd distortion', 'nan'])
+def test_lenses_that_cannot_be_used_are_refused(make: object, message: str) -> None:
+    assert callable(make)
+    with pytest.raises(SceneError, match=message):
+        make()
