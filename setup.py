@@ -26,7 +26,7 @@ if 'ROS_DISTRO' not in os.environ and 'AMENT_PREFIX_PATH' not in os.environ:
     ROBOT += ['ros-jazzy-common-interfaces', 'ros-jazzy-rclpy[fastrtps]']
 TEST = ['hypothesis', 'pytest', 'pytest-timeout']
 EXTRAS = {
-    'train': ['numba', 'onnx', 'onnxscript', 'scipy', 'torch'],
+    'train': ['numba', 'onnx', 'onnxscript', 'pycolmap', 'scipy', 'torch'],
     'bench': ['scikit-image'],
     # `colcon test` runs pytest when the extra of this name asks for it.
     'test': TEST,

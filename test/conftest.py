@@ -1,5 +1,6 @@
 """What holds for all tests: no clock in hypothesis, no log files in the home folder."""
 from collections.abc import Iterator
+from typing import Any
 
 from hypothesis import settings
 import pytest
@@ -15,3 +16,12 @@ def ros_logs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as environment:
         environment.setenv('ROS_LOG_DIR', str(tmp_path_factory.mktemp('ros_logs')))
         yield
+
+
+@pytest.fixture(scope='session')
+def tiny_run(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """Train once, in seconds: the TrainingRun; its scene lies in `scene` beside its `out`."""
+    from tiny_training import train_tiny, write_tiny_scene
+    folder = tmp_path_factory.mktemp('tiny_training')
+    write_tiny_scene(folder / 'scene')
+    return train_tiny(folder / 'scene', folder / 'out')

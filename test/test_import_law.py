@@ -15,7 +15,7 @@ COMMON = {'errors', 'paths'}
 # Room: the other rooms and the heavy libraries that it may import.
 LAW: dict[str, set[str]] = {
     'geometry': set(),
-    'scenes': {'geometry', 'cv2'},
+    'scenes': {'geometry', 'cv2', 'pycolmap'},
     'field': {'geometry', 'scenes', 'torch', 'numba', 'scipy', 'cv2'},
     'outpaint': {'geometry', 'scenes', 'field', 'torch', 'onnx', 'onnxruntime'},
     'runtime': {'geometry', 'memory', 'onnxruntime', 'onnx'},
@@ -29,10 +29,11 @@ LAW: dict[str, set[str]] = {
                    'memory', 'torch', 'scipy', 'cv2', 'onnx', 'onnxruntime'},
 }
 HEAVY = {'torch', 'numba', 'scipy', 'cv2', 'onnx', 'onnxscript', 'onnxruntime', 'rosbags',
-         'mcap', 'rclpy', 'skimage', 'matplotlib'}
+         'mcap', 'rclpy', 'skimage', 'matplotlib', 'pycolmap'}
 ROS_PACKAGES = {'rclpy', 'rcl_interfaces', 'ament_index_python', 'launch', 'launch_ros'}
 # What needs the train extra: absent from the base install.
-TRAINING = {'torch', 'numba', 'scipy', 'onnx', 'onnxscript', 'skimage', 'matplotlib'}
+TRAINING = {'torch', 'numba', 'scipy', 'onnx', 'onnxscript', 'skimage', 'matplotlib',
+            'pycolmap'}
 MODULES = sorted(PACKAGE.rglob('*.py'))
 
 

@@ -5,8 +5,9 @@ from pathlib import Path
 from typing import Callable
 
 from capture_files import (
-    CAMERA, demo_photos, START_NS, STEP_NS, write_bag, write_colmap_binary, write_colmap_text, write_image,
-    write_matrix, write_scannet, write_seven_scenes, write_trajectory, write_transforms_capture)
+    CAMERA, demo_photos, START_NS, STEP_NS, write_bag, write_colmap_binary, write_colmap_text,
+    write_image, write_matrix, write_scannet, write_seven_scenes, write_trajectory,
+    write_transforms_capture)
 from neo_ros.bags.capture import read_bag_capture
 from neo_ros.errors import SceneError
 from neo_ros.scenes.capture import Capture
@@ -283,7 +284,7 @@ def test_photos_that_cannot_be_read_are_named_and_left_out(tmp_path: Path) -> No
 def test_a_subset_keeps_images_with_their_frames(tmp_path: Path) -> None:
     photos = demo_photos()
     capture = read_bag_capture(write_bag(tmp_path / 'bag', photos)).subset([3, 1])
-    found = {index: image for index, image in capture.images([0, 1])}
+    found = dict(capture.images([0, 1]))
     for place, original in enumerate((3, 1)):
         np.testing.assert_array_equal(found[place], photos.images[original])
         assert capture.frames[place].pose is not None

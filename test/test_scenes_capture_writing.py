@@ -33,7 +33,7 @@ def test_distorted_images_are_made_straight(tmp_path: Path) -> None:
     source = write_transforms_capture(tmp_path / 's', demo_photos(), k1=-0.1, p1=0.001)
     write_capture(read_transforms_capture(source), tmp_path / 'scene')
     found = read_scene(tmp_path / 'scene').train
-    assert found.intrinsics.fx > CAMERA.fx  # barrel distortion: the straight part is narrower
+    assert found.intrinsics.fx < CAMERA.fx  # barrel distortion: it saw more than a pinhole
     assert (found.read_image(0) != demo_photos().images[0]).any()
     document = json.loads((tmp_path / 'scene/transforms_train.json').read_text())
     assert document['camera_model'] == 'PINHOLE' and 'k1' not in document
@@ -134,7 +134,5 @@ def test_another_capture_does_not_keep_the_images_of_the_first(tmp_path: Path) -
     interrupted(read_bag_capture(write_bag(tmp_path / 'a', photos)), scene, 2)
     turned = replace(photos, images=photos.images[:, ::-1])
     capture = read_bag_capture(write_bag(tmp_path / 'b', turned))
-    later = replace(capture, frames=tuple(
-        replace(frame, stamp_ns=(frame.stamp_ns or 0) + 7) for frame in capture.frames))
-    write_capture(later, scene)
+    write_capture(capture, scene)
     np.testing.assert_array_equal(read_scene(scene).train.read_images(), turned.images)

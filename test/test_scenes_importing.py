@@ -2,7 +2,6 @@ import json
 from pathlib import Path
 import shutil
 
-from scene_files import CAMERA, picture, write_capture, write_picture
 from neo_ros.errors import SceneError
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.scenes.importing import import_transforms
@@ -11,6 +10,7 @@ from neo_ros.scenes.transforms_json import read_transforms
 from neo_ros.scenes.walkable import WalkableMap, write_walkable
 import numpy as np
 import pytest
+from scene_files import CAMERA, picture, write_capture, write_picture
 
 WIDE = ViewExpansion(CAMERA, 4, 4, 2, 2)
 

@@ -1,13 +1,13 @@
 from pathlib import Path
 import struct
 
-from scene_files import CAMERA, picture, write_capture, write_picture
 import cv2
 from neo_ros.errors import SceneError
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.scenes.posed_images import PosedImages, read_rgb_image
 import numpy as np
 import pytest
+from scene_files import CAMERA, picture, write_capture, write_picture
 
 
 def test_images_come_as_rgb_in_the_order_of_their_poses(tmp_path: Path) -> None:

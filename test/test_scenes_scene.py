@@ -1,10 +1,10 @@
 from pathlib import Path
 
-from scene_files import CAMERA, write_capture
 from neo_ros.errors import SceneError
 from neo_ros.geometry import ViewExpansion
 from neo_ros.scenes.scene import read_scene
 import pytest
+from scene_files import CAMERA, write_capture
 
 
 @pytest.mark.parametrize('name', ['transforms.json', 'transforms_train.json'])

@@ -4,12 +4,12 @@ import math
 from pathlib import Path
 from typing import Any, Callable
 
-from scene_files import CAMERA, write_capture
 from neo_ros.errors import SceneError
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.scenes.transforms_json import read_input_crop, read_transforms, write_transforms
 import numpy as np
 import pytest
+from scene_files import CAMERA, write_capture
 
 NAME = 'transforms_train.json'
 

@@ -13,8 +13,8 @@ from neo_ros.bags.transforms import (
 from neo_ros.errors import BagError, ImageRejected
 from neo_ros.geometry import CameraPose
 from neo_ros.messages import read_image
-from neo_ros.scenes.capture import Capture, CapturedFrame, no_progress, Progress, READ_FLAGS
-from neo_ros.scenes.lens import Lens
+from neo_ros.scenes.capture import (
+    Capture, CapturedFrame, ImageStream, no_progress, origin_of, Progress, READ_FLAGS)
 import numpy as np
 
 TF, TF_STATIC = '/tf', '/tf_static'
@@ -83,7 +83,7 @@ def read_bag_capture(path: Path, image_topic: Optional[str] = None,
         raise BagError(f'{path}: expected a camera_info beside {image.name}, the poses need the '
                        'calibration that belongs to them; the bag has '
                        f'{describe_topics(_info_topics(path))}')
-    return Capture(tuple(frames), tuple(notes), _stream(path, image, places, lens))
+    return Capture(tuple(frames), tuple(notes), _stream(path, image, places), origin_of(path))
 
 
 def _pose_topics(reader: BagReader, wanted: Optional[str]) -> list[BagTopic]:
@@ -203,9 +203,7 @@ def _pose_source(path: Path, scan: _Scan, wanted: Optional[str], topics: list[Ba
     return pose_at
 
 
-def _stream(path: Path, image: BagTopic, places: Sequence[int],
-            lens: Optional[Lens]) -> Callable[
-                [Sequence[int]], Iterator[tuple[int, Optional[np.ndarray]]]]:
+def _stream(path: Path, image: BagTopic, places: Sequence[int]) -> ImageStream:
     """Return a function that reads images of the bag, in the order of the bag."""
     def read(indices: Sequence[int]) -> Iterator[tuple[int, Optional[np.ndarray]]]:
         wanted = {places[index]: index for index in indices}

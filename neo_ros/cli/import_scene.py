@@ -5,14 +5,14 @@ from typing import Annotated, Any, Optional
 from neo_ros.errors import ConfigError
 import typer
 
-FORMATS = 'scene, transforms, colmap, scannet, 7scenes, trajectory, bag or photos'
+FORMATS = 'scene, transforms, colmap, scannet, 7scenes, trajectory, bag, photos or video'
 
 
 def import_scene(
     source: Annotated[str, typer.Argument(
         help='What was captured: nerfstudio or instant-ngp (transforms.json), COLMAP, ScanNet, '
-             '7-Scenes, images with traj.txt, a ROS 2 bag, photos without poses; or the word '
-             '"demo" for the built-in flat.')],
+             '7-Scenes, images with traj.txt, a ROS 2 bag, photos or a video without poses; or '
+             'the word "demo" for the built-in flat.')],
     scene: Annotated[Path, typer.Argument(help='Scene folder to write.')],
     format_name: Annotated[Optional[str], typer.Option(
         '--format', help=f'{FORMATS}; by default told from the files.')] = None,

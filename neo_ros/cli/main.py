@@ -47,7 +47,8 @@ def main() -> None:
     except NeoError as error:
         sys.exit(_fail(str(error)))
     except ModuleNotFoundError as error:
-        extra = {'torch': 'train', 'numba': 'train', 'scipy': 'train', 'onnx': 'train'}.get(
+        extra = {'torch': 'train', 'numba': 'train', 'scipy': 'train', 'onnx': 'train',
+                 'pycolmap': 'train'}.get(
             (error.name or '').split('.')[0])
         if extra is None:
             raise

@@ -18,6 +18,7 @@ MOST_ALIKE, MOST_NEAR = 50, 300
 RAYS = (12, 16)  # rows and columns of the grid of rays that stand for a view
 GOOD_OVERLAP = 0.6
 BLUR_DEVIATIONS = 3.0
+SHARPNESS_FLOOR = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +27,8 @@ class CaptureMeasures:
     What was measured on the photos; arrays are per photo unless stated otherwise.
 
     overlap         largest share of its view that one other photo saw too
-    sharpness       variance of the Laplacian of the photos `measured`
+    sharpness       variance of the Laplacian over that of the grey levels, of the photos
+                    `measured`
     blur_threshold  sharpness below which a photo counts as blurred, from the photos themselves
     brightness      mean grey level in [0, 1] of the photos `measured`
     viewed          indices of the photos at which the wide view was looked into
@@ -93,8 +95,10 @@ def measure_capture(scene: Scene, progress: Progress = no_progress) -> CaptureMe
     sharp, bright = np.empty(len(measured)), np.empty(len(measured))
     for place, index in enumerate(measured):
         image = photos.read_image(int(index))
-        sharp[place] = sharpness(image)
-        bright[place] = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).mean() / 255
+        grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+        # Over the contrast, so that neither dusk nor a bare wall counts as blur.
+        sharp[place] = sharpness(image) / max(float(grey.var()), 1.0)
+        bright[place] = grey.mean() / 255
         progress(done := done + 1, steps)
     overlap = np.zeros(len(photos))
     for index in range(len(photos)):
@@ -121,8 +125,10 @@ def blur_threshold(values: np.ndarray) -> float:
     Three robust standard deviations (median absolute deviation) below the median of the
     logarithms: a textureless room is not blurred as a whole.
     """
-    logarithms = np.log(np.maximum(values, 1e-3))
+    logarithms = np.log(np.maximum(values, SHARPNESS_FLOOR))
     median = np.median(logarithms)
+    if median <= np.log(SHARPNESS_FLOOR):
+        return 0.0  # photos of nothing
     deviation = 1.4826 * np.median(np.abs(logarithms - median))
     # Photos that are nearly alike would otherwise turn tiny differences into outliers.
     return float(np.exp(median - BLUR_DEVIATIONS * max(deviation, 0.2)))

@@ -78,9 +78,8 @@ def describe(measures: CaptureMeasures) -> tuple[list[tuple[str, str]], list[str
         advice.append(f'{alone} photos have no neighbour that sees the same: take photos closer '
                       'together, and turn more slowly.')
     if len(blurred) > 0.05 * len(measures.measured):
-        advice.append(f'{len(blurred)} photos look blurred, or show bare walls (see below): move '
-                      'more slowly, with more light; of a video keep the sharp frames '
-                      '(--keyframe-distance 0.1).')
+        advice.append(f'{len(blurred)} photos look blurred (see below): move more slowly, with '
+                      'more light; of a video keep the sharp frames (--keyframe-distance 0.1).')
     if drift > 0.3:
         advice.append('The brightness drifts: lock exposure and white balance of the camera.')
     advice += _side_advice(measures)
@@ -145,11 +144,10 @@ def _plots(measures: CaptureMeasures) -> list[Section]:
     shares, share_edges = np.histogram(measures.overlap, bins=20, range=(0, 1))
     order = measures.measured.tolist()
     return [
-        Plot('Sharpness', 'log10 of the variance of the Laplacian', 'photos',
+        Plot('Sharpness', 'log10 of Laplacian variance over contrast', 'photos',
              [Series('photos', ((edges[1:] + edges[:-1]) / 2).tolist(), counts.tolist()),
               Series('blurred below', [threshold, threshold], [0, int(counts.max())])],
-             note='The limit is three robust deviations below the median of these photos. A '
-                  'photo of a bare wall looks blurred too.'),
+             note='The limit is three robust deviations below the median of these photos.'),
         Plot('Brightness over time', 'photo', 'mean, 0 black to 1 white',
              [Series('mean brightness', order, measures.brightness.tolist())]),
         Plot('Overlap', 'share that the best other photo sees too', 'photos',
@@ -160,7 +158,7 @@ def _plots(measures: CaptureMeasures) -> list[Section]:
 def _strips(measures: CaptureMeasures) -> list[Section]:
     order = np.argsort(measures.sharpness)[:4]
     return [Strip('The least sharp photos', [
-        (f'{measures.photos.image_paths[index].name}: {value:.0f}',
+        (f'{measures.photos.image_paths[index].name}: {value:.2f}',
          measures.photos.read_image(int(index)))
         for index, value in zip(measures.measured[order], measures.sharpness[order])])]
 

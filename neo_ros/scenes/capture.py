@@ -50,11 +50,13 @@ class Capture:
     notes   what was left out or changed, in plain sentences
     stream  yields (index, RGB uint8 (H, W, 3) or None if unreadable) for indices, in any order;
             None for frames that are files
+    origin  what tells the source of a stream from any other one
     """
 
     frames: tuple[CapturedFrame, ...]
     notes: tuple[str, ...] = ()
     stream: Optional[ImageStream] = None
+    origin: str = ''
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -82,6 +84,14 @@ class Capture:
             self, frames=tuple(self.frames[index] for index in chosen),
             notes=self.notes + ((note,) if note else ()),
             stream=None if stream is None else _chosen(stream, chosen))
+
+
+def origin_of(source: Path) -> str:
+    """Describe the files of a bag or video: another recording has others."""
+    files = sorted(path for path in source.iterdir() if path.is_file()) if (
+        source.is_dir()) else [source]
+    return repr([(str(path.resolve()), path.stat().st_size, path.stat().st_mtime_ns)
+                 for path in files])
 
 
 def read_photo(path: Path) -> Optional[np.ndarray]:

@@ -1,4 +1,5 @@
 """Write a capture as a scene folder: one pinhole camera, images that are known to be readable."""
+from dataclasses import replace
 import json
 import logging
 import os
@@ -89,9 +90,8 @@ def _with_lenses(capture: Capture) -> Capture:
     if size is None:
         raise SceneError(f'none of the {len(capture)} images can be read')
     lens = Lens(Intrinsics.from_hfov(*size, 1.0))
-    frames = tuple(CapturedFrame(frame.name, frame.pose, lens, frame.path_id, frame.stamp_ns,
-                                 frame.file) for frame in capture.frames)
-    return Capture(frames, capture.notes, capture.stream)
+    return replace(capture, frames=tuple(
+        replace(frame, lens=lens) for frame in capture.frames))
 
 
 def _check_names(capture: Capture, folder: Path) -> None:
@@ -144,6 +144,7 @@ def _claim(folder: Path, capture: Capture, pinhole: Intrinsics) -> None:
     wanted: dict[str, Any] = {
         'camera': [pinhole.width, pinhole.height, pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy],
         'lenses': sorted({repr(frame.lens) for frame in capture.frames}),
+        'origin': capture.origin,
         'sources': [_fingerprint(frame) for frame in capture.frames]}
     try:
         found = json.loads(note.read_text()) if note.is_file() else None

@@ -9,6 +9,7 @@ from neo_ros.scenes.scannet import is_scannet, read_scannet
 from neo_ros.scenes.seven_scenes import is_seven_scenes, read_seven_scenes
 from neo_ros.scenes.trajectory import read_trajectory, TRAJECTORY_FILE
 from neo_ros.scenes.transforms_capture import read_transforms_capture, TRANSFORMS_FILE
+from neo_ros.scenes.video import read_video, VIDEO_SUFFIXES
 
 
 class CaptureFormat(str, Enum):
@@ -22,9 +23,10 @@ class CaptureFormat(str, Enum):
     TRAJECTORY = 'trajectory'
     BAG = 'bag'
     PHOTOS = 'photos'
+    VIDEO = 'video'
 
 
-# Readers of folders; scenes are copied, bags are read in their own room.
+# Readers of folders and files; scenes are copied, bags are read in their own room.
 FOLDER_READERS = {
     CaptureFormat.TRANSFORMS: read_transforms_capture,
     CaptureFormat.COLMAP: read_colmap,
@@ -32,6 +34,7 @@ FOLDER_READERS = {
     CaptureFormat.SEVEN_SCENES: read_seven_scenes,
     CaptureFormat.TRAJECTORY: read_trajectory,
     CaptureFormat.PHOTOS: read_photos,
+    CaptureFormat.VIDEO: read_video,
 }
 _BAG_SUFFIXES = ('.mcap', '.db3')
 
@@ -48,7 +51,10 @@ def detect_format(source: Path) -> CaptureFormat:
             return CaptureFormat.TRANSFORMS
         if source.suffix in _BAG_SUFFIXES:
             return CaptureFormat.BAG
-        raise SceneError(f'{source}: expected a folder, a .json, a .mcap or a .db3 file')
+        if source.suffix.lower() in VIDEO_SUFFIXES:
+            return CaptureFormat.VIDEO
+        raise SceneError(f'{source}: expected a folder, a .json, a bag (.mcap, .db3) or a video '
+                         f'({", ".join(VIDEO_SUFFIXES)})')
     if not source.is_dir():
         raise SceneError(f'{source}: no such file or folder (and not the word "demo")')
     for found, format_ in (

@@ -58,9 +58,11 @@ class Lens:
         x, y, zero = along * width, along * height, np.zeros(EDGE_POINTS)
         edges = [np.stack(edge, -1) for edge in (
             (zero, y), (zero + width, y), (x, zero), (x, zero + height))]
-        left, right, top, bottom = (self._straighten(edge) for edge in edges)
+        straight = [self._straighten(edge) for edge in edges]
+        left, right, top, bottom = straight
         rectangle = (left[:, 0].max(), right[:, 0].min(), top[:, 1].max(), bottom[:, 1].min())
-        seen = np.isfinite([*rectangle]).all() and (
+        # Beyond the turning point of its polynomial a lens has no straight counterpart.
+        seen = all(self._bends_back(points, edge) for points, edge in zip(straight, edges)) and (
             rectangle[0] < rectangle[1] and rectangle[2] < rectangle[3])
         if not seen:
             raise SceneError(
@@ -88,6 +90,16 @@ class Lens:
             straight = cv2.undistortPoints(
                 points, self.cv_matrix, self.coefficients, criteria=criteria)
         return straight[:, 0]
+
+    def _bends_back(self, points: np.ndarray, pixels: np.ndarray) -> bool:
+        """Whether points (N, 2) of the z = 1 plane are really seen at these pixels."""
+        if not np.isfinite(points).all():
+            return False
+        rays = np.concatenate([points, np.ones((len(points), 1))], axis=1)[:, None]
+        project = cv2.fisheye.projectPoints if self.fisheye else cv2.projectPoints
+        still = np.zeros(3)
+        found = project(rays, still, still, self.cv_matrix, self.coefficients)[0]
+        return bool(np.abs(found[:, 0] + CENTRE - pixels).max() < CENTRE)
 
 
 def common_pinhole(lenses: Iterable[Lens]) -> Intrinsics:

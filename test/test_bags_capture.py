@@ -1,0 +1,295 @@
+"""A recorded bag as a capture: cameras, calibrations and poses however they were recorded."""
+import math
+from pathlib import Path
+from typing import Any, Callable, Optional
+
+from camera_bags import as_sqlite, CameraBag
+from capture_files import demo_photos, write_bag
+from neo_ros.bags.capture import read_bag_capture
+from neo_ros.bags.transforms import PoseTrack
+from neo_ros.errors import BagError
+from neo_ros.geometry import CameraPose, Intrinsics
+from neo_ros.geometry.camera_pose import T_BODY_OPTICAL
+from neo_ros.scenes.capture_writing import write_capture
+from neo_ros.scenes.scene import read_scene
+import numpy as np
+import pytest
+
+CAMERA = Intrinsics(32, 24, 30.0, 31.0, 16.5, 12.0)
+START, STEP = 1_700_000_000_000_000_000, 100_000_000
+RAW, RAW_INFO = '/cam/image_raw', '/cam/camera_info'
+# The camera sits ahead of and above the body, turned to the left.
+T_BASE_OPTICAL = CameraPose.from_planar(0.2, 0.1, 0.7, 0.5).T_world_cam
+COUNT = 4
+IMAGES = np.random.default_rng(1).integers(0, 256, (COUNT, 24, 32, 3), np.uint8)
+
+
+def base_pose(time: float) -> np.ndarray:
+    """Where the body is after `time` steps: it drives and turns evenly."""
+    T = CameraPose.from_planar(0.3 * time, -0.1 * time, 0, 0.2 * time).T_world_cam
+    return T @ np.linalg.inv(T_BODY_OPTICAL)
+
+
+def camera_poses() -> list[np.ndarray]:
+    return [base_pose(i) @ T_BASE_OPTICAL for i in range(COUNT)]
+
+
+def add_camera(bag: CameraBag, topic: str = RAW, info: Optional[str] = RAW_INFO,
+               compressed: bool = False, order: Any = range(COUNT), **changes: Any) -> None:
+    for i in order:
+        bag.image(topic, START + i * STEP, IMAGES[i], compressed=compressed)
+        if info is not None:
+            bag.info(info, START + i * STEP, CAMERA, **changes)
+
+
+def add_mount(bag: CameraBag) -> None:
+    bag.tf('/tf_static', START, 'base_link', 'link', T_BASE_OPTICAL
+           @ np.linalg.inv(T_BODY_OPTICAL))
+    bag.tf('/tf_static', START, 'link', 'optical', T_BODY_OPTICAL)
+
+
+def add_tf(bag: CameraBag) -> None:
+    # Between the images, and the later half first.
+    for time in (1.5, 2.5, 3.5, -0.5, 0.5):
+        bag.tf('/tf', START + int(time * STEP), 'odom', 'base_link', base_pose(time))
+    # A map that stands still needs no more than two messages.
+    for time in (-100, 100):
+        bag.tf('/tf', START + time * STEP, 'map', 'odom', np.eye(4))
+
+
+def add_odometry(bag: CameraBag) -> None:
+    for time in (-0.5, 0.5, 1.5, 2.5, 3.5):
+        bag.odometry('/odom', START + int(time * STEP), 'base_link', base_pose(time))
+
+
+def add_poses(bag: CameraBag) -> None:
+    for time in (-0.5, 0.5, 1.5, 2.5, 3.5):
+        bag.pose('/pose', START + int(time * STEP), base_pose(time))
+
+
+@pytest.mark.parametrize('add_motion', [add_tf, add_odometry, add_poses],
+                         ids=['tf', 'odometry', 'pose'])
+@pytest.mark.parametrize('compressed', [False, True], ids=['raw', 'compressed'])
+@pytest.mark.parametrize('sqlite', [False, True], ids=['mcap', 'sqlite'])
+def test_poses_are_interpolated_at_the_stamps_of_the_images(
+        tmp_path: Path, add_motion: Callable[[CameraBag], None], compressed: bool,
+        sqlite: bool) -> None:
+    with CameraBag(tmp_path / 'bag') as bag:
+        add_mount(bag)
+        add_motion(bag)
+        add_camera(bag, '/cam/image_raw/compressed' if compressed else RAW,
+                   compressed=compressed)
+    path = as_sqlite(tmp_path / 'bag', tmp_path / 'db') if sqlite else tmp_path / 'bag'
+    capture = read_bag_capture(path)
+    write_capture(capture, tmp_path / 'scene')
+    found = read_scene(tmp_path / 'scene').train
+    # Driving on an arc, the chord between two poses misses the arc by a millimetre or two.
+    np.testing.assert_allclose(found.T_world_cam, camera_poses(), atol=3e-3)
+    np.testing.assert_array_equal(found.read_images(), IMAGES)
+    assert (found.intrinsics.fx, found.intrinsics.cx) == pytest.approx((30.0, 16.5))
+
+
+def test_a_camera_with_poses_of_its_own_needs_no_transforms(tmp_path: Path) -> None:
+    with CameraBag(tmp_path / 'bag') as bag:
+        add_camera(bag)
+        for i, T in enumerate(camera_poses()):
+            bag.pose('/vio', START + i * STEP, T)
+    capture = read_bag_capture(tmp_path / 'bag')
+    found = [frame.pose.T_world_cam for frame in capture.frames if frame.pose is not None]
+    np.testing.assert_allclose(found, camera_poses(), atol=1e-9)
+
+
+def test_images_out_of_order_are_sorted_and_twins_dropped(tmp_path: Path) -> None:
+    with CameraBag(tmp_path / 'bag') as bag:
+        add_mount(bag)
+        add_tf(bag)
+        add_camera(bag, order=[1, 0, 3, 2, 2])
+    capture = read_bag_capture(tmp_path / 'bag')
+    write_capture(capture, tmp_path / 'scene')
+    np.testing.assert_array_equal(
+        read_scene(tmp_path / 'scene').train.read_images(), IMAGES)
+    notes = ' '.join(capture.notes)
+    assert 'stamps go back 2 times' in notes and '1 images repeat the stamp' in notes
+
+
+def test_images_without_a_pose_near_their_stamp_are_counted(tmp_path: Path) -> None:
+    with CameraBag(tmp_path / 'bag') as bag:
+        add_mount(bag)
+        add_camera(bag)
+        for time in (0.9, 1.1, 2.1, 9):  # nothing before 0.9, and a gap after 2.1
+            bag.tf('/tf', START + int(time * STEP), 'map', 'base_link', base_pose(time))
+    capture = read_bag_capture(tmp_path / 'bag')
+    assert [frame.stamp_ns for frame in capture.frames] == [START + STEP, START + 2 * STEP]
+    assert '2 of 4 images have no pose' in ' '.join(capture.notes)
+
+
+def test_lost_poses_are_counted(tmp_path: Path) -> None:
+    with CameraBag(tmp_path / 'bag') as bag:
+        add_camera(bag)
+        for i, T in enumerate(camera_poses()):
+            if i == 0:
+                T[0, 3] = np.nan
+            bag.pose('/vio', START + i * STEP, T)
+    capture = read_bag_capture(tmp_path / 'bag')
+    assert len(capture) == 3
+    assert '1 poses are not finite' in ' '.join(capture.notes)
+
+
+@pytest.mark.parametrize('image_topic', ['/left/image_raw', '/right/image_raw'])
+def test_one_of_two_cameras_is_chosen_by_name(tmp_path: Path, image_topic: str) -> None:
+    with CameraBag(tmp_path / 'bag') as bag:
+        add_mount(bag)
+        add_tf(bag)
+        add_camera(bag, '/left/image_raw', '/left/camera_info')
+        add_camera(bag, '/right/image_raw', '/right/camera_info', order=range(2))
+    with pytest.raises(BagError, match='2 cameras.*--image-topic: /left/image_raw.*/right'):
+        read_bag_capture(tmp_path / 'bag')
+    assert len(read_bag_capture(tmp_path / 'bag', image_topic)) == (
+        4 if 'left' in image_topic else 2)
+
+
+def test_raw_images_are_preferred_to_their_compressed_copies(tmp_path: Path) -> None:
+    with CameraBag(tmp_path / 'bag') as bag:
+        add_mount(bag)
+        add_tf(bag)
+        add_camera(bag)
+        add_camera(bag, RAW + '/compressed', None, compressed=True)
+    capture = read_bag_capture(tmp_path / 'bag')
+    assert len(capture) == 4 and not any('camera_info' in note for note in capture.notes)
+
+
+@pytest.mark.parametrize('topic, model, d, expected', [
+    (RAW, 'plumb_bob', [-0.1, 0.01, 0.001, 0.0, 0.0], (False, (-0.1, 0.01, 0.001, 0.0, 0.0))),
+    (RAW, 'equidistant', [0.1, 0.0, 0.0, 0.0], (True, (0.1, 0.0, 0.0, 0.0))),
+    ('/cam/image_rect', 'plumb_bob', [-0.1, 0.01, 0.001, 0.0, 0.0], (False, ())),
+    (RAW, 'plumb_bob', [0.0] * 5, (False, ())),
+], ids=['plumb_bob', 'equidistant', 'rectified', 'none'])
+def test_distortion_comes_from_camera_info(
+        tmp_path: Path, topic: str, model: str, d: list[float],
+        expected: tuple[bool, tuple[float, ...]]) -> None:
+    with CameraBag(tmp_path / 'bag') as bag:
+        add_mount(bag)
+        add_tf(bag)
+        add_camera(bag, topic, distortion_model=model, d=np.array(d))
+    capture = read_bag_capture(tmp_path / 'bag')
+    lens = capture.frames[0].lens
+    assert lens is not None and (lens.fisheye, lens.distortion) == expected
+    write_capture(capture, tmp_path / 'scene')
+    found = read_scene(tmp_path / 'scene').train
+    assert (found.intrinsics == lens.intrinsics) == (not any(expected[1]))
+
+
+def test_a_rectified_camera_is_the_one_of_p(tmp_path: Path) -> None:
+    p = np.array([25.0, 0, 15, 0, 0, 25, 11, 0, 0, 0, 1, 0])
+    with CameraBag(tmp_path / 'bag') as bag:
+        add_mount(bag)
+        add_tf(bag)
+        add_camera(bag, '/cam/image_rect', p=p, d=np.full(5, 0.1))
+    lens = read_bag_capture(tmp_path / 'bag').frames[0].lens
+    assert lens is not None and lens.intrinsics == Intrinsics(32, 24, 25, 25, 15.5, 11.5)
+
+
+def test_a_bag_without_poses_is_unposed(tmp_path: Path) -> None:
+    with CameraBag(tmp_path / 'bag') as bag:
+        add_mount(bag)
+        add_camera(bag)
+    capture = read_bag_capture(tmp_path / 'bag')
+    assert not capture.posed and len(capture) == 4
+
+
+def two_pose_topics(bag: CameraBag) -> None:
+    add_camera(bag)
+    add_poses(bag)
+    add_odometry(bag)
+
+
+def no_mount(bag: CameraBag) -> None:
+    add_camera(bag)
+    add_odometry(bag)
+
+
+def two_calibrations(bag: CameraBag) -> None:
+    add_camera(bag)
+    bag.info(RAW_INFO, START, Intrinsics(32, 24, 40.0, 40.0, 16, 12))
+
+
+def two_parents(bag: CameraBag) -> None:
+    add_camera(bag)
+    add_tf(bag)
+    bag.tf('/tf', START, 'world', 'base_link', np.eye(4))
+
+
+def loop(bag: CameraBag) -> None:
+    add_camera(bag)
+    bag.tf('/tf', START, 'optical', 'base_link', np.eye(4))
+    bag.tf('/tf', START, 'base_link', 'optical', np.eye(4))
+
+
+def other_clock(bag: CameraBag) -> None:
+    add_camera(bag)
+    for i, T in enumerate(camera_poses()):
+        bag.pose('/vio', i * STEP, T)
+
+
+def no_info(bag: CameraBag) -> None:
+    add_camera(bag, info=None)
+    bag.info('/other/camera_info', START, CAMERA)
+    add_mount(bag)
+    add_tf(bag)
+
+
+def strange_lens(bag: CameraBag) -> None:
+    add_camera(bag, distortion_model='mystery', d=np.full(3, 0.1))
+
+
+def no_image(bag: CameraBag) -> None:
+    add_tf(bag)
+
+
+@pytest.mark.parametrize('fill, topics, message', [
+    (two_pose_topics, {}, r'--pose-topic: /odom .*/pose'),
+    (two_pose_topics, {'pose_topic': '/nowhere'}, 'expected poses on /nowhere.*/odom'),
+    (two_pose_topics, {'pose_topic': '/tf'}, "/tf: expected transforms that move.*'optical'"),
+    (two_pose_topics, {'image_topic': '/nowhere'}, 'expected images on /nowhere.*image_raw'),
+    (no_mount, {}, "/odom gives poses of 'base_link'; expected /tf_static"),
+    (two_calibrations, {}, '/cam/camera_info: expected one calibration, but k changes'),
+    (two_parents, {}, "one parent of the frame 'base_link', got 'odom' and 'world'"),
+    (loop, {}, 'form a loop'),
+    (other_clock, {}, 'no image of /cam/image_raw has a pose.*same clock'),
+    (no_info, {}, 'expected a camera_info beside /cam/image_raw.*/other/camera_info'),
+    (strange_lens, {}, "/cam/camera_info: distortion_model.*'mystery' with 3"),
+    (no_image, {}, 'expected a topic of type sensor_msgs/msg/Image.*/tf'),
+], ids=lambda value: value.__name__ if callable(value) else '')
+def test_what_is_missing_or_ambiguous_is_named(
+        tmp_path: Path, fill: Callable[[CameraBag], None], topics: dict[str, Any],
+        message: str) -> None:
+    with CameraBag(tmp_path / 'bag') as bag:
+        fill(bag)
+    with pytest.raises(BagError, match=message):
+        read_bag_capture(tmp_path / 'bag', **topics)
+
+
+def test_a_cut_off_bag_gives_what_is_left_of_it(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / 'bag', demo_photos())
+    file, = path.glob('*.mcap')
+    data = file.read_bytes()
+    (tmp_path / 'cut.mcap').write_bytes(data[:int(len(data) * 0.7)])
+    capture = read_bag_capture(tmp_path / 'cut.mcap')
+    assert 0 < len(capture) < len(demo_photos().poses)
+    assert 'recovered' in capture.notes[0]
+
+
+@pytest.mark.parametrize('stamp, expected', [
+    (0, 0.0), (50, 0.5), (100, 1.0), (-10, 0.0), (-30, None), (115, None), (700, None),
+    (3000, 5.0),
+], ids=lambda value: str(value))
+def test_tracks_are_interpolated_where_they_are_known(stamp: int,
+                                                      expected: Optional[float]) -> None:
+    track = PoseTrack()
+    # Metres along x at milliseconds; it stands still from 2 s to 4 s.
+    for milliseconds, x in ((100, 1.0), (0, 0.0), (2000, 5.0), (4000, 5.0)):
+        track.add(milliseconds * 1_000_000, CameraPose.from_planar(x, 0, 0, 0).T_world_cam)
+    found = track.at(stamp * 1_000_000)
+    assert (found is None) == (expected is None)
+    if found is not None and expected is not None:
+        assert math.isclose(found[0, 3], expected, abs_tol=1e-9)

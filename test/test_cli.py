@@ -1,0 +1,150 @@
+"""The command line: its help, its errors, and the way from a scene to a replayed bag."""
+import json
+from pathlib import Path
+import subprocess
+import sys
+
+from neo_ros.cli.main import app, main
+from neo_ros.pipeline import TrainingRun
+import pytest
+from scene_files import write_capture
+from typer.testing import CliRunner
+
+COMMANDS = ['bag', 'bench', 'demo', 'evaluate', 'import', 'inspect', 'play', 'record', 'replay',
+            'train']
+
+
+def run_main(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
+    """Run `neo` with these arguments in this process; returns its exit code."""
+    monkeypatch.setattr(sys, 'argv', ['neo', *map(str, arguments)])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    return int(ended.value.code or 0)
+
+
+def test_help_names_every_command_and_the_way_to_a_model() -> None:
+    result = CliRunner().invoke(app, ['--help'])
+    assert result.exit_code == 0
+    for command in COMMANDS:
+        assert f' {command} ' in result.output
+    assert sorted(found.name or found.callback.__name__ for found in app.registered_commands
+                  if found.callback is not None) == COMMANDS
+    for step in ('neo demo', 'neo import', 'neo train', 'neo evaluate', 'neo replay'):
+        assert step in result.output
+
+
+@pytest.mark.parametrize('command', COMMANDS)
+def test_every_command_explains_itself(command: str) -> None:
+    result = CliRunner().invoke(app, [command, '--help'])
+    assert result.exit_code == 0
+    assert 'Usage' in result.output and len(result.output) > 300
+
+
+def test_errors_of_a_process_are_one_line_and_exit_code_2(tmp_path: Path) -> None:
+    result = subprocess.run(
+        [sys.executable, '-m', 'neo_ros.cli.main', 'inspect', str(tmp_path / 'none.onnx')],
+        capture_output=True, text=True, timeout=100)
+    assert result.returncode == 2
+    assert result.stderr == f'neo: {tmp_path}/none.onnx: no such model file\n'
+
+
+def spoiled_config(tmp_path: Path, text: str) -> Path:
+    (tmp_path / 'e.yaml').write_text(text)
+    return tmp_path / 'e.yaml'
+
+
+@pytest.mark.parametrize('case, message', [
+    ('missing scene', 'none: expected a scene folder, there is none'),
+    ('scene without photos', 'expected transforms_train.json or transforms.json; make one with'),
+    ('unknown key', 'field.speed: Unexpected keyword argument, got 1'),
+    ('broken YAML', 'e.yaml: expected a YAML file'),
+    ('unwritable folder', 'file/out: cannot write: Not a directory; choose another'),
+    ('missing config', 'none.yaml: expected a YAML file'),
+])
+def test_what_train_cannot_do_is_one_clear_line(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+        case: str, message: str) -> None:
+    write_capture(tmp_path / 'scene', 3)
+    (tmp_path / 'file').write_text('')
+    scene, out = tmp_path / 'scene', tmp_path / 'out'
+    config = spoiled_config(tmp_path, 'network: {patch: 1, depth: 1}')
+    if case == 'missing scene':
+        scene = tmp_path / 'none'
+    elif case == 'scene without photos':
+        scene = tmp_path
+    elif case == 'unknown key':
+        config = spoiled_config(tmp_path, 'field: {speed: 1}')
+    elif case == 'broken YAML':
+        config = spoiled_config(tmp_path, 'field: [\nseed: {')
+    elif case == 'unwritable folder':
+        out = tmp_path / 'file' / 'out'
+    elif case == 'missing config':
+        config = tmp_path / 'none.yaml'
+    code = run_main(monkeypatch, 'train', scene, '--config', config, '--out', out)
+    errors = capsys.readouterr().err
+    assert code == 2 and message in errors
+    assert errors.startswith('neo: ') and errors.count('\n') == 1
+    assert not out.exists()
+
+
+@pytest.mark.parametrize('arguments', [
+    [], ['nothing'], ['train'], ['bag', 'scene', '--rate', '0'],
+], ids=['no command', 'unknown command', 'no scene', 'rate out of range'])
+def test_wrong_usage_is_exit_code_2(
+        monkeypatch: pytest.MonkeyPatch, arguments: list[str]) -> None:
+    assert run_main(monkeypatch, *arguments) == 2
+
+
+@pytest.mark.parametrize('module, message', [
+    ('torch', "torch is not installed; this command needs: pip install 'neo_ros[train]'"),
+    ('numba.core', "pip install 'neo_ros[train]'"),
+], ids=str)
+def test_a_missing_extra_is_named(
+        monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], module: str,
+        message: str) -> None:
+    def command() -> None:
+        raise ModuleNotFoundError(f'No module named {module!r}', name=module)
+
+    monkeypatch.setattr('neo_ros.cli.main.app', command)
+    assert run_main(monkeypatch) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_a_missing_module_of_our_own_is_no_missing_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    def command() -> None:
+        raise ModuleNotFoundError("No module named 'neo_ros.lost'", name='neo_ros.lost')
+
+    monkeypatch.setattr('neo_ros.cli.main.app', command)
+    with pytest.raises(ModuleNotFoundError):
+        main()
+
+
+def test_a_bag_of_the_scene_is_replayed_with_its_model(
+        tiny_run: TrainingRun, tmp_path: Path) -> None:
+    scene, model = tiny_run.out.parent / 'scene', tiny_run.model_path
+    bag, wide = tmp_path / 'bag', tmp_path / 'wide'
+    made = CliRunner().invoke(app, ['bag', str(scene), '--model', str(model), '--out', str(bag)])
+    assert made.exit_code == 0, made.output
+    assert '6 frames' in made.output and 'neo replay' in made.output
+    replayed = CliRunner().invoke(app, [
+        'replay', str(bag), '--model', str(model), '--out', str(wide), '--truth-topic',
+        '/camera/wide/image_raw'])
+    assert replayed.exit_code == 0, replayed.output
+    assert '/camera/image_raw: 6 frames' in replayed.output
+    scores = json.loads((wide / 'scores.json').read_text())
+    assert len(scores['frames']) == 6 and scores['scene_id'] == 'scene'
+    # The bag holds the scene's test frames to the bit: the same scores as in the training.
+    frames = json.loads((tiny_run.out / 'scores.json').read_text())['methods'][0]['frames']
+    assert [frame['ring_psnr'] for frame in scores['frames']] == pytest.approx(
+        [frame['ring_psnr'] for frame in frames])
+
+
+def test_bags_need_test_frames_and_a_free_place(
+        tiny_run: TrainingRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+        capsys: pytest.CaptureFixture[str]) -> None:
+    write_capture(tmp_path / 'photos', 3)
+    for scene, out, message in (
+            (tmp_path / 'photos', tmp_path / 'bag', 'add transforms_test.json'),
+            (tiny_run.out.parent / 'scene', tmp_path, 'the output exists already')):
+        code = run_main(monkeypatch, 'bag', scene, '--model', tiny_run.model_path, '--out', out)
+        assert code == 2 and message in capsys.readouterr().err

@@ -1,0 +1,85 @@
+"""`neo import` from end to end on small captures."""
+import json
+import math
+from pathlib import Path
+
+from capture_files import demo_photos, write_bag, write_seven_scenes, write_transforms_capture
+from neo_ros.cli.import_scene import import_scene
+from neo_ros.errors import ConfigError, SceneError
+from neo_ros.scenes.levelling import tilt
+from neo_ros.scenes.scene import read_scene
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+
+def run(*arguments: object) -> str:
+    app = typer.Typer()
+    app.command()(import_scene)
+    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    if result.exception is not None:
+        raise result.exception
+    return ' '.join(result.output.split())
+
+
+def test_a_bag_becomes_a_scene_with_a_report(tmp_path: Path) -> None:
+    output = run(write_bag(tmp_path / 'bag', demo_photos()), tmp_path / 'scene')
+    assert 'poses from /tf: camera_optical_frame in map' in output
+    assert '5 photos of 64x48 pixels, no test frames' in output
+    assert '5 photos are few' in output
+    assert (tmp_path / 'scene/capture.html').is_file()
+    assert len(read_scene(tmp_path / 'scene').train) == 5
+
+
+def test_keyframes_are_chosen_on_the_way(tmp_path: Path) -> None:
+    output = run(write_bag(tmp_path / 'bag', demo_photos()), tmp_path / 'scene',
+                 '--keyframe-distance', '0.25', '--keyframe-angle', '90')
+    assert '2 keyframes chosen of 5 frames' in output
+    found = read_scene(tmp_path / 'scene').train
+    assert len(found) == 2
+    assert found.poses[0].position[0] < 2.85 < found.poses[1].position[0]
+
+
+def test_an_imported_scene_can_be_imported_again(tmp_path: Path) -> None:
+    run(write_seven_scenes(tmp_path / 'source', demo_photos()), tmp_path / 'a')
+    run(tmp_path / 'a', tmp_path / 'b')
+    a, b = read_scene(tmp_path / 'a').train, read_scene(tmp_path / 'b').train
+    np.testing.assert_array_equal(a.read_images(), b.read_images())
+    assert a.path_ids == b.path_ids == (0, 0, 0, 1, 1)
+
+
+def tilted(folder: Path) -> Path:
+    source = write_transforms_capture(folder, demo_photos())
+    document = json.loads((source / 'transforms.json').read_text())
+    c, s = math.cos(1.2), math.sin(1.2)
+    T = np.array([[1, 0, 0, 0], [0, c, -s, 0], [0, s, c, 0], [0, 0, 0, 1]])
+    for frame in document['frames']:
+        frame['transform_matrix'] = (T @ np.array(frame['transform_matrix'])).tolist()
+    (source / 'transforms.json').write_text(json.dumps(document))
+    return source
+
+
+def test_a_world_that_is_not_level_is_pointed_out_and_levelled(tmp_path: Path) -> None:
+    source = tilted(tmp_path / 'source')
+    assert 'import with --level' in run(source, tmp_path / 'a')
+    assert 'import with --level' not in run(source, tmp_path / 'b', '--level')
+    assert tilt(list(read_scene(tmp_path / 'a').train.poses)) > 1
+    assert tilt(list(read_scene(tmp_path / 'b').train.poses)) < 0.05
+
+
+@pytest.mark.parametrize('arguments, error, message', [
+    (['--format', 'polaroid'], ConfigError, "expected scene, transforms.*'polaroid'"),
+    (['--format', 'scannet'], SceneError, 'color'),
+    (['--format', 'scene', '--level'], ConfigError, 'copied as it is'),
+], ids=['unknown format', 'another format', 'a scene cannot be levelled'])
+def test_a_wrong_format_is_named(tmp_path: Path, arguments: list[str], error: type[Exception],
+                                 message: str) -> None:
+    source = write_transforms_capture(tmp_path / 'source', demo_photos())
+    with pytest.raises(error, match=message):
+        run(source, tmp_path / 'scene', *arguments)
+
+
+def test_a_source_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match='no such file or folder'):
+        run(tmp_path / 'nothing', tmp_path / 'scene')

@@ -1,0 +1,139 @@
+from dataclasses import fields, is_dataclass, replace
+import math
+from pathlib import Path
+from typing import Any, Iterator
+
+from neo_ros.errors import ConfigError, GeometryError
+from neo_ros.experiment import Experiment, read_experiment, ViewConfig
+from neo_ros.geometry import Intrinsics, ViewExpansion
+import neo_ros.paths
+import pytest
+
+PHOTO = Intrinsics(64, 48, 40.0, 41.0, 31.0, 25.0)
+
+
+def read(tmp_path: Path, text: str) -> Experiment:
+    (tmp_path / 'e.yaml').write_text(text)
+    return read_experiment(tmp_path / 'e.yaml')
+
+
+def changed_experiments(settings: Any) -> Iterator[tuple[str, Any]]:
+    """Yield the name of every setting, and `settings` with that one changed."""
+    changes = {'sh_degree': 1, 'precision': 'fp32', 'view': ViewConfig((8, 8), (16, 16))}
+    for entry in fields(settings):
+        value = getattr(settings, entry.name)
+        if is_dataclass(value):
+            for name, changed in changed_experiments(value):
+                yield f'{entry.name}.{name}', replace(settings, **{entry.name: changed})
+        elif isinstance(value, bool):
+            yield entry.name, replace(settings, **{entry.name: not value})
+        else:
+            other = changes[entry.name] if entry.name in changes else value + 1
+            yield entry.name, replace(settings, **{entry.name: other})
+
+
+def test_an_empty_file_is_the_default(tmp_path: Path) -> None:
+    assert read(tmp_path, '') == Experiment()
+    assert read(tmp_path, '').config_hash == Experiment().config_hash
+
+
+def test_settings_are_read_at_every_level(tmp_path: Path) -> None:
+    found = read(tmp_path, 'seed: 7\nscale: 1\nview: {source: [160, 240], target: [320, 240]}\n'
+                 'field: {steps: 20, exposure: true}\nnetwork: {patch: 8}\n')
+    assert (found.seed, found.scale, found.field.steps, found.field.exposure) == (7, 1, 20, True)
+    assert found.view == ViewConfig((160, 240), (320, 240)) and found.network.patch == 8
+    assert found.outpaint == Experiment().outpaint
+
+
+def test_the_hash_changes_with_every_setting() -> None:
+    changed = dict(changed_experiments(Experiment()))
+    assert {'seed', 'view', 'field.exposure', 'outpaint.precision', 'sampling.radius'} <= set(
+        changed)
+    hashes = [Experiment().config_hash, *(e.config_hash for e in changed.values())]
+    assert len(set(hashes)) == len(hashes) > 30
+    assert all(len(text) == 12 and int(text, 16) >= 0 for text in hashes)
+
+
+def test_the_hash_does_not_ask_how_a_file_is_written(tmp_path: Path) -> None:
+    long = read(tmp_path, 'seed: 0\nfield:\n  voxels: 3_000_000\n  steps: 6000\nscale: 1\n')
+    assert long.config_hash == Experiment().config_hash
+
+
+@pytest.mark.parametrize('text, message', [
+    ('sede: 1', r'e.yaml: sede: Unexpected keyword argument, got 1'),
+    ('field: {step: 9}', 'field.step: Unexpected keyword argument'),
+    ('sampling: {spacing: 1}', 'sampling.spacing: Unexpected'),
+    ('network: {layers: 3}', 'network.layers: Unexpected'),
+    ('outpaint: {lr: 1}', 'outpaint.lr: Unexpected'),
+    ('view: {source: [8, 8], target: [16, 16], fov: 90}', 'view.fov: Unexpected'),
+    ('seed: few', "seed: .*integer.*, got 'few'"),
+    ('field: {steps: 10.5}', 'field.steps: .*integer.*, got 10.5'),
+    ('field: {exposure: maybe}', 'field.exposure: .*boolean'),
+    ('outpaint: [1, 2]', 'outpaint: .*got .1, 2.'),
+    ('view: {source: [8], target: [16, 16]}', 'view.source'),
+    ('view: {source: [8, 8]}', 'view.target: .*required'),
+    ('field: {sh_degree: 5}', 'field: .*sh_degree: expected 0, 1 or 2, got 5'),
+    ('outpaint: {precision: fp8}', 'outpaint.precision: expected bf16 or fp32'),
+    ('scale: 0', 'scale: expected a number > 0, got 0.0'),
+    ('scale: .nan', 'scale: expected a number > 0, got nan'),
+    ('- 1', r'e.yaml: .*got \[1\]'),
+    ('seed: [', 'e.yaml: expected a YAML file'),
+], ids=lambda value: str(value)[:30])
+def test_wrong_settings_are_named(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        read(tmp_path, text)
+
+
+def test_files_that_are_no_text_are_refused(tmp_path: Path) -> None:
+    (tmp_path / 'e.yaml').write_bytes(b'\xff\xfe\x00')
+    for path in (tmp_path / 'e.yaml', tmp_path / 'none.yaml', tmp_path):
+        with pytest.raises(ConfigError, match='expected a YAML file'):
+            read_experiment(path)
+
+
+@pytest.mark.parametrize(
+    'path', sorted((neo_ros.paths.share_dir() / 'config' / 'experiments').glob('*.yaml')),
+    ids=lambda path: path.stem)
+def test_the_experiments_that_come_with_the_package_are_valid(path: Path) -> None:
+    assert read_experiment(path) != Experiment()
+
+
+def test_without_a_word_the_view_doubles() -> None:
+    expansion = Experiment().expansion(PHOTO, None)
+    assert expansion.source == PHOTO
+    assert (expansion.target.width, expansion.target.height) == (128, 96)
+
+
+def test_test_frames_say_what_is_wide() -> None:
+    stated = ViewExpansion(PHOTO, 4, 8, 0, 2)
+    assert Experiment().expansion(PHOTO, stated) == stated
+    assert Experiment(scale=0.5).expansion(PHOTO, stated).target.width == 38
+    view = ViewConfig((32, 48), (64, 48))
+    assert Experiment(view=view).expansion(PHOTO, stated).left == 16
+
+
+def test_horizontal_case_of_the_paper() -> None:
+    # ScanNet: photos of 320x240, of which the camera of the robot sees the middle 160x240.
+    photo = Intrinsics(320, 240, 290.0, 290.0, 161.0, 118.0)
+    view = ViewConfig((160, 240), (320, 240))
+    expansion = Experiment(view=view).expansion(photo, None)
+    assert (expansion.source.height, expansion.source.width) == (240, 160)
+    assert (expansion.left, expansion.right, expansion.top, expansion.bottom) == (80, 80, 0, 0)
+    assert expansion.target == photo
+    assert Experiment(view=view, scale=0.5).expansion(photo, None) == expansion.scaled(0.5)
+
+
+@pytest.mark.parametrize('experiment, message', [
+    (Experiment(scale=0.3), 'scale: 0.3 does not give whole pixels'),
+    (Experiment(view=ViewConfig((64, 48), (65, 48))), 'an even growth'),
+    (Experiment(view=ViewConfig((64, 48), (32, 48))), 'expected at least 64x48'),
+    (Experiment(view=ViewConfig((0, 48), (64, 48))), 'width: expected a positive integer'),
+], ids=['half pixels', 'odd growth', 'shrinking', 'nothing'])
+def test_views_that_cannot_be(experiment: Experiment, message: str) -> None:
+    with pytest.raises(GeometryError, match=message):
+        experiment.expansion(PHOTO, None)
+
+
+def test_infinite_scales_are_refused() -> None:
+    with pytest.raises(ConfigError, match='scale: expected a number > 0'):
+        Experiment(scale=math.inf)

@@ -1,0 +1,242 @@
+"""The three steps end to end, small: what a training leaves behind, and how it goes on."""
+from dataclasses import replace
+import json
+import os
+from pathlib import Path
+import re
+import shutil
+import signal
+import subprocess
+import sys
+from typing import Any
+
+import neo_ros
+from neo_ros import pipeline
+from neo_ros.checkpoint import read_checkpoint
+from neo_ros.errors import ConfigError, NeoError, SceneError
+from neo_ros.experiment import Experiment, ViewConfig
+from neo_ros.field.voxel_field import RadianceField
+from neo_ros.outpaint.network import NetworkConfig
+from neo_ros.pipeline import train, TrainingRun
+from neo_ros.runtime import FovExtrapolator
+from neo_ros.scenes.scene import read_scene
+import numpy as np
+import onnx
+import pytest
+from tiny_training import TINY, train_tiny
+
+
+def graph_of(run: TrainingRun) -> bytes:
+    """Return the model's graph with its weights, without the card and its times."""
+    return bytes(onnx.load(str(run.model_path)).graph.SerializeToString())
+
+
+def test_the_model_loads_with_a_complete_card(tiny_run: TrainingRun) -> None:
+    extrapolator = FovExtrapolator.load(tiny_run.model_path)
+    card = extrapolator.card
+    assert (card.scene_id, card.config_hash) == ('scene', TINY.config_hash)
+    assert card.neo_ros_version == neo_ros.__version__ and card.network
+    assert np.degrees(card.expansion.source.hfov) == pytest.approx(90)
+    assert np.degrees(card.expansion.target.hfov) == pytest.approx(126.87, abs=0.01)
+    assert card.parity.share_within_1 >= 0.999 and card.parity.max_abs_error <= 2
+    assert 1 < card.trained_seconds < 600
+    assert {'ring_psnr', 'ring_ssim', 'whole_psnr', 'whole_ssim'} <= card.scores.keys()
+    assert card.scores['ring_psnr'] == pytest.approx(tiny_run.figures['ring_psnr'], abs=1e-3)
+
+
+def test_the_model_widens_test_frames(tiny_run: TrainingRun) -> None:
+    extrapolator = FovExtrapolator.load(tiny_run.model_path)
+    test = tiny_run.scene.test
+    assert test is not None
+    narrow = tiny_run.expansion.crop(test.read_image(0))
+    view = extrapolator.expand(narrow)
+    assert view.wide_image.shape == (64, 64, 3)
+    np.testing.assert_array_equal(tiny_run.expansion.crop(view.wide_image), narrow)
+
+
+def test_the_figures_are_those_of_a_training_that_works(tiny_run: TrainingRun) -> None:
+    figures = tiny_run.figures
+    assert set(figures) == {'field_psnr', 'oracle_whole_psnr', 'oracle_ring_psnr', 'ring_psnr'}
+    assert figures['field_psnr'] > 17 and figures['oracle_ring_psnr'] > 15
+    assert figures['ring_psnr'] > 11
+    steps, seconds, psnr = np.array(tiny_run.log['field']).T
+    assert steps[-1] == 400 and (np.diff(seconds) >= 0).all() and psnr[-1] > psnr[0] + 5
+    assert tiny_run.log['outpainter'][-1][0] == 20
+
+
+def test_report_and_scores_hold_pictures_and_rows(tiny_run: TrainingRun) -> None:
+    html = (tiny_run.out / 'report.html').read_text()
+    pictures = re.findall(r'data:image/(?:png|jpeg);base64,[A-Za-z0-9+/=]{200,}', html)
+    assert len(pictures) >= 6
+    for figure in tiny_run.figures.values():
+        assert f'{figure:.2f} dB' in html
+    scores = json.loads((tiny_run.out / 'scores.json').read_text())
+    assert scores['figures'] == pytest.approx(tiny_run.figures)
+    assert [row['method'] for row in scores['rows']] == ['neo', 'edge_replication', 'mean_image']
+    assert all(row['n_frames'] == 6 and row['ring_psnr'] > 5 for row in scores['rows'])
+    assert len(scores['methods'][0]['frames']) == 6
+
+
+def test_the_folder_holds_no_leftovers(tiny_run: TrainingRun) -> None:
+    assert {path.name for path in tiny_run.out.iterdir()} == {
+        'run.json', 'field.npz', 'field.json', 'outpainter.ckpt', 'scene.onnx', 'report.html',
+        'scores.json'}
+    assert (RadianceField.load(tiny_run.out / 'field.npz').seen == 0).any()
+
+
+def test_held_out_photos_are_not_fitted(tiny_run: TrainingRun) -> None:
+    assert tiny_run.held_out is not None
+    assert len(tiny_run.held_out) == 2 and len(tiny_run.fitted) == 58
+    assert not set(tiny_run.held_out.image_paths) & set(tiny_run.fitted.image_paths)
+
+
+class Killed(Exception):
+    """What ends a training in the middle."""
+
+
+KILL_HARD = """
+import os, signal, sys
+from pathlib import Path
+from neo_ros import pipeline
+from tiny_training import train_tiny
+
+def kill(stage, done, total, note):
+    if stage == 'outpainter':
+        pipeline.CHECKPOINT_SECONDS = 0.0
+        if done == 12:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+train_tiny(Path(sys.argv[1]), Path(sys.argv[2]), progress=kill)
+"""
+
+
+def test_a_killed_training_goes_on_to_the_same_model(
+        tiny_run: TrainingRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, out = tiny_run.out.parent / 'scene', tmp_path / 'out'
+
+    def kill(stage: str, done: int, total: int, note: str) -> None:
+        if stage == 'field' and done >= 120:
+            monkeypatch.setattr(pipeline, 'CHECKPOINT_SECONDS', 0.0)
+            if done == 130:
+                raise Killed
+
+    with pytest.raises(Killed):
+        train_tiny(scene, out, progress=kill)
+    monkeypatch.undo()
+    # The checkpoint of a step is written after its progress was shown.
+    assert read_checkpoint(out / 'field.ckpt')['trainer']['step'] == 129
+    paths = [str(Path(__file__).parent), str(Path(neo_ros.__file__).parent.parent)]
+    killed = subprocess.run(
+        [sys.executable, '-c', KILL_HARD, str(scene), str(out)], capture_output=True, text=True,
+        env={**os.environ, 'PYTHONPATH': os.pathsep.join(paths)}, timeout=100)
+    assert killed.returncode == -signal.SIGKILL, killed.stderr
+    assert not (out / 'field.ckpt').exists()
+    assert read_checkpoint(out / 'outpainter.ckpt')['trainer']['step'] == 11
+    stages: list[str] = []
+    resumed = train_tiny(scene, out, progress=lambda stage, *rest: stages.append(stage))
+    assert stages.count('outpainter') == 20 - 11 and 'field' not in stages
+    fields = [RadianceField.load(run.out / 'field.npz') for run in (tiny_run, resumed)]
+    np.testing.assert_array_equal(fields[0].grid, fields[1].grid)
+    np.testing.assert_array_equal(fields[0].seen, fields[1].seen)
+    assert graph_of(resumed) == graph_of(tiny_run)
+    assert resumed.figures == tiny_run.figures
+    assert [step for step, *_ in resumed.log['field']] == [
+        step for step, *_ in tiny_run.log['field']]
+    assert resumed.seconds > 0
+
+
+def test_a_finished_training_is_not_trained_again(
+        tiny_run: TrainingRun, tmp_path: Path) -> None:
+    shutil.copytree(tiny_run.out, tmp_path / 'out')
+    stages: set[str] = set()
+    again = train_tiny(tiny_run.out.parent / 'scene', tmp_path / 'out',
+                       progress=lambda stage, *rest: stages.add(stage))
+    assert stages == {'scoring'}
+    assert again.figures == tiny_run.figures and again.seconds == tiny_run.seconds
+
+
+def test_photos_alone_are_enough(tiny_run: TrainingRun, tmp_path: Path) -> None:
+    scene = tmp_path / 'photos'
+    shutil.copytree(tiny_run.out.parent / 'scene', scene)
+    for name in ('transforms_test.json', 'walkable.json'):
+        (scene / name).unlink()
+    experiment = replace(
+        TINY, field=replace(TINY.field, steps=200), view=ViewConfig((16, 32), (32, 32)),
+        network=NetworkConfig(patch=4, width=4, depth=2, memory=8),
+        outpaint=replace(TINY.outpaint, steps=2),
+        sampling=replace(TINY.sampling, interval=0.2))
+    run = train_tiny(scene, tmp_path / 'out', experiment)
+    assert set(run.figures) == {'field_psnr'}
+    assert not (run.out / 'scores.json').exists()
+    assert 'Photos that the field was not shown' in (run.out / 'report.html').read_text()
+    card = FovExtrapolator.load(run.model_path).card
+    assert card.scores == {} and card.parity.share_within_1 >= 0.999
+    assert (card.expansion.left, card.expansion.top) == (8, 0)
+
+
+@pytest.mark.parametrize('changes, error, message', [
+    ({'view': ViewConfig((64, 64), (128, 128))}, ConfigError,
+     'view.source: expected at most the size of the photos, 32x32 pixels .* got 64x64'),
+    ({'scale': 0.25}, ConfigError, 'network: expected multiples of 16 pixels'),
+    ({'network': NetworkConfig(patch=5)}, ConfigError, 'network: expected multiples of 20'),
+    ({'view': ViewConfig((16, 16), (32, 32)), 'network': NetworkConfig(patch=2)}, SceneError,
+     'test frames: expected the wide view of the model, 32x32'),
+], ids=['photos smaller than the view', 'scale', 'patch', 'test frames of another view'])
+def test_settings_that_cannot_end_well_are_refused_at_once(
+        tiny_run: TrainingRun, tmp_path: Path, changes: dict[str, Any],
+        error: type[NeoError], message: str) -> None:
+    with pytest.raises(error, match=message):
+        train(tiny_run.out.parent / 'scene', replace(TINY, **changes), tmp_path / 'out')
+    # The folder stays free for the mended settings.
+    assert not (tmp_path / 'out').exists()
+
+
+def test_a_folder_holds_one_run(tiny_run: TrainingRun) -> None:
+    scene = tiny_run.out.parent / 'scene'
+    before = {path: path.stat().st_mtime_ns for path in tiny_run.out.iterdir()}
+    with pytest.raises(ConfigError, match=f'got a run of .*{TINY.config_hash}.*choose another'):
+        train(scene, replace(TINY, seed=4), tiny_run.out)
+    assert {path: path.stat().st_mtime_ns for path in tiny_run.out.iterdir()} == before
+
+
+def test_a_folder_of_another_scene_is_refused(tiny_run: TrainingRun, tmp_path: Path) -> None:
+    shutil.copytree(tiny_run.out.parent / 'scene', tmp_path / 'kitchen')
+    with pytest.raises(ConfigError, match="a run of .*'kitchen'.* got a run of .*'scene'"):
+        train(tmp_path / 'kitchen', TINY, tiny_run.out)
+
+
+@pytest.mark.parametrize('name, content, message', [
+    ('holiday.jpg', b'', 'expected an empty folder or an earlier run; it holds other files'),
+    ('run.json', b'', 'run.json: expected the note of an earlier run'),
+    ('run.json', b'[1]', r'got a run of \[1\]'),
+], ids=['other files', 'empty note', 'strange note'])
+def test_folders_of_other_things_are_refused(
+        tiny_run: TrainingRun, tmp_path: Path, name: str, content: bytes, message: str) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(ConfigError, match=message):
+        train(tiny_run.out.parent / 'scene', TINY, tmp_path)
+
+
+def test_missing_notes_of_a_field_say_what_to_do(tiny_run: TrainingRun, tmp_path: Path) -> None:
+    shutil.copytree(tiny_run.out, tmp_path / 'out')
+    (tmp_path / 'out' / 'field.json').unlink()
+    with pytest.raises(SceneError, match='field.json: .*delete field.npz to fit it again'):
+        train(tiny_run.out.parent / 'scene', TINY, tmp_path / 'out')
+
+
+def test_without_a_floor_map_cameras_stay_near_the_photos(tiny_run: TrainingRun) -> None:
+    scene = tiny_run.scene
+    on_floor = pipeline.make_sampler(tiny_run)
+    assert scene.walkable is not None and scene.walkable.contains(on_floor.positions_xy).all()
+    run = TrainingRun(replace(scene, walkable=None), Experiment(), tiny_run.out,
+                      tiny_run.progress)
+    near = pipeline.make_sampler(run).positions_xy[:, None] - scene.train.T_world_cam[:, :2, 3]
+    assert np.linalg.norm(near, axis=-1).min(1).max() <= Experiment().sampling.radius
+
+
+def test_parity_is_measured_on_held_out_photos(tiny_run: TrainingRun) -> None:
+    frames = pipeline.real_frames(tiny_run, 8)
+    assert frames.shape == (2, 32, 32, 3) and tiny_run.held_out is not None
+    np.testing.assert_array_equal(frames[1], tiny_run.held_out.read_image(1))
+    photos = read_scene(tiny_run.out.parent / 'scene').train
+    assert not any((frames[1] == photos.read_image(i)).all() for i in range(3))

@@ -1,0 +1,32 @@
+"""A training that takes seconds, on a demo scene of small photos."""
+from pathlib import Path
+
+from neo_ros.experiment import Experiment
+from neo_ros.field.fitting import FieldConfig
+from neo_ros.outpaint.fitting import OutpaintConfig
+from neo_ros.outpaint.network import NetworkConfig
+from neo_ros.pipeline import Progress, train, TrainingRun
+from neo_ros.scenes.demo_captures import write_demo_scene
+from neo_ros.scenes.pose_sampling import SamplingConfig
+import torch
+
+TINY = Experiment(
+    seed=3, field=FieldConfig(steps=400, voxels=20_000, pixels_per_step=512),
+    sampling=SamplingConfig(positions=8), network=NetworkConfig(width=8, memory=32),
+    outpaint=OutpaintConfig(steps=20, batch=4))
+
+
+def write_tiny_scene(folder: Path) -> None:
+    """Write 60 photos of 32x32 pixels and six wide test frames of the demo flat."""
+    write_demo_scene(folder, image_size=32, n_train=60, n_paths=2, frames_per_path=3, workers=1)
+
+
+def train_tiny(scene: Path, out: Path, experiment: Experiment = TINY,
+               progress: Progress = lambda stage, done, total, note: None) -> TrainingRun:
+    """Train on one thread of torch: its sums, and so the last bits, depend on their number."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        return train(scene, experiment, out, progress)
+    finally:
+        torch.set_num_threads(before)
