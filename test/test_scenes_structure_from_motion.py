@@ -33,8 +33,16 @@ def test_photos_get_the_poses_they_were_taken_from(tmp_path: Path) -> None:
     poses = arc(COUNT)
     for index, image in enumerate(render_demo_views(CAMERA, poses, workers=1)):
         write_image(tmp_path / f'photos/{index}.png', image)
+
+    def interrupt(stage: str, done: int, total: int) -> None:
+        if stage == 'matches':
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        reconstruct(read_photos(tmp_path / 'photos'), tmp_path / 'sfm', interrupt)
+    assert (tmp_path / 'sfm/database.db').is_file()
     stages: dict[str, tuple[int, int]] = {}
-    capture, verdict = reconstruct(
+    capture, verdict = reconstruct(  # goes on
         read_photos(tmp_path / 'photos'), tmp_path / 'sfm',
         lambda stage, done, total: stages.__setitem__(stage, (done, total)))
     assert stages == {'images': (COUNT, COUNT), 'features': (COUNT, COUNT),

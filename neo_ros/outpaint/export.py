@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Callable
 
 from neo_ros.geometry import ViewExpansion
+from neo_ros.outpaint.compact_weights import compact_weights, round_weights
 from neo_ros.outpaint.network import Outpainter
 import numpy as np
 import onnx
@@ -46,7 +47,12 @@ class ExportedFunction(nn.Module):
 
 
 def export_onnx(network: Outpainter, expansion: ViewExpansion, path: Path) -> ExportedFunction:
-    """Write the model file (without its card) and return the torch function it must equal."""
+    """
+    Write the model file (without its card) and return the torch function it must equal.
+
+    The network's large weights are rounded to int8, in place.
+    """
+    round_weights(network)
     function = ExportedFunction(network, expansion).eval()
     source = expansion.source
     example = torch.zeros(1, source.height, source.width, 3, dtype=torch.uint8)
@@ -57,6 +63,7 @@ def export_onnx(network: Outpainter, expansion: ViewExpansion, path: Path) -> Ex
                       output_names=['wide', 'confidence'], opset_version=OPSET,
                       dynamo=True, external_data=False, verbose=False)
     _drop_notes(partial)
+    compact_weights(partial)
     os.replace(partial, path)
     return function
 
