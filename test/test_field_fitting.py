@@ -91,8 +91,7 @@ def test_the_number_of_threads_does_not_change_a_bit(
 
 
 # A field that loses the pull of faint samples leaves white walls empty for good.
-@pytest.mark.parametrize('low, high', [(0.0, 1.0), (0.0, 0.2), (0.8, 1.0)],
-                         ids=['colourful', 'dark', 'white'])
+@pytest.mark.parametrize('low, high', [(0.0, 1.0), (0.8, 1.0)], ids=['colourful', 'white'])
 def test_a_fit_shows_the_room_from_new_places(
         images: np.ndarray, low: float, high: float) -> None:
     painted = to_uint8(low + (high - low) * images.astype(np.float32) / 255)

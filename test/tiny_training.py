@@ -8,7 +8,6 @@ from neo_ros.outpaint.network import NetworkConfig
 from neo_ros.pipeline import Progress, train, TrainingRun
 from neo_ros.scenes.demo_captures import write_demo_scene
 from neo_ros.scenes.pose_sampling import SamplingConfig
-import torch
 
 TINY = Experiment(
     seed=3, field=FieldConfig(steps=400, voxels=20_000, pixels_per_step=512),
@@ -23,10 +22,5 @@ def write_tiny_scene(folder: Path) -> None:
 
 def train_tiny(scene: Path, out: Path, experiment: Experiment = TINY,
                progress: Progress = lambda stage, done, total, note: None) -> TrainingRun:
-    """Train on one thread of torch: its sums, and so the last bits, depend on their number."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        return train(scene, experiment, out, progress)
-    finally:
-        torch.set_num_threads(before)
+    """Train on a scene of `write_tiny_scene`."""
+    return train(scene, experiment, out, progress)
