@@ -1,7 +1,7 @@
 """The gradients of the compiled loops, against autograd and against differences."""
 from typing import Any, NamedTuple
 
-from neo_ros.field import kernels
+from neo_ros.field import fitting_kernels
 from neo_ros.field.voxel_field import RadianceField
 import numpy as np
 from plain_field import plain_samples, random_rays, room_field
@@ -61,7 +61,7 @@ def differentiate(field: RadianceField, batch: Batch, distortion: float = 0,
     frac, d_rgb = (np.empty((rays, limit, 3), np.float32) for _ in range(2))
     d_density = np.empty((rays, limit), np.float32)
     error, d_gain = np.empty(PIXELS, np.float32), np.empty((PIXELS, 3), np.float32)
-    kernels.differentiate_rays(
+    fitting_kernels.differentiate_rays(
         batch.rays_o, batch.rays_d, batch.target, batch.gain, batch.jitter, SUBRAYS,
         batch.background, field.grid, np.array(field.shape), field.skip, field.box, field.step,
         field.near, field.shift, field.terms, np.float32(distortion), np.float32(pointwise),
@@ -73,8 +73,8 @@ def differentiate(field: RadianceField, batch: Batch, distortion: float = 0,
 
 def scatter(field: RadianceField, samples: Any, threads: int) -> tuple[np.ndarray, np.ndarray]:
     gradient, touched = np.zeros_like(field.grid), np.zeros(len(field.grid), np.uint8)
-    kernels.scatter_gradients(*samples, np.array(field.shape), field.terms, threads, gradient,
-                              touched)
+    fitting_kernels.scatter_gradients(
+        *samples, np.array(field.shape), field.terms, threads, gradient, touched)
     return gradient, touched
 
 
@@ -171,8 +171,8 @@ def test_adam_steps_touched_rows_as_torch_does() -> None:
         plain.grad = torch.from_numpy(gradient.copy())
         optimizer.step()
         gradient[:10] = 0
-        kernels.adam_step(grid, gradient, first, second, touched, updates, np.float32(0.1),
-                          np.float32(0.1))
+        fitting_kernels.adam_step(
+            grid, gradient, first, second, touched, updates, np.float32(0.1), np.float32(0.1))
         assert not gradient.any() and not touched.any()
     np.testing.assert_allclose(grid[10:], plain.detach()[10:], atol=1e-5)
     np.testing.assert_array_equal(grid[:10], frozen)
@@ -185,8 +185,8 @@ def test_total_variation_pulls_towards_the_neighbours() -> None:
     touched = np.ones(len(field.grid), np.uint8)
     touched[7] = 0
     gradient = np.zeros_like(field.grid)
-    kernels.add_total_variation(field.grid, np.array(field.shape), touched, np.float32(2),
-                                np.float32(0.5), gradient)
+    fitting_kernels.add_total_variation(
+        field.grid, np.array(field.shape), touched, np.float32(2), np.float32(0.5), gradient)
     volume = torch.tensor(field.grid.reshape(*field.shape, -1), dtype=torch.float64,
                           requires_grad=True)
     squares = torch.stack([torch.diff(volume, dim=axis).square().sum((0, 1, 2)) / 2

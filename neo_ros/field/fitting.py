@@ -4,7 +4,7 @@ import math
 from typing import Any
 
 from neo_ros.errors import ConfigError, SceneError
-from neo_ros.field import kernels
+from neo_ros.field import fitting_kernels, kernels
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import Intrinsics
 from numba import get_num_threads
@@ -114,23 +114,24 @@ class FieldTrainer:
         d_gain = np.empty((pixels, 3), np.float32)
         gain = np.exp(self.log_gain[photo])
         shape = np.array(field.shape)
-        kernels.differentiate_rays(
+        fitting_kernels.differentiate_rays(
             rays_o, rays_d, target, gain, self.random.random(len(rays_o), np.float32),
             config.subrays, self.random.random((pixels, 3), np.float32), field.grid, shape,
             field.skip, field.box, field.step, field.near, field.shift, field.terms,
             np.float32(config.distortion), np.float32(config.pointwise),
             np.float32(config.sparsity), self.cell, self.frac,
             self.d_density, self.d_rgb, self.count, error, d_gain)
-        kernels.scatter_gradients(
+        fitting_kernels.scatter_gradients(
             rays_d, self.cell, self.frac, self.d_density, self.d_rgb, self.count, shape,
             field.terms, get_num_threads(), self.gradient, self.touched)
         if config.smooth_density or config.smooth_colour:
-            kernels.add_total_variation(
+            fitting_kernels.add_total_variation(
                 field.grid, shape, self.touched, np.float32(config.smooth_density * pixels),
                 np.float32(config.smooth_colour * pixels), self.gradient)
         rate = np.float32(config.learning_rate * 0.1 ** (self.step / config.steps))
-        kernels.adam_step(field.grid, self.gradient, self.first, self.second, self.touched,
-                          self.updates, rate, rate)
+        fitting_kernels.adam_step(
+            field.grid, self.gradient, self.first, self.second, self.touched, self.updates,
+            rate, rate)
         if config.exposure:
             self._update_exposure(photo, d_gain * gain)
         smoothing = 0.98 if self.step else 0.0

@@ -1,13 +1,10 @@
 """
-Compiled loops of the voxel field: march, composite, differentiate, scatter, Adam.
+Compiled loops that look into the voxel field: march, colour, composite, mark.
 
 One voxel is one row of `grid` (V, 1 + 3K) float32: raw density, then K spherical-harmonic
 coefficients for each of R, G, B. Positions are contracted to grid coordinates as in
 DirectVoxGO's unbounded scenes (after mip-NeRF 360): inside the inner box the map is linear, and
 the world outside fills a shell of relative thickness `shell`.
-
-Every gradient is added by the one thread that owns its voxel, in ray order, so results do not
-depend on the number of threads or their timing.
 """
 import math
 from typing import Any
@@ -26,7 +23,7 @@ FAST: dict[str, Any] = {
 
 
 @njit(**FAST)
-def _sh_basis(dx, dy, dz, basis):
+def sh_basis(dx, dy, dz, basis):
     """Fill real spherical harmonics of degree 0, 1 or 2 (by the length of `basis`)."""
     basis[0] = 0.28209479
     if basis.shape[0] > 1:
@@ -42,8 +39,8 @@ def _sh_basis(dx, dy, dz, basis):
 
 
 @njit(**FAST)
-def _march(ox, oy, oz, dx, dy, dz, jitter, grid, shape, skip, box, step, near, shift,
-           cell, frac, alpha, depth, raw):
+def march(ox, oy, oz, dx, dy, dz, jitter, grid, shape, skip, box, step, near, shift,
+          cell, frac, alpha, depth, raw):
     """
     Walk one ray and store its samples in occupied cells.
 
@@ -113,7 +110,7 @@ def _march(ox, oy, oz, dx, dy, dz, jitter, grid, shape, skip, box, step, near, s
 
 
 @njit(**FAST)
-def _colour(grid, shape, base, fx, fy, fz, basis, rgb):
+def sample_colour(grid, shape, base, fx, fy, fz, basis, rgb):
     """Interpolate the coefficients of one sample and evaluate its colour in (0, 1)."""
     sy, sz = shape[1], shape[2]
     terms = basis.shape[0]
@@ -150,11 +147,11 @@ def render_rays(rays_o, rays_d, grid, shape, skip, seen, box, step, near, shift,
         basis = np.empty(terms, np.float32)
         rgb = np.empty(3, np.float32)
         for r in range(block * chunk, min((block + 1) * chunk, n)):
-            count, light = _march(
+            count, light = march(
                 rays_o[r, 0], rays_o[r, 1], rays_o[r, 2],
                 rays_d[r, 0], rays_d[r, 1], rays_d[r, 2], 0.5, grid, shape, skip, box, step,
                 near, shift, cell, frac, alpha, depth, raw)
-            _sh_basis(rays_d[r, 0], rays_d[r, 1], rays_d[r, 2], basis)
+            sh_basis(rays_d[r, 0], rays_d[r, 1], rays_d[r, 2], basis)
             total = np.zeros(6, np.float32)
             left = np.float32(1)
             for i in range(count):
@@ -162,7 +159,8 @@ def render_rays(rays_o, rays_d, grid, shape, skip, seen, box, step, near, shift,
                 left *= 1 - alpha[i]
                 if weight < MIN_WEIGHT:
                     continue
-                _colour(grid, shape, cell[i], frac[i, 0], frac[i, 1], frac[i, 2], basis, rgb)
+                sample_colour(grid, shape, cell[i], frac[i, 0], frac[i, 1], frac[i, 2],
+                              basis, rgb)
                 for channel in range(3):
                     total[channel] += weight * rgb[channel]
                 total[3] += weight * depth[i]
@@ -173,207 +171,6 @@ def render_rays(rays_o, rays_d, grid, shape, skip, seen, box, step, near, shift,
             out[r, 3] = total[3] / max(total[4], 1e-6)
             out[r, 4] = total[4]
             out[r, 5] = total[5]
-
-
-@njit(parallel=True, **FAST)
-def differentiate_rays(rays_o, rays_d, target, gain, jitter, subrays, background, grid, shape,
-                       skip, box, step, near, shift, terms, distortion, pointwise, sparsity,
-                       cell, frac, d_density, d_rgb, count, error, d_gain):
-    """
-    Render pixels and emit the gradient of every sample (no gradient is added here).
-
-    A pixel is the mean of `subrays` consecutive rays; target and gain are per pixel (P, 3).
-    Loss per pixel: squared error of the colour, `distortion` times the distortion loss of
-    mip-NeRF 360 (eq. 15, its first sum), `pointwise` times the samples' own weighted squared error
-    (DirectVoxGO, section 4), and `sparsity` times the sum of the samples' opacities.
-    Outputs, per ray r and sample i: cell (R, S), frac (R, S, 3), d_density (R, S),
-    d_rgb (R, S, 3) with respect to the sigmoid's argument; count (R,); per pixel: error (P,),
-    d_gain (P, 3).
-    """
-    pixels = target.shape[0]
-    limit = cell.shape[1]
-    chunk = 32
-    for block in prange((pixels + chunk - 1) // chunk):
-        alpha = np.empty((subrays, limit), np.float32)
-        depth = np.empty((subrays, limit), np.float32)
-        raw = np.empty((subrays, limit), np.float32)
-        rgb = np.empty((subrays, limit, 3), np.float32)
-        value = np.empty(limit, np.float32)
-        basis = np.empty(terms, np.float32)
-        mean = np.empty(3, np.float32)
-        slope = np.empty(3, np.float32)
-        rest = np.empty(subrays, np.float32)
-        for p in range(block * chunk, min((block + 1) * chunk, pixels)):
-            mean[:] = 0
-            for s in range(subrays):
-                r = p * subrays + s
-                n, light = _march(
-                    rays_o[r, 0], rays_o[r, 1], rays_o[r, 2],
-                    rays_d[r, 0], rays_d[r, 1], rays_d[r, 2], jitter[r], grid, shape, skip,
-                    box, step, near, shift, cell[r], frac[r], alpha[s], depth[s], raw[s])
-                count[r] = n
-                rest[s] = light
-                _sh_basis(rays_d[r, 0], rays_d[r, 1], rays_d[r, 2], basis)
-                left = np.float32(1)
-                for i in range(n):
-                    weight = left * alpha[s, i]
-                    left *= 1 - alpha[s, i]
-                    if weight < MIN_WEIGHT:
-                        rgb[s, i, 0] = -1
-                        continue
-                    _colour(grid, shape, cell[r, i], frac[r, i, 0], frac[r, i, 1],
-                            frac[r, i, 2], basis, rgb[s, i])
-                    for channel in range(3):
-                        mean[channel] += weight * rgb[s, i, channel]
-                for channel in range(3):
-                    mean[channel] += light * background[p, channel]
-            error[p] = 0
-            for channel in range(3):
-                colour = mean[channel] / subrays
-                difference = gain[p, channel] * colour - target[p, channel]
-                error[p] += difference * difference
-                d_gain[p, channel] = 2 * difference * colour
-                slope[channel] = 2 * difference * gain[p, channel] / subrays
-            for s in range(subrays):
-                r = p * subrays + s
-                _ray_gradient(count[r], rest[s], alpha[s], depth[s], raw[s], rgb[s],
-                              slope, gain[p], target[p], background[p], step,
-                              distortion / subrays, pointwise / subrays, sparsity / subrays,
-                              value, d_density[r], d_rgb[r])
-
-
-@njit(**FAST)
-def _ray_gradient(n, light, alpha, depth, raw, rgb, slope, gain, target, background, step,
-                  distortion, pointwise, sparsity, value, d_density, d_rgb):
-    """Fill d_density and d_rgb of one ray; `value` is dL/dweight of each sample."""
-    # Distances enter the distortion loss as t / (t + 1): near and far count alike.
-    total_w = np.float32(0)
-    total_ws = np.float32(0)
-    left = np.float32(1)
-    for i in range(n):
-        weight = left * alpha[i]
-        left *= 1 - alpha[i]
-        s = depth[i] / (depth[i] + 1)
-        total_w += weight
-        total_ws += weight * s
-    before_w = np.float32(0)
-    before_ws = np.float32(0)
-    left = np.float32(1)
-    behind = light * (slope[0] * background[0] + slope[1] * background[1]
-                      + slope[2] * background[2])
-    for i in range(n):
-        weight = left * alpha[i]
-        left *= 1 - alpha[i]
-        s = depth[i] / (depth[i] + 1)
-        spread = (s * before_w - before_ws
-                  + (total_ws - before_ws - weight * s) - s * (total_w - before_w - weight))
-        before_w += weight
-        before_ws += weight * s
-        v = distortion * 2 * spread
-        if rgb[i, 0] >= 0:
-            for channel in range(3):
-                c = rgb[i, channel]
-                own = gain[channel] * c - target[channel]
-                v += slope[channel] * c + pointwise * own * own
-                d_rgb[i, channel] = (
-                    weight * (slope[channel] + 2 * pointwise * own * gain[channel])
-                    * c * (1 - c))
-        else:
-            for channel in range(3):
-                d_rgb[i, channel] = 0
-        value[i] = v
-        behind += weight * v
-    left = np.float32(1)
-    for i in range(n):
-        weight = left * alpha[i]
-        behind -= weight * value[i]
-        keep = 1 - alpha[i]
-        # d alpha / d sigma = step * (1 - alpha); d sigma / d raw = sigmoid(raw)
-        slope_alpha = step * keep / (1 + math.exp(-raw[i]))
-        d_density[i] = (left * value[i] - behind / max(keep, 1e-6) + sparsity) * slope_alpha
-        left *= keep
-
-
-@njit(parallel=True, **FAST)
-def scatter_gradients(rays_d, cell, frac, d_density, d_rgb, count, shape, terms, threads,
-                      gradient, touched):
-    """Add all samples' gradients to `gradient` (V, 1 + 3K) and mark the rows in `touched`."""
-    sy, sz = shape[1], shape[2]
-    for owner in prange(threads):
-        basis = np.empty(terms, np.float32)
-        for r in range(count.shape[0]):
-            _sh_basis(rays_d[r, 0], rays_d[r, 1], rays_d[r, 2], basis)
-            for i in range(count[r]):
-                fx, fy, fz = frac[r, i, 0], frac[r, i, 1], frac[r, i, 2]
-                coloured = d_rgb[r, i, 0] != 0 or d_rgb[r, i, 1] != 0 or d_rgb[r, i, 2] != 0
-                for corner in range(8):
-                    a, b, c = (corner >> 2) & 1, (corner >> 1) & 1, corner & 1
-                    row = cell[r, i] + (a * sy + b) * sz + c
-                    if (row >> 5) % threads != owner:
-                        continue
-                    weight = ((fx if a else 1 - fx) * (fy if b else 1 - fy)
-                              * (fz if c else 1 - fz))
-                    touched[row] = 1
-                    gradient[row, 0] += weight * d_density[r, i]
-                    if coloured:
-                        for channel in range(3):
-                            slope = weight * d_rgb[r, i, channel]
-                            for k in range(terms):
-                                gradient[row, 1 + channel * terms + k] += slope * basis[k]
-
-
-@njit(parallel=True, **FAST)
-def add_total_variation(grid, shape, touched, weight_density, weight_colour, gradient):
-    """Pull touched voxels towards their six neighbours (gradient of the squared differences)."""
-    sx, sy, sz = shape[0], shape[1], shape[2]
-    columns = grid.shape[1]
-    for ix in prange(sx):
-        for iy in range(sy):
-            for iz in range(sz):
-                row = (ix * sy + iy) * sz + iz
-                if not touched[row]:
-                    continue
-                for axis in range(3):
-                    size = sx if axis == 0 else (sy if axis == 1 else sz)
-                    here = ix if axis == 0 else (iy if axis == 1 else iz)
-                    stride = sy * sz if axis == 0 else (sz if axis == 1 else 1)
-                    for direction in (-1, 1):
-                        if here + direction < 0 or here + direction >= size:
-                            continue
-                        other = row + direction * stride
-                        gradient[row, 0] += weight_density * min(
-                            max(grid[row, 0] - grid[other, 0], -1), 1)
-                        for k in range(1, columns):
-                            gradient[row, k] += weight_colour * (grid[row, k] - grid[other, k])
-
-
-@njit(parallel=True, **FAST)
-def adam_step(grid, gradient, first, second, touched, steps, rate_density, rate_colour):
-    """
-    Adam on the touched rows only, then clear their gradients and marks.
-
-    Rows that no ray has touched keep their moments (DirectVoxGO's masked Adam); `steps` (V,)
-    counts a row's own updates for the bias correction.
-    """
-    columns = grid.shape[1]
-    chunk = 4096
-    rows = grid.shape[0]
-    for block in prange((rows + chunk - 1) // chunk):
-        for row in range(block * chunk, min((block + 1) * chunk, rows)):
-            if not touched[row]:
-                continue
-            touched[row] = 0
-            steps[row] += 1
-            correct_first = 1 - 0.9 ** steps[row]
-            correct_second = 1 - 0.99 ** steps[row]
-            for k in range(columns):
-                slope = gradient[row, k]
-                gradient[row, k] = 0
-                first[row, k] = 0.9 * first[row, k] + 0.1 * slope
-                second[row, k] = 0.99 * second[row, k] + 0.01 * slope * slope
-                rate = rate_density if k == 0 else rate_colour
-                grid[row, k] -= (rate * (first[row, k] / correct_first)
-                                 / (math.sqrt(second[row, k] / correct_second) + 1e-8))
 
 
 @njit(parallel=True, **FAST)
@@ -388,7 +185,7 @@ def mark_seen(rays_o, rays_d, grid, shape, skip, box, step, near, shift, limit, 
         depth = np.empty(limit, np.float32)
         raw = np.empty(limit, np.float32)
         for r in range(block * chunk, min((block + 1) * chunk, n)):
-            count, _ = _march(
+            count, _ = march(
                 rays_o[r, 0], rays_o[r, 1], rays_o[r, 2],
                 rays_d[r, 0], rays_d[r, 1], rays_d[r, 2], 0.5, grid, shape, skip, box, step,
                 near, shift, cell, frac, alpha, depth, raw)

@@ -108,12 +108,6 @@ def view_band(view: Intrinsics, rotations: np.ndarray, yaw_range: tuple[float, f
     return Band(top, bottom, yaw_range[0] - reach, width)
 
 
-def _any_inside(view: Intrinsics, directions: np.ndarray) -> bool:
-    """Tell whether a view shows any of these directions (N, 3) in its camera's axes."""
-    pixels = view.project(directions)
-    return bool(((pixels > 0) & (pixels < [view.width, view.height])).all(-1).any())
-
-
 def _in_image(view: Intrinsics, directions: np.ndarray) -> bool:
     """Tell whether any of the directions (N, 3), camera axes, shows in the image."""
     pixels = view.project(directions)

@@ -1,6 +1,7 @@
 """Step 3 of the paper: train the outpainter on the stream of rendered views."""
 from dataclasses import asdict, dataclass
 import math
+import os
 from typing import Any
 
 from neo_ros.errors import ConfigError
@@ -8,6 +9,9 @@ from neo_ros.geometry import ViewExpansion
 from neo_ros.outpaint.network import NetworkConfig, Outpainter
 import numpy as np
 import torch
+
+
+THREADS = len(os.sched_getaffinity(0))
 
 
 @dataclass(frozen=True)
@@ -81,6 +85,8 @@ class OutpaintTrainer:
         rows, columns = self.expansion.observed
         narrow = truth[:, :, rows, columns].contiguous(memory_format=torch.channels_last)
         weight = (self.ring & (coverage > 0.5)).float()
+        # The field's kernels set the number of OpenMP threads, too; sums depend on it.
+        torch.set_num_threads(THREADS)
         for group in self.optimizer.param_groups:
             group['lr'] = self.rate()
         with torch.autocast('cpu', torch.bfloat16, enabled=self.config.precision == 'bf16'):
