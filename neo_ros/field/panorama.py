@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import cv2
 from neo_ros.field.rendering import render_rays, to_uint8
 from neo_ros.field.voxel_field import RadianceField
-from neo_ros.geometry import Intrinsics
+from neo_ros.geometry import Band, Intrinsics
 import numpy as np
 
 # A view's pixels are coarsest in its middle; up to so many panorama pixels are spent on one there.
@@ -17,21 +17,8 @@ MOST_DENSE = 2.0
 SUPERSAMPLE = 2
 # Radians around the sampled headings, which are not quite the extreme ones.
 MARGIN = 0.05
-
-
-@dataclass(frozen=True)
-class Band:
-    """
-    The part of the sphere that a panorama covers, radians; world z is up.
-
-    Elevations run from `top` down to `bottom`, azimuths from `low` counter-clockwise over
-    `width`, at most 2 pi.
-    """
-
-    top: float
-    bottom: float
-    low: float = -np.pi
-    width: float = 2 * np.pi
+# A surface within so many voxels of where rays begin is one that the camera stands in.
+BLOCKED_VOXELS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,11 +27,14 @@ class Panorama:
     What is seen from `position` (3,) in a band of the sphere.
 
     image: RGBA uint8 (H, W, 4); A is coverage, 255 = seen by a training camera.
+    opacity: its mean, in [0, 1]. blocked: share of the rays that end right in front of the lens.
     """
 
     position: np.ndarray
     image: np.ndarray
     band: Band
+    opacity: float = 1.0
+    blocked: float = 0.0
 
     def cut_view(self, view: Intrinsics, R_world_cam: np.ndarray) -> np.ndarray:
         """
@@ -55,15 +45,10 @@ class Panorama:
         fine = view.scaled(SUPERSAMPLE)
         rays = fine.pixel_rays() @ R_world_cam.T.astype(np.float32)
         height, width = self.image.shape[:2]
-        band = self.band
-        azimuth = np.mod(np.arctan2(rays[..., 1], rays[..., 0]) - band.low, 2 * np.pi)
-        elevation = np.arctan2(rays[..., 2], np.hypot(rays[..., 0], rays[..., 1]))
-        columns = azimuth / band.width * width - 0.5
-        rows = (band.top - elevation) / (band.top - band.bottom) * height - 0.5
-        cut = cv2.remap(self.image, columns.astype(np.float32),
-                        np.clip(rows, 0, height - 1).astype(np.float32),
-                        cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
-        cut[(rows < -1) | (rows > height) | (columns > width), 3] = 0
+        columns, rows = np.moveaxis(self.band.pixels(rays, height, width), -1, 0)
+        cut = cv2.remap(self.image, columns, np.clip(rows, 0, height - 1), cv2.INTER_LINEAR,
+                        borderMode=cv2.BORDER_WRAP)
+        cut[(rows < -1) | (rows > height) | (columns < -1), 3] = 0
         return cv2.resize(cut, (view.width, view.height), interpolation=cv2.INTER_AREA)
 
 
@@ -74,13 +59,11 @@ def render_panorama(field: RadianceField, position: np.ndarray, view: Intrinsics
     density = min(1 / np.cos(max(view.hfov, view.vfov) / 2) ** 2, MOST_DENSE)
     width = int(band.width * view.fx * density)
     height = max(int((band.top - band.bottom) * view.fy * density), 2)
-    azimuth = band.low + (np.arange(width) + 0.5) / width * band.width
-    rise = band.top - (np.arange(height)[:, None] + 0.5) / height * (band.top - band.bottom)
-    rays = np.stack([np.cos(rise) * np.cos(azimuth), np.cos(rise) * np.sin(azimuth),
-                     np.broadcast_to(np.sin(rise), (height, width))], axis=-1)
-    rendering = render_rays(field, position, rays.astype(np.float32))
+    rendering = render_rays(field, position, band.rays(height, width))
     image = np.dstack([rendering.image, rendering.coverage])
-    return Panorama(np.asarray(position), to_uint8(image), band)
+    near = rendering.depth < field.near + BLOCKED_VOXELS * field.voxel
+    return Panorama(np.asarray(position), to_uint8(image), band, float(rendering.opacity.mean()),
+                    float((near & (rendering.opacity > 0.5)).mean()))
 
 
 def view_band(view: Intrinsics, rotations: np.ndarray, yaw_range: tuple[float, float]) -> Band:

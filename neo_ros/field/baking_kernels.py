@@ -1,0 +1,96 @@
+"""Compiled loop that colours a panorama from the photos themselves."""
+import math
+
+from neo_ros.field.compiled import njit, prange
+from neo_ros.field.kernels import FAST
+import numpy as np
+
+# Photos that are blended in a pixel.
+BLENDED = 4
+# What a photo may differ from the field's depth, relative and in metres, and still see the point.
+DEPTH_SHARE, DEPTH_METRES = 0.04, 0.02
+# Radians by which a photo may look at a point from further aside than the best photo.
+ANGLE = 0.05
+# How much a photo counts that is so many grey levels away from the field's colour: 1 / e.
+COLOUR = 60.0
+# Farther photos are coarser: so many radians for each time that a photo is farther away.
+DISTANCE = 0.3
+# A photo looks at a point from at most 60 degrees aside.
+LEAST_COSINE = 0.5
+
+
+@njit(parallel=True, **FAST)
+def colour_from_photos(position, rays, depth, coarse, photos, photo_depth, rotations, positions,
+                       gains, fx, fy, cx, cy, out):
+    """
+    Blend, for every pixel of a panorama, the photos that see its point most nearly alike.
+
+    position (3,), rays (h, w, 3), depth (h, w) metres, 0 = unknown, and coarse (h, w, 3) uint8,
+    the field's own colours, describe the panorama. photos (N, H, W, 3) uint8, photo_depth
+    (N, H, W) metres along the ray, rotations (N, 3, 3) camera to world, positions (N, 3), gains
+    (N, 3) multiply a photo's colours to the scene's. Fills out (h, w, 3) uint8.
+    """
+    high, wide = photos.shape[1], photos.shape[2]
+    for i in prange(depth.shape[0]):
+        score = np.empty(BLENDED)
+        which = np.empty(BLENDED, np.int64)
+        us, vs = np.empty(BLENDED), np.empty(BLENDED)
+        colour, total = np.empty(3), np.empty(3)
+        for j in range(depth.shape[1]):
+            out[i, j] = coarse[i, j]
+            d = depth[i, j]
+            if d <= 0:
+                continue
+            score[:] = 1e9
+            which[:] = -1
+            for n in range(len(photos)):
+                px = position[0] + rays[i, j, 0] * d - positions[n, 0]
+                py = position[1] + rays[i, j, 1] * d - positions[n, 1]
+                pz = position[2] + rays[i, j, 2] * d - positions[n, 2]
+                R = rotations[n]
+                z = R[0, 2] * px + R[1, 2] * py + R[2, 2] * pz
+                if z < 0.1:
+                    continue
+                u = fx * (R[0, 0] * px + R[1, 0] * py + R[2, 0] * pz) / z + cx
+                v = fy * (R[0, 1] * px + R[1, 1] * py + R[2, 1] * pz) / z + cy
+                if not (1 <= u < wide - 1 and 1 <= v < high - 1):
+                    continue
+                length = math.sqrt(px * px + py * py + pz * pz)
+                cosine = (px * rays[i, j, 0] + py * rays[i, j, 1] + pz * rays[i, j, 2]) / length
+                if cosine < LEAST_COSINE:
+                    continue
+                cost = math.acos(min(cosine, 1.0)) + DISTANCE * max(length / d - 1, 0.0)
+                if cost >= score[-1]:
+                    continue
+                seen = photo_depth[n, int(v), int(u)]
+                if abs(seen - length) > DEPTH_SHARE * length + DEPTH_METRES:
+                    continue
+                m = BLENDED - 1
+                while m > 0 and score[m - 1] > cost:
+                    score[m], which[m], us[m], vs[m] = (
+                        score[m - 1], which[m - 1], us[m - 1], vs[m - 1])
+                    m -= 1
+                score[m], which[m], us[m], vs[m] = cost, n, u - 0.5, v - 0.5
+            # The field's own colour decides only where no photo agrees with it.
+            weights = 1e-3
+            for c in range(3):
+                total[c] = 1e-3 * coarse[i, j, c]
+            for m in range(BLENDED):
+                if which[m] < 0:
+                    break
+                photo, gain = photos[which[m]], gains[which[m]]
+                u0, v0 = int(us[m]), int(vs[m])
+                a, b = us[m] - u0, vs[m] - v0
+                apart = 0.0
+                for c in range(3):
+                    colour[c] = gain[c] * (
+                        (1 - b) * ((1 - a) * photo[v0, u0, c] + a * photo[v0, u0 + 1, c])
+                        + b * ((1 - a) * photo[v0 + 1, u0, c] + a * photo[v0 + 1, u0 + 1, c]))
+                    apart += (colour[c] - coarse[i, j, c]) ** 2
+                weight = (math.exp((score[0] - score[m]) / ANGLE)
+                          * math.exp(-apart / (COLOUR * COLOUR)))
+                weights += weight
+                for c in range(3):
+                    total[c] += weight * colour[c]
+            for c in range(3):
+                out[i, j, c] = min(max(total[c] / weights + 0.5, 0.0), 255.0)

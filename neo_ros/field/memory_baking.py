@@ -1,0 +1,156 @@
+"""
+Make the scene memory: panoramas with depth out of the field, with colours out of the photos.
+
+The field knows where things are better than how they look: each point of a panorama takes its
+colour from the photos that saw it from nearly the same direction, and from the field where no
+photo agrees.
+"""
+from dataclasses import dataclass
+import math
+from typing import Callable
+
+import cv2
+from neo_ros.errors import ConfigError
+from neo_ros.field.baking_kernels import colour_from_photos
+from neo_ros.field.panorama import view_band
+from neo_ros.field.rendering import render_rays, to_uint8, world_rays
+from neo_ros.field.voxel_field import RadianceField
+from neo_ros.geometry import Band, CameraPose, Intrinsics, ViewExpansion
+from neo_ros.memory.scene_memory import Glances, Keyframe, SceneMemory
+from neo_ros.scenes.pose_sampling import PoseSampler, rotation_from_angles
+import numpy as np
+
+# The mesh's vertices a radian are at most so many; textures are TEXTURE times finer than the view.
+MESH_FOCAL = 96.0
+TEXTURE = 2.0
+# Photos nearest to a keyframe that may colour it.
+PHOTOS = 400
+LEAST_COVERAGE = 0.5
+GLANCE_WIDTH = 16
+GLANCE_YAW = math.radians(15)
+
+
+@dataclass(frozen=True)
+class MemoryConfig:
+    """What the robot keeps of the scene beside the network."""
+
+    __pydantic_config__ = {'extra': 'forbid'}
+    distance: float = 0.3    # metres; a keyframe is at most so far from where a camera can be
+
+    def __post_init__(self) -> None:
+        if not self.distance > 0:
+            raise ConfigError(f'memory.distance: expected metres > 0, got {self.distance}')
+
+
+@dataclass(frozen=True, eq=False)
+class Photos:
+    """Photos uint8 (N, H, W, 3), their camera and T_world_cam (N, 4, 4)."""
+
+    images: np.ndarray
+    intrinsics: Intrinsics
+    T_world_cam: np.ndarray
+
+
+def bake_memory(field: RadianceField, photos: Photos, expansion: ViewExpansion,
+                sampler: PoseSampler, config: MemoryConfig, seed: int,
+                progress: Callable[[int, int], None] = lambda done, total: None) -> SceneMemory:
+    """Render and colour keyframes wherever the sampler's camera can be."""
+    random = np.random.default_rng([seed, 3])
+    band = view_band(expansion.target,
+                     np.stack([sampler.draw_rotation(random) for _ in range(500)]),
+                     sampler.yaw_range)
+    positions = keyframe_positions(sampler, photos, config.distance)
+    total = len(photos.images) + len(positions)
+    depths, gains = [], []
+    for index, (image, T) in enumerate(zip(photos.images, photos.T_world_cam)):
+        rendering = render_rays(field, *world_rays(photos.intrinsics, CameraPose(T)))
+        depths.append(np.where(rendering.coverage > LEAST_COVERAGE, rendering.depth, 0))
+        gains.append(_gain(rendering.image, image))
+        progress(index + 1, total)
+    seen = np.stack(depths).astype(np.float32)
+    keyframes = []
+    for index, position in enumerate(positions):
+        keyframes.append(_bake_keyframe(field, photos, seen, np.stack(gains), position, band,
+                                        expansion.target.fx))
+        progress(len(photos.images) + index + 1, total)
+    return SceneMemory.from_keyframes(
+        keyframes, band, _glances(keyframes, band, photos, expansion.source, sampler))
+
+
+def keyframe_positions(sampler: PoseSampler, photos: Photos, distance: float) -> np.ndarray:
+    """Choose positions (K, 3) so that each place of the camera has one within `distance`."""
+    if sampler.height[1] == 0:
+        places = np.column_stack([sampler.positions_xy,
+                                  np.full(len(sampler.positions_xy), sampler.height[0])])
+    else:
+        places = photos.T_world_cam[:, :3, 3]
+    chosen = [int(np.linalg.norm(places - places.mean(0), axis=1).argmin())]
+    away = np.linalg.norm(places - places[chosen[0]], axis=1)
+    while away.max() > distance:
+        chosen.append(int(away.argmax()))
+        away = np.minimum(away, np.linalg.norm(places - places[chosen[-1]], axis=1))
+    return places[chosen]
+
+
+def _gain(rendered: np.ndarray, photo: np.ndarray) -> np.ndarray:
+    """Return what multiplies a photo's colours, (3,), to the exposure of the field."""
+    ratio = 255 * rendered.mean((0, 1)) / np.maximum(photo.mean((0, 1)), 1)
+    return np.clip(ratio, 0.5, 2).astype(np.float32)
+
+
+def _bake_keyframe(field: RadianceField, photos: Photos, seen: np.ndarray, gains: np.ndarray,
+                   position: np.ndarray, band: Band, focal: float) -> Keyframe:
+    mesh = min(focal, MESH_FOCAL)
+    finer = max(round(TEXTURE * focal / mesh), 1)
+    width, height = int(band.width * mesh), max(int((band.top - band.bottom) * mesh), 2)
+    rays = band.rays(height * finer, width * finer)
+    rendering = render_rays(field, position, rays)
+    depth = np.where(rendering.coverage > LEAST_COVERAGE, rendering.depth, 0).astype(np.float32)
+    texture = np.empty(rays.shape, np.uint8)
+    centres = photos.T_world_cam[:, :3, 3]
+    near = np.sort(np.argsort(np.linalg.norm(centres - position, axis=1),
+                              kind='stable')[:PHOTOS])
+    camera = photos.intrinsics
+    colour_from_photos(
+        position.astype(np.float32), rays, depth, to_uint8(rendering.image),
+        photos.images[near], seen[near],
+        np.ascontiguousarray(photos.T_world_cam[near, :3, :3], np.float32),
+        centres[near].astype(np.float32), gains[near],
+        camera.fx, camera.fy, camera.cx, camera.cy, texture)
+    blocks = depth.reshape(height, finer, width, finer)
+    return Keyframe(position, np.median(blocks, axis=(1, 3)).astype(np.float32), texture)
+
+
+def _glances(keyframes: list[Keyframe], band: Band, photos: Photos, source: Intrinsics,
+             sampler: PoseSampler) -> Glances:
+    """Take small pictures at every keyframe in all directions, and of every photo."""
+    small = source.scaled(GLANCE_WIDTH / source.width)
+    fine = small.scaled(4)
+    low, width = sampler.yaw_range
+    (pitch, roll), _ = sampler.pitch_roll
+    yaws = low + width * (np.arange(math.ceil(width / GLANCE_YAW)) + 0.5) / math.ceil(
+        width / GLANCE_YAW)
+    pictures, poses = [], []
+    for keyframe in keyframes:
+        for yaw in yaws:
+            T = np.eye(4)
+            T[:3, :3] = rotation_from_angles(yaw, pitch, roll)
+            T[:3, 3] = keyframe.position
+            where = band.pixels(fine.pixel_rays() @ T[:3, :3].T, *keyframe.texture.shape[:2])
+            cut = cv2.remap(keyframe.texture, where[..., 0], where[..., 1], cv2.INTER_LINEAR,
+                            borderMode=cv2.BORDER_WRAP)
+            pictures.append(glance(cut, small))
+            poses.append(T)
+    left = (photos.intrinsics.width - source.width) // 2
+    top = (photos.intrinsics.height - source.height) // 2
+    for image, T in zip(photos.images, photos.T_world_cam):
+        window = image[top:top + source.height, left:left + source.width]
+        pictures.append(glance(window, small))
+        poses.append(T)
+    return Glances(np.stack(pictures), np.stack(poses))
+
+
+def glance(image: np.ndarray, small: Intrinsics) -> np.ndarray:
+    """Shrink RGB uint8 to a grey uint8 picture of the size of `small`."""
+    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    return cv2.resize(grey, (small.width, small.height), interpolation=cv2.INTER_AREA)

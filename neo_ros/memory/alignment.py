@@ -1,0 +1,144 @@
+"""
+Find a camera's pose from its image: direct photometric alignment with the scene memory.
+
+Gauss-Newton on the difference of grey images, coarse to fine, in six degrees of freedom, with
+gain and bias free and Huber weights (Lucas and Kanade 1981; as in DSO, Engel et al. 2018).
+"""
+import cv2
+from neo_ros.geometry import CameraPose, Intrinsics
+from neo_ros.geometry.camera_pose import rotation_from_vector
+from neo_ros.memory import kernels
+from neo_ros.memory.rendering import GuideView, MemoryRenderer
+import numpy as np
+
+# Scales of the residuals' weights, grey levels in [0, 1]. Far from the pose Huber's pull from
+# everywhere; near it Geman and McClure's let somebody who stands in the image have no say.
+HUBER = 0.05
+GEMAN_MCCLURE = 0.08
+# A level's image is half as wide as the one before; the coarsest is at least so wide, pixels.
+COARSEST = 24
+FINEST = 128
+ITERATIONS = 12
+# A step that moves no pixel by more than this, pixels, is the last one of its level.
+STILL = 0.02
+DAMPING = 1e-4
+# Keyframes that the image is aligned with: fewer than are shown.
+ALIGNED_WITH = 2
+LEAST_OVERLAP = 0.3
+# Share of an image that somebody may hide.
+OCCLUDED = 0.35
+
+
+class Aligner:
+    """Aligns images of one camera with one memory."""
+
+    def __init__(self, renderer: MemoryRenderer, source: Intrinsics) -> None:
+        self.renderer = renderer
+        finest = source.scaled(min(1.0, FINEST / source.width))
+        self.levels = [finest]
+        while self.levels[-1].width >= 2 * COARSEST:
+            self.levels.append(finest.scaled(0.5 ** len(self.levels)))
+        self._rays = [level.pixel_rays() for level in self.levels]
+
+    def pyramid(self, image: np.ndarray) -> list[np.ndarray]:
+        """Return grey float32 in [0, 1] of an RGB uint8 or 0 ... 255 float image, by level."""
+        grey = cv2.cvtColor(image.astype(np.float32) / 255, cv2.COLOR_RGB2GRAY)
+        return [cv2.resize(grey, (level.width, level.height), interpolation=cv2.INTER_AREA)
+                for level in self.levels]
+
+    def align(self, photo: list[np.ndarray], start: CameraPose, rounds: int,
+              near: bool = False) -> CameraPose:
+        """
+        Improve a pose until image and memory agree; `photo` is from `pyramid`.
+
+        Every round draws the memory anew from the pose that the round before has found. `near`:
+        the start is a few centimetres and degrees off; then occluders do little harm.
+        """
+        pose, coarsest = start, len(self.levels) - 1
+        for _ in range(rounds):
+            guide = self.renderer.render(pose, self.levels[0], ALIGNED_WITH)
+            greys = self.pyramid(guide.image)
+            # From the guide's camera to the photo's; then what maps the photo's grey to the
+            # guide's.
+            T, gain, bias = np.eye(4), 1.0, 0.0
+            for level in range(coarsest, -1, -1):
+                T, gain, bias = self._align_level(
+                    level, photo[level], greys[level], self._depth(guide, level), T, gain, bias,
+                    near)
+            pose = CameraPose(pose.T_world_cam @ np.linalg.inv(T))
+            coarsest = min(coarsest, 1)
+        return pose
+
+    def agreement(self, photo: list[np.ndarray], pose: CameraPose) -> float:
+        """Return the correlation of image and memory at a pose, in [-1, 1]."""
+        level = min(1, len(self.levels) - 1)
+        guide = self.renderer.render(pose, self.levels[level], ALIGNED_WITH)
+        grey = cv2.cvtColor(guide.image / 255, cv2.COLOR_RGB2GRAY)
+        return agreement(photo[level], grey, guide.depth > 0)[0]
+
+    def _depth(self, guide: GuideView, level: int) -> np.ndarray:
+        size = (self.levels[level].width, self.levels[level].height)
+        return cv2.resize(guide.depth, size, interpolation=cv2.INTER_NEAREST)
+
+    def _align_level(self, level: int, photo: np.ndarray, guide: np.ndarray, depth: np.ndarray,
+                     T: np.ndarray, gain: float, bias: float, near: bool
+                     ) -> tuple[np.ndarray, float, float]:
+        camera = self.levels[level]
+        gradient_x = np.gradient(photo, axis=1).astype(np.float32)
+        gradient_y = np.gradient(photo, axis=0).astype(np.float32)
+        H, g = np.empty((8, 8)), np.empty(8)
+        before, kept = np.inf, (T, gain, bias)
+        for _ in range(ITERATIONS):
+            error, overlap = kernels.normal_equations(
+                photo, gradient_x, gradient_y, guide, depth, self._rays[level], camera.fx,
+                camera.fy, camera.cx, camera.cy, T, gain, bias,
+                GEMAN_MCCLURE if near else HUBER, near, H, g)
+            # Pixels that are lost must not look like an improvement.
+            cost = error / max(overlap, 0.05)
+            if cost > before:
+                T, gain, bias = kept
+                break
+            kept, before = (T, gain, bias), cost
+            step = -np.linalg.solve(H + DAMPING * np.diag(np.diag(H) + 1e-6), g)
+            move = np.eye(4)
+            move[:3, :3], move[:3, 3] = rotation_from_vector(step[3:6]), step[:3]
+            T = move @ T
+            gain, bias = float(np.clip(gain + step[6], 0.3, 3)), bias + float(step[7])
+            away = max(float(np.median(depth[depth > 0])), 0.5) if (depth > 0).any() else 1.0
+            moved = camera.fx * (np.linalg.norm(step[:3]) / away + np.linalg.norm(step[3:6]))
+            if moved < STILL:
+                break
+        return T, gain, bias
+
+
+def agreement(image: np.ndarray, guide: np.ndarray, known: np.ndarray) -> tuple[float, float]:
+    """
+    Return the correlations in [-1, 1] of an image and a guide where the guide is known.
+
+    The first is of all pixels, the second of those that fit best: without a third of them, as
+    if somebody stood there. image, guide: float (h, w); known: bool (h, w). Both are -1 where
+    too little is known, and 0 if one of the images is of one colour.
+    """
+    if known.mean() < LEAST_OVERLAP:
+        return -1.0, -1.0
+    a, b = image[known].astype(np.float64), guide[known].astype(np.float64)
+    whole, kept = correlation(a, b), np.ones(len(a), bool)
+    for _ in range(3):
+        slope, offset = fitted_line(b[kept], a[kept])
+        error = np.abs(a - slope * b - offset)
+        kept = error <= np.quantile(error, 1 - OCCLUDED)
+    return whole, correlation(a[kept], b[kept]) if slope > 0 else 0.0
+
+
+def correlation(a: np.ndarray, b: np.ndarray) -> float:
+    """Return the correlation coefficient of two float arrays (N,); 0 if one is constant."""
+    a, b = a - a.mean(), b - b.mean()
+    norm = float(np.linalg.norm(a) * np.linalg.norm(b))
+    return float(a @ b) / norm if norm > 1e-6 else 0.0
+
+
+def fitted_line(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
+    """Return slope and offset of the line through (x, y), least squares."""
+    dx = x - x.mean()
+    slope = float(dx @ y) / max(float(dx @ dx), 1e-9)
+    return slope, float(y.mean() - slope * x.mean())

@@ -1,0 +1,69 @@
+"""Join camera image, guide and the network's picture into one wide view."""
+import cv2
+from neo_ros.geometry import ViewExpansion
+from neo_ros.memory.scene_guide import Guide
+import numpy as np
+
+# The difference between image and guide is smoothed over blocks of so many pixels, and carried
+# over the seam as far as this share of the image's width.
+BLOCK = 8
+REACH = 0.12
+# Grey levels of difference that are healed at most: beyond, somebody stands in the image.
+MOST_HEALED = 24.0
+# Pixels stretched over a gap of the memory are so much less sure.
+STRETCHED = 0.05
+# Error that a guide has even where image and memory agree, in units of full brightness.
+LEAST_ERROR = 0.02
+
+
+def fuse(image: np.ndarray, guide: Guide, network_image: np.ndarray,
+         expansion: ViewExpansion) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return the wide image, uint8 RGB (H, W, 3), and the expected error of its pixels.
+
+    The camera's pixels stay as they are. Around them the guide is drawn, its colours bent to
+    the image's near the seam; where the memory knows nothing, the network's image, uint8
+    (H, W, 3), fills in. The error, float32 (H, W) in units of full brightness, follows from how
+    image and guide differ at the nearest part of the seam; it is NaN where the network's
+    picture is.
+    """
+    rows, columns = expansion.observed
+    inside = guide.known[rows, columns]
+    difference = np.zeros((*inside.shape, 4), np.float32)
+    difference[..., :3] = image.astype(np.float32) - guide.image[rows, columns]
+    difference[..., 3] = np.abs(difference[..., :3]).mean(-1)
+    np.clip(difference[..., :3], -MOST_HEALED, MOST_HEALED, out=difference[..., :3])
+    carried, weight = _carried_outward(difference * inside[..., None], inside, expansion)
+    # Far from the seam nothing is known of the difference: the correction fades, the error stays.
+    nearness = np.minimum(weight, 1)[..., None]
+    wide = np.clip(guide.image + carried[..., :3] * nearness + 0.5, 0, 255).astype(np.uint8)
+    error = np.maximum(carried[..., 3] / 255, LEAST_ERROR) + STRETCHED * guide.stretched
+    wide[~guide.known] = network_image[~guide.known]
+    wide[rows, columns] = image
+    error[~guide.known] = np.nan
+    error[rows, columns] = 0
+    return wide, error.astype(np.float32)
+
+
+def _carried_outward(difference: np.ndarray, inside: np.ndarray, expansion: ViewExpansion
+                     ) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Spread values (h, w, C) of the observed window smoothly over the wide view.
+
+    Returns (H, W, C), everywhere a mean of the nearest values, and a weight (H, W) that falls
+    from about 1 at the seam to 0 far from it.
+    """
+    target = expansion.target
+    layers = np.zeros((target.height, target.width, difference.shape[-1] + 1), np.float32)
+    layers[expansion.observed][..., :-1] = difference
+    layers[expansion.observed][..., -1] = inside
+    small = (max(target.width // BLOCK, 2), max(target.height // BLOCK, 2))
+    coarse = cv2.resize(layers, small, interpolation=cv2.INTER_AREA)
+    spread = cv2.GaussianBlur(coarse, (0, 0), REACH * small[0] / 2)
+    # A second, wide blur gives a value even where the first one gives none.
+    everywhere = cv2.GaussianBlur(coarse, (0, 0), small[0] / 4) + coarse.mean((0, 1)) * 1e-3
+    total = spread + 1e-3 * everywhere
+    mean = total[..., :-1] / np.maximum(total[..., -1:], 1e-9)
+    full = (target.width, target.height)
+    return (cv2.resize(mean, full, interpolation=cv2.INTER_LINEAR),
+            cv2.resize(2 * spread[..., -1], full, interpolation=cv2.INTER_LINEAR))

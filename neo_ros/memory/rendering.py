@@ -1,0 +1,65 @@
+"""Draw the scene memory from a pose: colours, depth, and what is not known."""
+from dataclasses import dataclass
+
+from neo_ros.geometry import CameraPose, Intrinsics
+from neo_ros.memory import kernels
+from neo_ros.memory.scene_memory import SceneMemory
+import numpy as np
+
+# Added to a keyframe's number in pixels that are stretched over a gap.
+STRETCHED = 64
+
+
+@dataclass(frozen=True, eq=False)
+class GuideView:
+    """
+    What the memory shows from a pose.
+
+    image float32 RGB (H, W, 3) in 0 ... 255; depth float32 (H, W), z in metres, 0 = unknown;
+    stretched bool (H, W): colours of both sides of a gap, where no keyframe saw what is there.
+    """
+
+    image: np.ndarray
+    depth: np.ndarray
+    stretched: np.ndarray
+
+
+class MemoryRenderer:
+    """Draws views of one memory; keeps what all of them need."""
+
+    def __init__(self, memory: SceneMemory) -> None:
+        self.memory = memory
+        self._rays: np.ndarray | None = None
+
+    def nearest(self, position: np.ndarray, count: int) -> np.ndarray:
+        """Return the indices of the nearest keyframes, the nearest first."""
+        distance = np.linalg.norm(self.memory.positions - position, axis=1)
+        return np.argsort(distance, kind='stable')[:count]
+
+    def render(self, pose: CameraPose, view: Intrinsics, keyframes: int = 3) -> GuideView:
+        """Draw the nearest keyframes; the nearer one wins where several show a surface."""
+        height, width = view.height, view.width
+        image = np.zeros((height, width, 3), np.float32)
+        inverse = np.zeros((height, width), np.float32)
+        rank = np.full((height, width), -1, np.int8)
+        rotation = np.ascontiguousarray(pose.T_world_cam[:3, :3].T, np.float32)
+        meshes = []
+        for index in self.nearest(pose.position, keyframes):
+            keyframe = self.memory.keyframe(int(index))
+            if self._rays is None:
+                self._rays = self.memory.band.rays(*keyframe.depth.shape)
+            offset = (keyframe.position - pose.position).astype(np.float32)
+            vertices = np.empty((3, *keyframe.depth.shape), np.float32)
+            spans = np.empty((len(keyframe.depth), 2), np.float32)
+            kernels.project_vertices(
+                self._rays, keyframe.depth, offset, rotation, view.fx, view.fy, view.cx, view.cy,
+                vertices, spans)
+            meshes.append((vertices, spans, keyframe, view.fx * float(np.linalg.norm(offset))))
+        # What is whole comes first, what is torn fills the gaps.
+        for fill in (False, True):
+            for own, (vertices, spans, keyframe, reach) in enumerate(meshes):
+                kernels.draw_keyframe(
+                    vertices, spans, keyframe.depth, keyframe.texture, self.memory.band.wraps,
+                    reach, own + STRETCHED * fill, fill, image, inverse, rank)
+        depth = np.divide(1, inverse, out=np.zeros_like(inverse), where=inverse > 0)
+        return GuideView(image, depth, rank >= STRETCHED)

@@ -1,0 +1,67 @@
+"""A room whose every view is known exactly: a box with painted walls, cast by numpy."""
+from neo_ros.geometry import Band, CameraPose, Intrinsics, ViewExpansion
+from neo_ros.memory.scene_memory import Glances, Keyframe, SceneMemory
+import numpy as np
+
+LOW, HIGH = np.array([0.0, 0.0, 0.0]), np.array([5.0, 4.0, 2.6])
+HEIGHT = 1.4
+BAND = Band(1.1, -1.1)
+SOURCE = Intrinsics.from_hfov(64, 64, np.pi / 2)
+EXPANSION = ViewExpansion.to_size(SOURCE, 128, 128)
+
+
+def cast(origin: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return colours, float (..., 3) in 0 ... 255, and distances (...) along unit rays."""
+    with np.errstate(divide='ignore', invalid='ignore'):
+        walls = np.where(rays > 0, (HIGH - origin) / rays, (LOW - origin) / rays)
+    walls[~np.isfinite(walls)] = np.inf
+    depth = walls.min(-1)
+    x, y, z = np.moveaxis(origin + rays * depth[..., None], -1, 0)
+    side = walls.argmin(-1)
+    # Waves of several lengths: no two parts of the room look alike.
+    colour = np.stack([
+        130 + 60 * np.sin(2.3 * x + 1.1 * y + side) + 40 * np.sin(5.1 * y - 4 * z),
+        120 + 70 * np.sin(1.7 * y - 2.9 * z + 2 * side) + 30 * np.sin(6 * x + y),
+        110 + 60 * np.sin(3.1 * z + 1.3 * x - side) + 40 * np.sin(4.4 * x - 3 * y)], -1)
+    return np.clip(colour, 0, 255), depth
+
+
+def view(pose: CameraPose, camera: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
+    """Return the image, uint8 (H, W, 3), and z in metres (H, W)."""
+    rays = camera.pixel_rays() @ pose.T_world_cam[:3, :3].T
+    length = np.linalg.norm(rays, axis=-1)
+    colour, depth = cast(pose.position, rays / length[..., None])
+    return np.rint(colour).astype(np.uint8), depth / length
+
+
+def keyframe(position: np.ndarray) -> Keyframe:
+    """Return what a perfect field would give: mesh 80 pixels a radian, texture twice as fine."""
+    height, width = int((BAND.top - BAND.bottom) * 40), int(BAND.width * 40)
+    _, depth = cast(position, BAND.rays(height, width))
+    colour, _ = cast(position, BAND.rays(2 * height, 2 * width))
+    return Keyframe(position, depth.astype(np.float32), np.rint(colour).astype(np.uint8))
+
+
+def box_memory() -> SceneMemory:
+    """Remember the room by keyframes a metre apart."""
+    positions = [np.array([x, y, HEIGHT]) for x in (1.2, 2.2, 3.2) for y in (1.2, 2.2)]
+    small = SOURCE.scaled(16 / SOURCE.width)
+    poses = [CameraPose.from_planar(*position, yaw)
+             for position in positions for yaw in np.arange(16) * np.pi / 8]
+    glances = Glances(
+        np.stack([view(pose, small)[0].mean(-1).astype(np.uint8) for pose in poses]),
+        np.stack([pose.T_world_cam for pose in poses]))
+    return SceneMemory.from_keyframes([keyframe(position) for position in positions], BAND,
+                                      glances)
+
+
+def planar(x: float, y: float, yaw_deg: float) -> CameraPose:
+    """Return a level pose at the room's camera height."""
+    return CameraPose.from_planar(x, y, HEIGHT, np.radians(yaw_deg))
+
+
+def apart(one: CameraPose, other: CameraPose) -> tuple[float, float]:
+    """Return how far two poses are apart: metres and degrees."""
+    cosine = (np.trace(one.T_world_cam[:3, :3].T @ other.T_world_cam[:3, :3]) - 1) / 2
+    return (float(np.linalg.norm(one.position - other.position)),
+            float(np.degrees(np.arccos(np.clip(cosine, -1, 1)))))

@@ -1,0 +1,54 @@
+"""Fusing camera image, guide and network."""
+from box_room import EXPANSION, planar, view
+from neo_ros.memory.fusion import fuse, LEAST_ERROR
+from neo_ros.memory.scene_guide import Guide
+import numpy as np
+
+POSE = planar(1.9, 1.7, 35)
+WIDE = view(POSE, EXPANSION.target)[0]
+NARROW = EXPANSION.crop(WIDE)
+RING = EXPANSION.extrapolated_mask
+NETWORK = np.full_like(WIDE, 77)
+
+
+def guide_of(image: np.ndarray, known: np.ndarray | None = None) -> Guide:
+    whole = np.ones(RING.shape, bool)
+    return Guide(image.astype(np.float32), whole if known is None else known,
+                 np.zeros(RING.shape, bool), POSE, 1.0)
+
+
+def test_a_perfect_guide_stays_as_it_is() -> None:
+    wide, error = fuse(NARROW, guide_of(WIDE), NETWORK, EXPANSION)
+    assert np.abs(wide.astype(int) - WIDE).max() <= 1
+    assert np.all(error[RING] == np.float32(LEAST_ERROR)) and np.all(error[~RING] == 0)
+
+
+def test_the_camera_pixels_are_never_touched() -> None:
+    noise = np.random.default_rng(0).integers(0, 256, WIDE.shape).astype(np.uint8)
+    wide, _ = fuse(NARROW, guide_of(noise), NETWORK, EXPANSION)
+    assert np.array_equal(EXPANSION.crop(wide), NARROW)
+
+
+def test_what_the_memory_does_not_know_comes_from_the_network() -> None:
+    known = np.ones(RING.shape, bool)
+    known[:20] = False
+    wide, error = fuse(NARROW, guide_of(WIDE, known), NETWORK, EXPANSION)
+    assert np.array_equal(wide[:20], NETWORK[:20])
+    assert np.isnan(error[:20]).all() and np.isfinite(error[20:]).all()
+
+
+def test_a_difference_in_exposure_is_healed_at_the_seam() -> None:
+    wide, _ = fuse(NARROW, guide_of(WIDE.astype(float) - 12), NETWORK, EXPANSION)
+    seam = np.zeros(RING.shape, bool)
+    seam[28:-28, 28:-28] = True
+    seam &= RING
+    shift = np.minimum(WIDE.astype(float), 12)  # where the guide would be below black
+    assert np.abs(wide.astype(float) - WIDE)[seam].mean() < 0.5 * shift[seam].mean()
+
+
+def test_confidence_falls_where_the_image_contradicts_the_memory() -> None:
+    changed = NARROW.copy()
+    changed[20:44, 44:] = 255 - changed[20:44, 44:]
+    _, error = fuse(changed, guide_of(WIDE), NETWORK, EXPANSION)
+    beside, opposite = error[52:76, 98:104].mean(), error[52:76, 24:30].mean()
+    assert beside > 3 * opposite

@@ -1,0 +1,119 @@
+"""Finding and following a camera in the box room, whose poses are known."""
+from box_room import apart, box_memory, EXPANSION, planar, SOURCE, view
+from neo_ros.geometry import CameraPose
+from neo_ros.geometry.camera_pose import rotation_from_vector
+from neo_ros.memory.alignment import agreement, Aligner
+from neo_ros.memory.rendering import MemoryRenderer
+from neo_ros.memory.scene_guide import SceneGuide
+import numpy as np
+import pytest
+
+MEMORY = box_memory()
+TRUE_POSE = planar(1.9, 1.7, 35)
+
+
+def moved(pose: CameraPose, metres: tuple[float, float, float], degrees: float) -> CameraPose:
+    """Shift a pose in the world and turn it about its own vertical."""
+    T = pose.T_world_cam.copy()
+    T[:3, 3] += metres
+    T[:3, :3] = T[:3, :3] @ rotation_from_vector(np.array([0, np.radians(degrees), 0]))
+    return CameraPose(T)
+
+
+def photo_at(pose: CameraPose) -> np.ndarray:
+    return view(pose, SOURCE)[0]
+
+
+@pytest.mark.parametrize(('metres', 'degrees'), [
+    ((0.02, 0, 0), 1), ((0.1, -0.1, 0), -5), ((-0.15, 0.2, 0.05), 6), ((0.3, 0, 0), 10)],
+    ids=['near', 'turned', 'higher', 'far'])
+@pytest.mark.parametrize(('gain', 'bias'), [(1, 0), (0.7, 30)], ids=['same light', 'darker'])
+def test_alignment_finds_the_pose(metres: tuple[float, float, float], degrees: float,
+                                  gain: float, bias: float) -> None:
+    aligner = Aligner(MemoryRenderer(MEMORY), SOURCE)
+    image = np.clip(gain * photo_at(TRUE_POSE) + bias, 0, 255).astype(np.uint8)
+    photo = aligner.pyramid(image)
+    found = aligner.align(photo, moved(TRUE_POSE, metres, degrees), rounds=3)
+    metres_off, degrees_off = apart(found, TRUE_POSE)
+    assert metres_off < 0.02 and degrees_off < 0.4
+    assert aligner.agreement(photo, found) > 0.97
+
+
+def test_agreement_tells_a_wrong_pose() -> None:
+    aligner = Aligner(MemoryRenderer(MEMORY), SOURCE)
+    photo = aligner.pyramid(photo_at(TRUE_POSE))
+    assert aligner.agreement(photo, planar(1.9, 1.7, 120)) < 0.8
+
+
+@pytest.mark.parametrize(('image', 'guide', 'known', 'expected'), [
+    (np.arange(16.0).reshape(4, 4), 3 * np.arange(16.0).reshape(4, 4) + 1,
+     np.ones((4, 4), bool), 1.0),
+    (np.arange(16.0).reshape(4, 4), -np.arange(16.0).reshape(4, 4), np.ones((4, 4), bool), -1.0),
+    (np.ones((4, 4)), np.arange(16.0).reshape(4, 4), np.ones((4, 4), bool), 0.0),
+    (np.arange(16.0).reshape(4, 4), np.arange(16.0).reshape(4, 4), np.eye(4) > 0, -1.0),
+], ids=['another exposure', 'a negative', 'one colour', 'hardly known'])
+def test_agreement_by_hand(image: np.ndarray, guide: np.ndarray, known: np.ndarray,
+                           expected: float) -> None:
+    assert agreement(image, guide, known)[0] == pytest.approx(expected)
+
+
+def test_a_camera_is_found_anywhere_and_followed() -> None:
+    guide = SceneGuide(MEMORY, EXPANSION)
+    for step in range(6):
+        pose = planar(1.4 + 0.1 * step, 1.5 + 0.05 * step, 20 + 4 * step)
+        wide, _ = view(pose, EXPANSION.target)
+        found = guide.guide(EXPANSION.crop(wide))
+        assert found is not None
+        assert apart(found.pose, pose)[0] < 0.02
+        ring = EXPANSION.extrapolated_mask & found.known
+        assert np.abs(found.image - wide)[ring].mean() < 5
+
+
+def test_a_kidnapped_camera_is_found_again() -> None:
+    guide = SceneGuide(MEMORY, EXPANSION)
+    assert guide.guide(photo_at(planar(1.4, 1.5, 20))) is not None
+    elsewhere = planar(3.0, 2.0, 200)
+    found = guide.guide(photo_at(elsewhere))
+    assert found is not None and apart(found.pose, elsewhere)[0] < 0.03
+
+
+def test_images_from_elsewhere_get_no_guide_and_the_scene_is_found_again() -> None:
+    guide = SceneGuide(MEMORY, EXPANSION)
+    noise = np.random.default_rng(0).integers(0, 256, (64, 64, 3), np.uint8)
+    assert guide.guide(photo_at(TRUE_POSE)) is not None
+    assert [guide.guide(noise) for _ in range(3)] == [None] * 3
+    back = [guide.guide(photo_at(TRUE_POSE)) for _ in range(5)]
+    assert back[-1] is not None
+
+
+def test_an_occluder_does_not_drag_the_pose() -> None:
+    guide = SceneGuide(MEMORY, EXPANSION)
+    for step in range(4):
+        pose = planar(1.9 + 0.02 * step, 1.7, 35 + step)
+        image = photo_at(pose).copy()
+        if step >= 2:
+            image[20:, 10:38] = (60, 40, 50)  # 30 % of the image
+        found = guide.guide(image)
+        assert found is not None
+        assert apart(found.pose, pose)[0] < 0.02
+
+
+def test_agreement_of_the_best_part_ignores_an_occluder() -> None:
+    image = np.random.default_rng(0).random((30, 30))
+    hidden = image.copy()
+    hidden[:10] = 0
+    whole, best = agreement(0.5 * hidden + 0.2, image, np.ones((30, 30), bool))
+    assert whole < 0.9 and best > 0.99
+
+
+def test_the_same_frames_give_the_same_bits() -> None:
+    guide = SceneGuide(MEMORY, EXPANSION)
+    photos = [photo_at(planar(1.4 + 0.1 * step, 1.5, 20)) for step in range(3)]
+    runs = []
+    for _ in range(2):
+        guide.reset()
+        runs.append([guide.guide(photo) for photo in photos])
+    for one, other in zip(*runs):
+        assert one is not None and other is not None
+        assert np.array_equal(one.image, other.image)
+        assert np.array_equal(one.pose.T_world_cam, other.pose.T_world_cam)
