@@ -1,10 +1,13 @@
-"""Which topics of a bag are the camera: its images, its calibration."""
+"""Which topics of a bag are the camera: its images, its calibration, its wide truth."""
+from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any, Optional
 
 from neo_ros.bags.reading import BagReader, BagTopic, describe_topics
 from neo_ros.errors import BagError, ImageRejected
-from neo_ros.messages import read_camera_info
+from neo_ros.geometry import Intrinsics
+from neo_ros.messages import image_fields, read_camera_info, read_compressed_image
+from neo_ros.messages.compressed_image import compressed_size
 from neo_ros.scenes.lens import Lens
 import numpy as np
 
@@ -46,9 +49,98 @@ def find_image_topic(reader: BagReader, name: Optional[str]) -> BagTopic:
     return choice[0]
 
 
+@dataclass(frozen=True)
+class CameraTopics:
+    """
+    The camera that is widened.
+
+    image, info  its images, and its calibration if the bag has it
+    wide         where the wide topics go: '/camera/wide' for /camera/image_raw
+    """
+
+    image: BagTopic
+    info: Optional[BagTopic]
+    wide: str
+
+
+def find_camera(reader: BagReader, source: Intrinsics, name: Optional[str]) -> CameraTopics:
+    """
+    Return the camera of this image topic, or the only one with images of the size of `source`.
+
+    Where no topic has this size, the only camera with a calibration is taken: its images may be
+    resampled. Of raw and compressed images of one camera, the raw ones are taken. Raises
+    BagError that lists the choice.
+    """
+    wanted = (source.width, source.height)
+    sizes = {topic: first_size(reader, topic) for topic in image_topics(reader, name)}
+    fitting = [topic for topic, size in sizes.items() if size == wanted or name is not None]
+    fitting = fitting or [topic for topic in sizes if find_info_topic(reader, topic) is not None]
+    raw = {_base(topic) for topic in fitting if topic.msgtype == IMAGE}
+    fitting = [topic for topic in fitting
+               if topic.msgtype == IMAGE or _base(topic) not in raw]
+    if len(fitting) != 1:
+        found = ', '.join(f'{topic.name} ({size[0]}x{size[1]})' if size else topic.name
+                          for topic, size in sizes.items())
+        raise BagError(
+            f'{reader.path}: expected one image topic of {source.width}x{source.height} pixels '
+            f'as the model takes, got {found or describe_topics(reader.topics)}; name one with '
+            '--image-topic')
+    image, = fitting
+    info = find_info_topic(reader, image)
+    camera = (info.name if info is not None else _base(image)).rpartition('/')[0]
+    return CameraTopics(image, info, f'{camera}/wide')
+
+
+def find_truth_topic(reader: BagReader, camera: CameraTopics,
+                     target: Intrinsics) -> Optional[BagTopic]:
+    """Return the one image topic of the size of `target` that is not a model's output."""
+    wanted = (target.width, target.height)
+    made = {f'{camera.wide}/{name}' for name in ('image', 'mask', 'confidence')}
+    found = [topic for topic in image_topics(reader, None)
+             if topic != camera.image and _base(topic) not in made
+             and first_size(reader, topic) == wanted]
+    return found[0] if len(found) == 1 else None
+
+
+def image_topics(reader: BagReader, name: Optional[str]) -> list[BagTopic]:
+    """Return the topics with images of this name, or all; raises BagError for a wrong name."""
+    topics = [topic for topic in reader.topics if topic.msgtype in (IMAGE, COMPRESSED)
+              and (topic.count if name is None else topic.name == name)]
+    if name is not None and not topics:
+        images = [topic for topic in reader.topics if topic.msgtype in (IMAGE, COMPRESSED)]
+        raise BagError(f'{reader.path}: expected images on {name}, the bag has '
+                       f'{describe_topics(images or reader.topics)}')
+    return topics
+
+
+def first_size(reader: BagReader, topic: BagTopic) -> Optional[tuple[int, int]]:
+    """Return width and height of the topic's first image that says them."""
+    for message in reader.messages([topic.name]):
+        if message.topic != topic:
+            continue
+        try:
+            content = message.read()
+            return (content.width, content.height) if topic.msgtype == IMAGE else (
+                compressed_size(content))
+        except (BagError, ImageRejected):
+            continue
+    return None
+
+
+def as_raw_image(message: Any, topic: BagTopic) -> Any:
+    """
+    Return an Image message as it is, and a CompressedImage with the fields of an Image.
+
+    Raises ImageRejected as `read_compressed_image` does.
+    """
+    if topic.msgtype != COMPRESSED:
+        return message
+    return SimpleNamespace(header=message.header, **image_fields(read_compressed_image(message)))
+
+
 def find_info_topic(reader: BagReader, image: BagTopic) -> Optional[BagTopic]:
     """Return the camera_info beside an image topic; '.../image/compressed' counts as its raw."""
-    base = image.name.rpartition('/')[0] if image.msgtype == COMPRESSED else image.name
+    base = _base(image)
     wanted = {f'{base.rpartition("/")[0]}/camera_info', f'{base}/camera_info'}
     return next((topic for topic in reader.topics if topic.msgtype == CAMERA_INFO
                  and topic.name in wanted and topic.count), None)
@@ -83,3 +175,8 @@ def read_lens(message: Any, image: BagTopic, where: str) -> Lens:
             f'got {model!r} with {len(distortion)} coefficients; rectify the images first '
             '(image_proc) and record image_rect')
     return Lens(intrinsics, tuple(map(float, distortion)) if distortion.any() else ())
+
+
+def _base(image: BagTopic) -> str:
+    """Return the name of the raw image topic that a compressed one belongs to."""
+    return image.name.rpartition('/')[0] if image.msgtype == COMPRESSED else image.name

@@ -4,7 +4,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Optional
 
-import cv2
 from neo_ros.bags.camera_topics import (
     COMPRESSED, find_image_topic, find_info_topic, read_lens)
 from neo_ros.bags.reading import BagReader, BagTopic, describe_topics
@@ -12,9 +11,9 @@ from neo_ros.bags.transforms import (
     frame_name, PoseTrack, read_transform, stamp_of, TransformTree)
 from neo_ros.errors import BagError, ImageRejected
 from neo_ros.geometry import CameraPose
-from neo_ros.messages import read_image
+from neo_ros.messages import read_compressed_image, read_image
 from neo_ros.scenes.capture import (
-    Capture, CapturedFrame, ImageStream, no_progress, origin_of, Progress, READ_FLAGS)
+    Capture, CapturedFrame, ImageStream, no_progress, origin_of, Progress)
 import numpy as np
 
 TF, TF_STATIC = '/tf', '/tf_static'
@@ -223,16 +222,12 @@ def _stream(path: Path, image: BagTopic, places: Sequence[int]) -> ImageStream:
 
 def decode_image(message: Any, msgtype: str) -> Optional[np.ndarray]:
     """Return RGB uint8 (H, W, 3) of an Image or CompressedImage; None if it is damaged."""
-    if msgtype != COMPRESSED:
-        try:
-            return read_image(message)
-        except ImageRejected as error:
-            if error.reason == 'encoding':  # The same for all images of the topic.
-                raise
-            return None
-    data = np.frombuffer(message.data, np.uint8)
-    image = cv2.imdecode(data, READ_FLAGS) if data.size else None
-    return None if image is None else cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+    try:
+        return (read_compressed_image if msgtype == COMPRESSED else read_image)(message)
+    except ImageRejected as error:
+        if error.reason == 'encoding':  # The same for all images of the topic.
+            raise
+        return None
 
 
 def _info_topics(path: Path) -> list[BagTopic]:

@@ -1,22 +1,26 @@
-"""Read rosbag2 bags (MCAP or sqlite3), also those that were cut off."""
+"""Read rosbag2 bags (MCAP or sqlite3), also those that were cut off or damaged."""
 from collections.abc import Collection, Iterable, Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-import re
 from types import TracebackType
 from typing import Any
 
-from neo_ros.bags.salvage import SalvagedMcap
+from neo_ros.bags.bag_folder import BagFolder, MCAP, read_bag_folder
+from neo_ros.bags.damage import Damage
+from neo_ros.bags.mcap_file import McapFile
+from neo_ros.bags.mcap_records import MAX_CHUNK_BYTES
+from neo_ros.bags.sqlite_file import SqliteFile
 from neo_ros.errors import BagError
-from rosbags.interfaces import (
-    Connection, ConnectionExtRosbag2, MessageDefinition, MessageDefinitionFormat, Qos)
-from rosbags.rosbag2 import Reader
+from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat, Qos
 from rosbags.rosbag2.metadata import parse_qos
 from rosbags.typesys import get_types_from_msg, get_typestore, Stores
 from rosbags.typesys.store import Typestore
+import zstandard
 
-MCAP, SQLITE = '.mcap', '.db3'
-_MSG_FORMATS = {'ros2msg': MessageDefinitionFormat.MSG, 'ros2idl': MessageDefinitionFormat.IDL}
+FOREVER_NS = 1 << 64
+_MSG_FORMATS = {'ros2msg': MessageDefinitionFormat.MSG, 'ros2idl': MessageDefinitionFormat.IDL,
+                'omgidl': MessageDefinitionFormat.IDL}
 
 
 @dataclass(frozen=True)
@@ -58,29 +62,22 @@ class BagReader:
     """
     A bag to iterate over, as a context manager.
 
-    Takes a rosbag2 folder with or without metadata.yaml, a bare .mcap or a bare .db3. An MCAP
-    file without its end, as a crash leaves it, gives all whole messages before the cut;
-    `recovered` then says how many and where. Raises BagError for everything else.
+    Takes a rosbag2 folder with or without metadata.yaml, a bare .mcap or a bare .db3, compressed
+    in any of rosbag2's ways. What can be read of a cut-off or damaged bag is read; `damages`
+    says how much is lost, exactly so once all messages were read. Raises BagError for everything
+    else. The iterators may run in another thread than the one that opened the bag.
     """
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
-        self.recovered = ''
         self._typestore = get_typestore(Stores.ROS2_JAZZY)
-        self._readers: list[Reader] = []
-        self._sources: list[Reader | SalvagedMcap] = []
+        self._stack = ExitStack()
+        self._files: list[tuple[McapFile | SqliteFile, dict[int, BagTopic]]] = []
         try:
             self._open()
         except BaseException:
             self.close()
             raise
-        merged: dict[BagTopic, BagTopic] = {}
-        for source in self._sources:
-            for topic in _topics_of(source).values():
-                known = merged.get(topic)
-                merged[topic] = topic if known is None else replace(
-                    known, count=known.count + topic.count)
-        self.topics = sorted(merged.values(), key=lambda topic: (topic.name, topic.msgtype))
 
     def __enter__(self) -> 'BagReader':
         return self
@@ -91,13 +88,31 @@ class BagReader:
 
     def close(self) -> None:
         """Close all files."""
-        while self._readers:
-            self._readers.pop().close()
+        self._stack.close()
 
     @property
     def message_count(self) -> int:
-        """How many messages can be read."""
+        """How many messages there are, as far as is known before they are read."""
         return sum(topic.count for topic in self.topics)
+
+    @property
+    def damages(self) -> list[Damage]:
+        """What was lost, a line per damaged file, as far as the bag was read."""
+        return [file.damage for file, _ in self._files if file.damage is not None] + [
+            Damage(f'{name} (missing)', 0, count, '') for name, count in self._missing.items()]
+
+    @property
+    def recovered(self) -> str:
+        """The damages as text, a line each; empty for a bag that is whole."""
+        return '\n'.join(map(str, self.damages))
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """First and last log time; raises BagError for a bag without messages."""
+        spans = [span for file, _ in self._files if (span := file.span_ns) is not None]
+        if not spans:
+            raise BagError(f'{self.path}: expected messages, the bag has none')
+        return min(first for first, _ in spans), max(last for _, last in spans)
 
     def find_topic(self, name: str, msgtype: str) -> BagTopic:
         """Return a topic; raises BagError that lists what the bag has instead."""
@@ -107,52 +122,39 @@ class BagReader:
         raise BagError(f'{self.path}: expected a topic {name} of type {msgtype}, the bag has '
                        f'{describe_topics(self.topics)}')
 
-    def messages(self, names: Collection[str] | None = None) -> Iterator[BagMessage]:
-        """Yield the messages of the named topics, or of all, in the order of the bag."""
-        for source in self._sources:
-            topics = {key: topic for key, topic in _topics_of(source).items()
+    def messages(self, names: Collection[str] | None = None, start_ns: int = 0,
+                 stop_ns: int = FOREVER_NS) -> Iterator[BagMessage]:
+        """
+        Yield the messages of the named topics, or of all, in the order of the bag.
+
+        Only those with a log time in [start_ns, stop_ns).
+        """
+        for file, all_topics in self._files:
+            topics = {key: topic for key, topic in all_topics.items()
                       if names is None or topic.name in names}
-            count = 0
-            try:
-                for key, stamp_ns, cdr in _messages_of(source, topics):
-                    yield BagMessage(topics[key], stamp_ns, bytes(cdr), self._typestore)
-                    count += 1
-            except BagError:
-                raise
-            except Exception as error:  # Damaged chunks end in whatever error comes first.
-                raise BagError(f'{source.path}: damaged after {count} messages: '
-                               f'{error!r}') from error
+            for key, stamp_ns, cdr in file.messages(
+                    topics.keys(), start_ns, stop_ns) if topics else ():
+                if self._message_packed:
+                    cdr = _unpack_message(cdr)
+                yield BagMessage(topics[key], stamp_ns, cdr, self._typestore)
 
     def _open(self) -> None:
-        if not self.path.exists():
-            raise BagError(f'{self.path}: no such bag')
-        if (self.path / 'metadata.yaml').is_file() and self._open_indexed(self.path) is None:
-            return
-        for file in _storage_files(self.path):
-            error = self._open_indexed(file)
-            if error is None:
-                continue
-            if file.suffix != MCAP:
-                raise BagError(f'{file}: not a readable sqlite3 bag: {error}') from error
-            salvaged = SalvagedMcap(file)
-            self._sources.append(salvaged)
-            if salvaged.cut_at is not None:
-                self.recovered += (f'{file.name}: {salvaged.message_count} messages recovered, '
-                                   f'cut at byte {salvaged.cut_at}\n')
-        self.recovered = self.recovered.strip()
-        if self.recovered and not any(map(_topics_of, self._sources)):
+        folder = read_bag_folder(self.path, self._stack)
+        self._message_packed, self._missing = folder.message_packed, folder.missing
+        for path in folder.files:
+            kind = McapFile if path.suffix == MCAP else SqliteFile
+            file = kind(path, folder.counts.get(path.name))
+            self._stack.callback(file.close)
+            self._files.append((file, _topics_of(file, folder)))
+        merged: dict[BagTopic, BagTopic] = {}
+        for _, topics in self._files:
+            for topic in topics.values():
+                known = merged.get(topic)
+                merged[topic] = topic if known is None else replace(
+                    known, count=known.count + topic.count)
+        self.topics = sorted(merged.values(), key=lambda topic: (topic.name, topic.msgtype))
+        if self.damages and not self.message_count:
             raise BagError(f'{self.path}: nothing could be recovered, {self.recovered}')
-
-    def _open_indexed(self, path: Path) -> Exception | None:
-        """Open an undamaged bag or file, or return why that cannot be."""
-        try:
-            reader = Reader(path)
-            reader.open()
-        except Exception as error:  # Garbage makes rosbags raise nearly anything.
-            return error
-        self._readers.append(reader)
-        self._sources.append(reader)
-        return None
 
 
 def describe_topics(topics: Iterable[BagTopic]) -> str:
@@ -160,52 +162,47 @@ def describe_topics(topics: Iterable[BagTopic]) -> str:
     return ', '.join(f'{topic.name} ({topic.msgtype})' for topic in topics) or 'no topics'
 
 
-def _storage_files(path: Path) -> list[Path]:
-    if path.is_file():
-        if path.suffix not in (MCAP, SQLITE):
-            raise BagError(f'{path}: expected a bag folder, a {MCAP} or a {SQLITE} file')
-        return [path]
-    for suffix in (MCAP, SQLITE):
-        # bag_2.mcap comes before bag_10.mcap.
-        files = sorted(path.glob(f'*{suffix}'), key=lambda file: [
-            int(part) if part.isdigit() else part for part in re.split(r'(\d+)', file.name)])
-        if files:
-            return files
-    raise BagError(f'{path}: expected a rosbag2 folder, there is no {MCAP} or {SQLITE} in it')
-
-
-def _topics_of(source: Reader | SalvagedMcap) -> dict[int, BagTopic]:
-    """Return the topics by connection or channel id."""
-    if isinstance(source, Reader):
-        return {connection.id: _topic_of_connection(connection)
-                for connection in source.connections}
-    topics = {}
-    for channel in source.channels.values():
-        schema = source.schemas.get(channel.schema_id)
-        if schema is None or channel.message_encoding != 'cdr':
-            continue
-        msgdef = MessageDefinition(
-            _MSG_FORMATS.get(schema.encoding, MessageDefinitionFormat.NONE),
-            schema.data.decode(errors='replace'))
-        qos = tuple(parse_qos(channel.metadata.get('offered_qos_profiles', '')) or ())
-        topics[channel.id] = BagTopic(
-            channel.topic, schema.name, source.counts[channel.id], msgdef,
-            channel.metadata.get('topic_type_hash', ''), qos)
+def _topics_of(file: McapFile | SqliteFile, folder: BagFolder) -> dict[int, BagTopic]:
+    """Return the topics by channel or row id."""
+    topics: dict[int, BagTopic] = {}
+    if isinstance(file, McapFile):
+        for channel in file.channels.values():
+            schema = file.schemas.get(channel.schema_id)
+            if schema is not None and channel.message_encoding == 'cdr':
+                topics[channel.id] = _topic(
+                    channel.topic, schema.name, file.counts[channel.id], schema.encoding,
+                    schema.data.decode(errors='replace'), channel.metadata, folder)
+        return topics
+    for key, row in file.topics.items():
+        if row['serialization_format'] == 'cdr':
+            definition = file.definitions.get(row['type'], {})
+            topics[key] = _topic(
+                row['name'], row['type'], file.counts[key], definition.get('encoding', ''),
+                definition.get('encoded_message_definition', ''), row, folder)
     return topics
 
 
-def _topic_of_connection(connection: Connection) -> BagTopic:
-    assert isinstance(connection.ext, ConnectionExtRosbag2)
-    return BagTopic(connection.topic, connection.msgtype, connection.msgcount, connection.msgdef,
-                    connection.digest, tuple(connection.ext.offered_qos_profiles))
+def _topic(name: str, msgtype: str, count: int, encoding: str, definition: str,
+           about: dict[str, Any], folder: BagFolder) -> BagTopic:
+    """Put a topic together; `about` and metadata.yaml name QoS and hash alike."""
+    listed = folder.topics.get(name, {})
+    qos = about.get('offered_qos_profiles') or listed.get('offered_qos_profiles') or ''
+    digest = (about.get('topic_type_hash') or about.get('type_description_hash')
+              or listed.get('type_description_hash') or '')
+    kind = _MSG_FORMATS.get(encoding, MessageDefinitionFormat.NONE)
+    try:
+        profiles = tuple(parse_qos(qos))
+    except Exception:  # A damaged YAML text; rosbags raises whatever YAML and its enums do.
+        profiles = ()
+    return BagTopic(name, msgtype, count, MessageDefinition(
+        kind, definition if kind is not MessageDefinitionFormat.NONE else ''),
+        str(digest), profiles)
 
 
-def _messages_of(source: Reader | SalvagedMcap,
-                 topics: Collection[int]) -> Iterator[tuple[int, int, bytes]]:
-    if isinstance(source, SalvagedMcap):
-        yield from (message for message in source.messages() if message[0] in topics)
-        return
-    connections = [entry for entry in source.connections if entry.id in topics]
-    if connections:  # rosbags takes an empty list for all topics.
-        for connection, stamp_ns, cdr in source.messages(connections):
-            yield connection.id, stamp_ns, cdr
+def _unpack_message(data: bytes) -> bytes:
+    """Unpack one message of a bag whose messages are compressed one by one."""
+    try:
+        content = zstandard.ZstdDecompressor().stream_reader(data).read(MAX_CHUNK_BYTES + 1)
+    except zstandard.ZstdError:
+        return b''  # No message of any type: `BagMessage.read` says so.
+    return content if len(content) <= MAX_CHUNK_BYTES else b''

@@ -1,22 +1,71 @@
 """Widen the camera of a bag without a ROS graph, with the extrapolator that the node runs."""
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 import time
-from typing import Any
+from typing import Any, NamedTuple
 
-from neo_ros.bags.reading import BagMessage, BagReader, BagTopic, describe_topics
+from neo_ros.bags.background import read_ahead, WriteBehind
+from neo_ros.bags.camera_topics import (
+    as_raw_image, CAMERA_INFO, CameraTopics, find_camera, IMAGE, image_topics)
+from neo_ros.bags.damage import Damage
+from neo_ros.bags.reading import BagMessage, BagReader, BagTopic, FOREVER_NS
+from neo_ros.bags.transforms import stamp_of
 from neo_ros.bags.writing import BagWriter
 from neo_ros.errors import BagError, ImageRejected
+from neo_ros.geometry import ViewExpansion
 from neo_ros.messages import FrameProcessor, image_fields, read_image
 from neo_ros.runtime import FovExtrapolator
 import numpy as np
+from rosbags.interfaces import QosDurability
 
-IMAGE, CAMERA_INFO = 'sensor_msgs/msg/Image', 'sensor_msgs/msg/CameraInfo'
+NS_PER_S = 1_000_000_000
+TF_STATIC = '/tf_static'
 # Truth and prediction of one stamp lie close together in a bag; unmatched ones are let go.
 MAX_UNMATCHED = 64
-OnPair = Callable[[int, np.ndarray, np.ndarray], None]
+OnImages = Callable[[int, np.ndarray, np.ndarray], None]
+
+
+@dataclass(frozen=True)
+class Section:
+    """
+    Which part of a bag is replayed.
+
+    start_s, end_s  seconds from its first message; None = to its end
+    every           widen only every so many-th image
+    """
+
+    start_s: float = 0.0
+    end_s: float | None = None
+    every: int = 1
+
+    def __post_init__(self) -> None:
+        end_s = float('inf') if self.end_s is None else self.end_s
+        if not 0 <= self.start_s < end_s:
+            raise BagError(f'start, end: expected 0 <= start < end in seconds, got '
+                           f'{self.start_s} and {self.end_s}')
+        if self.every < 1:
+            raise BagError(f'every: expected a number >= 1, got {self.every}')
+
+    @property
+    def is_all(self) -> bool:
+        """Whether no message is left out."""
+        return self.start_s == 0 and self.end_s is None
+
+    def stamps(self, reader: BagReader) -> tuple[int, int, float]:
+        """Return log times [start, stop) in ns and the share of the bag; BagError if empty."""
+        if self.is_all:
+            return 0, FOREVER_NS, 1.0
+        first_ns, last_ns = reader.span_ns
+        start_ns = first_ns + round(self.start_s * NS_PER_S)
+        stop_ns = FOREVER_NS if self.end_s is None else first_ns + round(self.end_s * NS_PER_S)
+        if start_ns > last_ns:
+            raise BagError(f'{reader.path}: start: expected less than the '
+                           f'{(last_ns - first_ns) / NS_PER_S:.3f} s of the bag, got '
+                           f'{self.start_s}')
+        share = (min(stop_ns, last_ns) - start_ns) / max(last_ns - first_ns, 1)
+        return start_ns, stop_ns, share
 
 
 @dataclass
@@ -29,12 +78,21 @@ class ReplayResult:
     rejected: Counter[str] = field(default_factory=Counter)
     wall_seconds: float = 0.0
     expand_seconds: float = 0.0
-    recovered: str = ''
+    damages: list[Damage] = field(default_factory=list)
+
+
+class _Decoded(NamedTuple):
+    """A message, and its content where that is needed; else why it cannot be had."""
+
+    message: BagMessage
+    content: Any = None
+    rejected: str = ''
 
 
 def replay(bag: Path | str, extrapolator: FovExtrapolator, out: Path | str,
            image_topic: str | None = None, truth_topic: str | None = None, copy: bool = True,
-           on_pair: OnPair | None = None,
+           section: Section = Section(), rectify: bool = False, on_frame: OnImages | None = None,
+           on_pair: OnImages | None = None,
            on_progress: Callable[[int, int], None] | None = None) -> ReplayResult:
     """
     Write a bag with everything of `bag` (unless `copy` is off) and the wide view of its camera.
@@ -42,103 +100,162 @@ def replay(bag: Path | str, extrapolator: FovExtrapolator, out: Path | str,
     For /camera/image_raw: /camera/wide/image, wide/mask, wide/confidence and wide/camera_info at
     the log time and with the header of each image, as the node makes them from the image and the
     newest message of /camera/camera_info. Topics of these names in `bag` are replaced.
-    `image_topic` may be left out when one image topic has the model's size. With `truth_topic`
-    (wide images), `on_pair(stamp_ns, truth, wide_image)` gets the images of equal header stamp.
-    `on_progress(done, total)` counts messages.
-    Images that cannot be used are counted by reason and skipped; raises BagError for bags,
-    topics and outputs that cannot be used.
+    `image_topic` may be left out when one camera has the model's size, or one is calibrated.
+    `rectify` takes the distortion out of its images. Of what lies before a section, the latched
+    topics are kept, with the log time of its start.
+
+    `on_frame(stamp_ns, image, wide_image)` gets the model's input and output, RGB uint8. With
+    `truth_topic` (wide images), `on_pair(stamp_ns, truth, wide_image)` gets the images of equal
+    header stamp. Both are called from the thread that writes. `on_progress(done, total)` counts
+    messages. Images that cannot be used are counted by reason and skipped; raises BagError for
+    bags, topics and outputs that cannot be used.
     """
     started = time.perf_counter()
     with BagReader(bag) as reader:
-        source = _find_image_topic(reader, extrapolator, image_topic)
-        if truth_topic is not None:
-            reader.find_topic(truth_topic, IMAGE)
-        result = ReplayResult(source.name, recovered=reader.recovered)
-        with BagWriter(out) as writer:
-            run = _Replay(reader, writer, extrapolator, source, truth_topic, on_pair, result)
+        camera = find_camera(reader, extrapolator.expansion.source, image_topic)
+        truth = None if truth_topic is None else image_topics(reader, truth_topic)[0]
+        result = ReplayResult(camera.image.name)
+        start_ns, stop_ns, share = section.stamps(reader)
+        with BagWriter(out) as writer, WriteBehind() as behind:
+            run = _Replay(writer, behind, FrameProcessor(extrapolator, rectify),
+                          extrapolator.expansion, camera, truth, result)
+            run.every, run.on_frame, run.on_pair = section.every, on_frame, on_pair
             copied = [topic for topic in reader.topics if topic.name not in run.outputs]
             for topic in copied if copy else ():
                 writer.copy_topic(topic)
-            for done, message in enumerate(reader.messages(), 1):
-                if copy and message.topic.name not in run.outputs:
-                    writer.write_cdr(message.topic, message.stamp_ns, message.cdr)
-                run.take(message)
+            total = round(reader.message_count * share)
+            messages = _messages(reader, camera, truth, start_ns, stop_ns)
+            for done, entry in enumerate(read_ahead(messages), 1):
+                message = entry.message
+                late = message.stamp_ns >= start_ns
+                if copy and message.topic.name not in run.outputs and (
+                        late or _is_latched(message.topic)):
+                    behind.submit(writer.write_cdr, message.topic,
+                                  max(message.stamp_ns, start_ns), message.cdr)
+                run.take(entry)
                 if on_progress is not None:
-                    on_progress(done, reader.message_count)
+                    on_progress(done if section.is_all else min(done, total - 1), total)
+            if on_progress is not None and not section.is_all:
+                on_progress(total, total)
+        result.damages = reader.damages
     result.wall_seconds = time.perf_counter() - started
     return result
+
+
+def _messages(reader: BagReader, camera: CameraTopics, truth: BagTopic | None, start_ns: int,
+              stop_ns: int) -> Iterator[_Decoded]:
+    """Yield the messages of a section, behind what of the time before it still holds."""
+    wanted = {topic for topic in (camera.image, camera.info, truth) if topic is not None}
+    if start_ns:
+        before = {topic.name for topic in reader.topics if _is_latched(topic)}
+        newest: BagMessage | None = None
+        names = before if camera.info is None else before | {camera.info.name}
+        for message in reader.messages(names, 0, start_ns):
+            if message.topic == camera.info:
+                newest = message
+            if message.topic.name in before:
+                yield _decoded(message, set())
+        if newest is not None:
+            yield _decoded(newest, wanted)
+    for message in reader.messages(None, start_ns, stop_ns):
+        yield _decoded(message, wanted)
+
+
+def _decoded(message: BagMessage, wanted: set[BagTopic]) -> _Decoded:
+    if message.topic not in wanted:
+        return _Decoded(message)
+    try:
+        return _Decoded(message, as_raw_image(message.read(), message.topic))
+    except BagError:
+        return _Decoded(message, rejected='cdr')
+    except ImageRejected as error:
+        return _Decoded(message, rejected=error.reason)
+
+
+def _is_latched(topic: BagTopic) -> bool:
+    return topic.name == TF_STATIC or any(
+        qos.durability is QosDurability.TRANSIENT_LOCAL for qos in topic.qos)
 
 
 class _Replay:
     """The state of one replay: the outputs, the newest camera_info, images to be paired."""
 
-    def __init__(self, reader: BagReader, writer: BagWriter, extrapolator: FovExtrapolator,
-                 source: BagTopic, truth_topic: str | None, on_pair: OnPair | None,
+    def __init__(self, writer: BagWriter, behind: WriteBehind, processor: FrameProcessor,
+                 expansion: ViewExpansion, camera: CameraTopics, truth: BagTopic | None,
                  result: ReplayResult) -> None:
-        camera = source.name.rpartition('/')[0]
-        self.outputs = {f'{camera}/wide/{name}': name
+        self.outputs = {f'{camera.wide}/{name}': name
                         for name in ('image', 'mask', 'confidence', 'camera_info')}
         self._topics = {
             name: writer.add_topic(topic, CAMERA_INFO if name == 'camera_info' else IMAGE)
             for topic, name in self.outputs.items()}
-        self._writer, self._result = writer, result
-        self._target = extrapolator.expansion.target
+        self._writer, self._behind, self._result = writer, behind, result
+        self._expansion = expansion
         self._types = writer.typestore.types
-        self._image_topic, self._truth_topic = source.name, truth_topic
-        self._info_topic = next((topic.name for topic in reader.topics if (
-            topic.name, topic.msgtype) == (f'{camera}/camera_info', CAMERA_INFO)), None)
+        self._camera, self._truth = camera, truth
         self._camera_info: Any = None
-        self._processor = FrameProcessor(extrapolator)
-        self._on_pair = on_pair
+        self._processor = processor
+        self.every = 1
+        self._images = 0
+        self.on_frame: OnImages | None = None
+        self.on_pair: OnImages | None = None
         self._unmatched: tuple[dict[int, np.ndarray], dict[int, np.ndarray]] = ({}, {})
 
-    def take(self, message: BagMessage) -> None:
+    def take(self, entry: _Decoded) -> None:
         """Do what the message's topic asks for; count what cannot be used."""
-        name = message.topic.name
+        topic = entry.message.topic
+        kind = 'truth_' if topic == self._truth else ''
+        if entry.rejected:
+            self._result.rejected[kind + entry.rejected] += 1
+            return
         try:
-            if name == self._image_topic:
-                self._take_image(message)
-            elif name == self._info_topic:
-                self._camera_info = _read(message)
-            if name == self._truth_topic:
-                self._take_truth(message)
+            if topic == self._camera.image:
+                self._images += 1
+                if self._images % self.every == 1 % self.every:
+                    self._take_image(entry)
+            elif topic == self._camera.info:
+                self._camera_info = entry.content
+            if topic == self._truth:
+                self._take_truth(entry.content)
         except ImageRejected as error:
-            kind = 'truth_' if name == self._truth_topic else ''
             self._result.rejected[kind + error.reason] += 1
 
-    def _take_image(self, message: BagMessage) -> None:
+    def _take_image(self, entry: _Decoded) -> None:
         """Write the outputs of one image, as the node would publish them."""
-        content = _read(message)
+        content, stamp_ns = entry.content, entry.message.stamp_ns
         frame = self._processor.process(content, self._camera_info)
         self._result.expand_seconds += frame.stages_ms['infer'] / 1e3
+        assert frame.image is not None and frame.confidence is not None
         whole = self._types['sensor_msgs/msg/RegionOfInterest'](
             x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
-        self._write('camera_info', message.stamp_ns, content.header,
+        self._write('camera_info', stamp_ns, content.header,
                     {'binning_x': 0, 'binning_y': 0, 'roi': whole, **frame.camera_info})
-        assert frame.image is not None and frame.confidence is not None
         for name, pixels in (('mask', frame.extrapolated_mask), ('confidence', frame.confidence),
                              ('image', frame.image)):
-            self._write(name, message.stamp_ns, content.header, image_fields(pixels))
+            self._write(name, stamp_ns, content.header, image_fields(pixels))
         self._result.frames += 1
-        self._pair(0, _stamp_ns(content.header), frame.image)
+        if self.on_frame is not None:
+            # The camera's pixels come back unchanged: the crop is what the model saw.
+            self._behind.submit(self.on_frame, stamp_of(content.header),
+                                self._expansion.crop(frame.image), frame.image)
+        self._pair(0, stamp_of(content.header), frame.image)
 
-    def _take_truth(self, message: BagMessage) -> None:
-        content = _read(message)
-        truth, target = read_image(content), self._target
+    def _take_truth(self, content: Any) -> None:
+        truth, target = read_image(content), self._expansion.target
         if truth.shape[:2] != (target.height, target.width):
             raise ImageRejected('size', f'truth: expected {target.width}x{target.height}, got '
                                 f'{truth.shape[1]}x{truth.shape[0]}')
-        self._pair(1, _stamp_ns(content.header), truth)
+        self._pair(1, stamp_of(content.header), truth)
 
     def _pair(self, side: int, stamp_ns: int, image: np.ndarray) -> None:
         """Hand over the prediction (side 0) and truth (side 1) of one stamp."""
-        if self._truth_topic is None:
+        if self._truth is None:
             return
         other = self._unmatched[1 - side].pop(stamp_ns, None)
         if other is not None:
             self._result.pairs += 1
-            if self._on_pair is not None:
-                self._on_pair(stamp_ns, *((image, other) if side else (other, image)))
+            if self.on_pair is not None:
+                self._behind.submit(self.on_pair, stamp_ns,
+                                    *((image, other) if side else (other, image)))
             return
         waiting = self._unmatched[side]
         waiting[stamp_ns] = image
@@ -147,36 +264,5 @@ class _Replay:
 
     def _write(self, name: str, stamp_ns: int, header: Any, fields: dict[str, Any]) -> None:
         topic = self._topics[name]
-        self._writer.write(topic, stamp_ns, self._types[topic.msgtype](header=header, **fields))
-
-
-def _read(message: BagMessage) -> Any:
-    try:
-        return message.read()
-    except BagError as error:
-        raise ImageRejected('cdr', str(error)) from error
-
-
-def _stamp_ns(header: Any) -> int:
-    return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
-
-
-def _find_image_topic(reader: BagReader, extrapolator: FovExtrapolator,
-                      name: str | None) -> BagTopic:
-    """Return the named image topic, or the only one whose images have the model's size."""
-    if name is not None:
-        return reader.find_topic(name, IMAGE)
-    source = extrapolator.expansion.source
-    sizes: dict[BagTopic, str] = {}
-    for topic in reader.topics:
-        first = next(reader.messages([topic.name]), None) if topic.msgtype == IMAGE else None
-        if first is not None:
-            content = first.read()
-            sizes[topic] = f'{content.width}x{content.height}'
-    fitting = [topic for topic, size in sizes.items() if size == f'{source.width}x{source.height}']
-    if len(fitting) == 1:
-        return fitting[0]
-    found = ', '.join(f'{topic.name} ({size})' for topic, size in sizes.items())
-    raise BagError(
-        f'{reader.path}: expected one image topic of {source.width}x{source.height} pixels as '
-        f'the model takes, got {found or describe_topics(reader.topics)}; name one as image topic')
+        self._behind.submit(self._writer.write, topic, stamp_ns,
+                            self._types[topic.msgtype](header=header, **fields))

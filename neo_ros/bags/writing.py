@@ -3,6 +3,7 @@ from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any
+from zlib import crc32
 
 from neo_ros.bags.reading import BagTopic
 from neo_ros.errors import BagError
@@ -10,22 +11,41 @@ from rosbags.interfaces import (
     Connection, MessageDefinitionFormat, Qos, QosDurability, QosHistory, QosLiveliness,
     QosReliability, QosTime)
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer, WriterError
+from rosbags.rosbag2.storage_mcap import McapWriter
 from rosbags.typesys import get_typestore, Stores
 
 _FOREVER = QosTime(2147483647, 4294967295)
 # What static transforms are published with: late subscribers still get them.
 LATCHED = Qos(QosHistory.KEEP_LAST, 1, QosReliability.RELIABLE, QosDurability.TRANSIENT_LOCAL,
               _FOREVER, _FOREVER, QosLiveliness.AUTOMATIC, _FOREVER, False)
+# Opcode, length, two times and the size stand before it.
+_CRC_IN_CHUNK = 1 + 8 + 8 + 8 + 8
 _UNKNOWN_DIGEST = 'RIHS01_' + '0' * 64
+
+
+class _CheckedMcapWriter(McapWriter):
+    """Fills in the checksum of every chunk, which rosbags leaves at 0 (none)."""
+
+    def close_chunk(self) -> None:
+        checksum, start = crc32(self.chunk.bio.getbuffer()), self.bio.tell()
+        super().close_chunk()
+        end = self.bio.tell()
+        self.bio.seek(start + _CRC_IN_CHUNK)
+        self.bio.write(checksum.to_bytes(4, 'little'))
+        self.bio.seek(end)
+
+
+class _CheckedWriter(Writer):
+    STORAGE_PLUGINS = {**Writer.STORAGE_PLUGINS, StoragePlugin.MCAP: _CheckedMcapWriter}
 
 
 class BagWriter:
     """
     A new bag folder with one MCAP file and metadata.yaml, as a context manager.
 
-    `compressed` packs the chunks with zstd. The folder is made at once: BagError when it exists
-    already or cannot be made. When the `with` block ends with an exception, what was written
-    stays, without index; BagReader recovers it.
+    Chunks carry checksums; `compressed` packs them with zstd. The folder is made at once: BagError
+    when it exists already or cannot be made. When the `with` block ends with an exception, what
+    was written stays, without index; BagReader recovers it.
     """
 
     def __init__(self, path: Path | str, compressed: bool = False) -> None:
@@ -33,7 +53,7 @@ class BagWriter:
         self.typestore = get_typestore(Stores.ROS2_JAZZY)
         self._connections: dict[tuple[str, str], Connection] = {}
         try:
-            self._writer = Writer(
+            self._writer = _CheckedWriter(
                 self.path, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP)
             if compressed:
                 self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)

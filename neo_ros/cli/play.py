@@ -16,7 +16,12 @@ def play(
     wait_for_subscribers: Annotated[int, typer.Option(
         help='Wait until the topics have so many subscriptions in total.', min=0)] = 0,
 ) -> None:
-    """Publish a bag over ROS 2 with its timing."""
+    """
+    Publish a bag over ROS 2 with its timing.
+
+    Topics whose message type is not installed are named and left out: with ROS from PyPI that is
+    /tf.
+    """
     from neo_ros.bags import BagReader
     from neo_ros.node.bag_player import BagPlayer
     from neo_ros.node.fastdds_profile import use_large_image_profile

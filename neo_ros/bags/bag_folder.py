@@ -1,0 +1,120 @@
+"""Which files a bag consists of, and what its metadata.yaml says about them."""
+from contextlib import ExitStack
+from dataclasses import dataclass
+import os
+from pathlib import Path
+import re
+import shutil
+import tempfile
+from typing import Any
+
+from neo_ros.errors import BagError
+import yaml
+import zstandard
+
+MCAP, SQLITE, PACKED = '.mcap', '.db3', '.zstd'
+# Unpacked files may fill the disk up to this.
+_KEEP_FREE_BYTES = 1 << 30
+_BLOCK = 1 << 20
+
+
+@dataclass(frozen=True)
+class BagFolder:
+    """
+    The storage files of a bag in their order.
+
+    counts          messages by file name, as metadata.yaml says
+    missing         files that metadata.yaml lists and that are not there, with their messages
+    message_packed  every message is compressed by itself
+    topics          the entries of metadata.yaml by topic: QoS, hash of the type
+    """
+
+    files: tuple[Path, ...]
+    counts: dict[str, int]
+    missing: dict[str, int | None]
+    message_packed: bool
+    topics: dict[str, dict[str, Any]]
+
+
+def read_bag_folder(path: Path, stack: ExitStack) -> BagFolder:
+    """
+    Look at a bag folder or a bare file; what is unpacked is gone when `stack` is closed.
+
+    metadata.yaml is optional, and where it cannot be read it is passed over. Raises BagError
+    when there is no storage file, or none that can be unpacked.
+    """
+    if not path.exists():
+        raise BagError(f'{path}: no such bag')
+    metadata = _read_metadata(path / 'metadata.yaml')
+    files = _storage_files(path)
+    listed = metadata.get('relative_file_paths')
+    names = [_plain_name(name) for name in listed] if isinstance(listed, list) else []
+    present = {_plain_name(file.name) for file in files}
+    counts = {_plain_name(entry.get('path')): count for entry in _dicts(metadata.get('files'))
+              if isinstance(count := entry.get('message_count'), int)}
+    total = metadata.get('message_count')
+    if not counts and len(names) == 1 and isinstance(total, int):
+        counts = {names[0]: total}
+    missing = {name: counts.get(name) for name in names if name not in present}
+    mode = str(metadata.get('compression_mode', '')).lower()
+    topics = {str(entry.get('name')): entry for entry in (
+        item.get('topic_metadata') or {} for item in _dicts(
+            metadata.get('topics_with_message_count')))}
+    return BagFolder(tuple(_unpacked(file, stack) for file in files), counts, missing,
+                     mode == 'message', topics)
+
+
+def _read_metadata(path: Path) -> dict[str, Any]:
+    try:
+        content = yaml.safe_load(path.read_text(encoding='utf-8'))
+        found = content['rosbag2_bagfile_information']
+        return found if isinstance(found, dict) else {}
+    except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError):
+        return {}
+
+
+def _plain_name(name: Any) -> str:
+    return Path(str(name)).name.removesuffix(PACKED)
+
+
+def _dicts(value: Any) -> list[dict[str, Any]]:
+    return [entry for entry in value if isinstance(entry, dict)] if isinstance(
+        value, list) else []
+
+
+def _storage_files(path: Path) -> list[Path]:
+    suffixes = (MCAP, SQLITE, MCAP + PACKED, SQLITE + PACKED)
+    if path.is_file():
+        if not path.name.endswith(suffixes):
+            raise BagError(f'{path}: expected a bag folder, a {MCAP} or a {SQLITE} file')
+        return [path]
+    for suffix in suffixes:
+        # bag_2.mcap comes before bag_10.mcap.
+        files = sorted(path.glob(f'*{suffix}'), key=lambda file: [
+            int(part) if part.isdigit() else part for part in re.split(r'(\d+)', file.name)])
+        if files:
+            return files
+    raise BagError(f'{path}: expected a rosbag2 folder, there is no {MCAP} or {SQLITE} in it')
+
+
+def _unpacked(file: Path, stack: ExitStack) -> Path:
+    """Unpack a .zstd file as far as it goes, and no further than the disk allows."""
+    if file.suffix != PACKED:
+        return file
+    folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix='neo_ros_bag_')))
+    target = folder / file.stem
+    room = shutil.disk_usage(folder).free - _KEEP_FREE_BYTES
+    try:
+        with file.open('rb') as packed, target.open('wb') as unpacked:
+            reader = zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True)
+            while block := reader.read(_BLOCK):
+                room -= len(block)
+                if room < 0:
+                    raise BagError(f'{file}: unpacked it does not fit on the disk of '
+                                   f'{tempfile.gettempdir()}; set TMPDIR to a larger one')
+                unpacked.write(block)
+    except zstandard.ZstdError:
+        pass  # Cut off or damaged: what came out so far is read like a file that was cut off.
+    except OSError as error:
+        raise BagError(f'{file}: cannot unpack it: {os.strerror(error.errno or 0)}') from error
+    return target

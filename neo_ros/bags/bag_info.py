@@ -1,0 +1,239 @@
+"""What is in a bag, what of it can serve the training or the replay, and what to do next."""
+from collections.abc import Callable
+from dataclasses import dataclass, field
+import math
+from pathlib import Path
+import shlex
+from typing import Any
+
+from neo_ros.bags.camera_topics import (
+    CAMERA_INFO, COMPRESSED, find_info_topic, IMAGE, image_topics, read_lens)
+from neo_ros.bags.capture import POSE_TYPES, TF, TF_STATIC, TF_TYPE
+from neo_ros.bags.reading import BagReader, BagTopic
+from neo_ros.bags.transforms import frame_name, TransformTree
+from neo_ros.errors import BagError, ImageRejected, SceneError
+from neo_ros.geometry import ViewExpansion
+from neo_ros.messages.compressed_image import compressed_size
+
+IMAGE_ROLE, POSE_ROLE, TRUTH_ROLE = 'image', 'pose', 'truth'
+
+
+@dataclass
+class TopicInfo:
+    """
+    A topic as it was recorded.
+
+    rate_hz, longest_gap_s  by log time; None with fewer than two messages
+    content  what its first message shows: size and encoding, camera, frames
+    roles    what it can serve as: image, pose or truth
+    """
+
+    name: str
+    msgtype: str
+    count: int = 0
+    bytes: int = 0  # noqa: A003
+    first_s: float = 0.0
+    last_s: float = 0.0
+    rate_hz: float | None = None
+    longest_gap_s: float | None = None
+    content: str = ''
+    roles: list[str] = field(default_factory=list)
+
+
+@dataclass
+class BagInfo:
+    """
+    A whole bag. Times of topics count from `start_ns`, the first log time.
+
+    damages  a line per damaged file: how much was recovered and lost, and where
+    notes    what stands in the way, in words
+    next     the command to run next
+    """
+
+    path: str
+    start_ns: int
+    seconds: float
+    messages: int
+    damages: list[str]
+    notes: list[str]
+    topics: list[TopicInfo]
+    next: str  # noqa: A003
+
+
+@dataclass
+class _Camera:
+    """What is known of an image topic."""
+
+    topic: BagTopic
+    size: tuple[int, int] | None = None
+    frame: str = ''
+    calibrated: bool = False
+
+
+def read_bag_info(path: Path, model: Path | None = None, expansion: ViewExpansion | None = None,
+                  progress: Callable[[int, int], None] = lambda done, total: None) -> BagInfo:
+    """
+    Read a whole bag and describe it.
+
+    With `model`, a model file, and its `expansion` the command to run next is a replay, else an
+    import. Raises BagError for bags that cannot be read.
+    """
+    with BagReader(path) as reader:
+        scan = _Scan(reader)
+        for done, message in enumerate(reader.messages(), 1):
+            scan.take(message.topic, message.stamp_ns, message)
+            progress(done, reader.message_count)
+        first_ns, last_ns = scan.span_ns
+        for info in scan.infos.values():
+            info.first_s, info.last_s = info.first_s - first_ns / 1e9, info.last_s - first_ns / 1e9
+        image = scan.find_image(expansion)
+        pose = scan.find_pose(image)
+        truth = scan.find_truth(image, expansion)
+        for topic, role in ((pose, POSE_ROLE), (truth, TRUTH_ROLE)):
+            if topic is not None:
+                scan.infos[topic].roles.append(role)
+        command = _next_command(path, model, scan, image, pose, truth)
+        return BagInfo(
+            str(path), first_ns, (last_ns - first_ns) / 1e9,
+            sum(info.count for info in scan.infos.values()), list(map(str, reader.damages)),
+            scan.notes, [scan.infos[topic] for topic in reader.topics], command)
+
+
+class _Scan:
+    """What one pass over the bag collects; images are not decoded."""
+
+    def __init__(self, reader: BagReader) -> None:
+        self._reader = reader
+        self.infos = {topic: TopicInfo(topic.name, topic.msgtype) for topic in reader.topics}
+        self.cameras = {topic: _Camera(topic) for topic in image_topics(reader, None)
+                        if 'depth' not in topic.name.lower()}
+        self._calibrations = {
+            info: camera for camera in self.cameras.values()
+            if (info := find_info_topic(reader, camera.topic)) is not None}
+        self._stamps: dict[BagTopic, tuple[int, int, int]] = {}  # first, last, longest gap
+        self.tree = TransformTree()
+        self.notes: list[str] = []
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """First and last log time; BagError for a bag without messages."""
+        if not self._stamps:
+            raise BagError(f'{self._reader.path}: expected messages, the bag has none')
+        return (min(first for first, _, _ in self._stamps.values()),
+                max(last for _, last, _ in self._stamps.values()))
+
+    def take(self, topic: BagTopic, stamp_ns: int, message: Any) -> None:
+        """Count a message, and look into it where that tells something new."""
+        info = self.infos[topic]
+        info.count += 1
+        info.bytes += len(message.cdr)
+        first, last, gap = self._stamps.get(topic, (stamp_ns, stamp_ns, 0))
+        first, last, gap = min(first, stamp_ns), max(last, stamp_ns), max(gap, stamp_ns - last)
+        self._stamps[topic] = first, last, gap
+        info.first_s, info.last_s = first / 1e9, last / 1e9
+        if info.count > 1:
+            info.longest_gap_s = gap / 1e9
+            info.rate_hz = (info.count - 1) / ((last - first) / 1e9) if last > first else None
+        try:
+            if topic.msgtype == TF_TYPE:
+                self.tree.add(message.read(), topic.name == TF_STATIC)
+            elif not info.content:
+                info.content = self._describe(topic, message)
+        except (BagError, ImageRejected, SceneError) as error:
+            info.content = info.content or str(error)
+
+    def find_image(self, expansion: ViewExpansion | None) -> _Camera | None:
+        """Return the camera to be used: of the model's size, calibrated, raw before compressed."""
+        for camera in self.cameras.values():
+            self.infos[camera.topic].roles.append(IMAGE_ROLE)
+        if not self.cameras:
+            self.notes.append('no images: neither training nor replay is possible')
+            return None
+        wanted = None if expansion is None else (expansion.source.width, expansion.source.height)
+        ranked = sorted(self.cameras.values(), key=lambda camera: (
+            camera.size != wanted, not camera.calibrated, camera.topic.msgtype == COMPRESSED,
+            math.prod(camera.size or (0, 0)), camera.topic.name))
+        if not ranked[0].calibrated:
+            self.notes.append(f'{ranked[0].topic.name} has no camera_info beside it: an import '
+                              'estimates the camera, a replay trusts the size of the images')
+        if expansion is not None and ranked[0].size != wanted:
+            source = expansion.source
+            self.notes.append(f'no images of {source.width}x{source.height} pixels as the model '
+                              'takes; a calibrated camera that sees all of that view is resampled')
+        return ranked[0]
+
+    def find_pose(self, image: _Camera | None) -> BagTopic | None:
+        """Return where the poses come from: /tf if it moves the camera, else a pose topic."""
+        tf = next((topic for topic in self.infos if topic.name == TF), None)
+        try:
+            if image is not None and tf is not None and self.tree.moves(
+                    self.tree.ancestors(image.frame)):
+                return tf
+        except BagError as error:
+            self.notes.append(str(error))
+        found = [topic for topic, info in self.infos.items()
+                 if topic.msgtype in POSE_TYPES and info.count]
+        if not found:
+            self.notes.append('no poses: an import computes them from the photos (structure from '
+                              'motion), at an unknown scale')
+            return None
+        return max(found, key=lambda topic: self.infos[topic].count)
+
+    def find_truth(self, image: _Camera | None,
+                   expansion: ViewExpansion | None) -> BagTopic | None:
+        """Return images of the same frame that are larger: those of the model's wide size."""
+        if image is None or image.size is None:
+            return None
+        for camera in self.cameras.values():
+            if camera.size is None or camera.frame != image.frame:
+                continue
+            larger = camera.size != image.size and all(
+                a >= b for a, b in zip(camera.size, image.size))
+            if camera.size == (expansion.target.width, expansion.target.height) if (
+                    expansion is not None) else larger:
+                return camera.topic
+        return None
+
+    def _describe(self, topic: BagTopic, message: Any) -> str:
+        """Say what the first message of a topic shows."""
+        if topic in self.cameras:
+            content, seen = message.read(), self.cameras[topic]
+            seen.frame = frame_name(content.header.frame_id)
+            seen.size = (content.width, content.height) if topic.msgtype == IMAGE else (
+                compressed_size(content))
+            form = content.encoding if topic.msgtype == IMAGE else content.format
+            return f'{seen.size[0]}x{seen.size[1]} {form}, frame {seen.frame}'
+        if topic.msgtype == CAMERA_INFO:
+            camera = self._calibrations.get(topic)
+            lens = read_lens(message.read(), camera.topic if camera else topic, topic.name)
+            view = lens.intrinsics
+            if camera is not None:
+                camera.calibrated = True
+            kind = 'fisheye' if lens.fisheye else 'pinhole' if lens.is_pinhole else 'distorted'
+            return (f'{view.width}x{view.height} {kind}, {math.degrees(view.hfov):.1f} x '
+                    f'{math.degrees(view.vfov):.1f} deg, fx {view.fx:.1f} fy {view.fy:.1f} '
+                    f'cx {view.cx:.1f} cy {view.cy:.1f}')
+        if topic.msgtype in POSE_TYPES:
+            content = message.read()
+            child = getattr(content, 'child_frame_id', '')
+            return f'{f"{child} " if child else ""}in {content.header.frame_id}'
+        return ''
+
+
+def _next_command(path: Path, model: Path | None, scan: _Scan, image: _Camera | None,
+                  pose: BagTopic | None, truth: BagTopic | None) -> str:
+    """Return the command line, with topics named where there is a choice."""
+    if image is None:
+        return ''
+    name = path.resolve().stem
+    several = ['--image-topic', image.topic.name] if len(scan.cameras) > 1 else []
+    if model is not None:
+        score = ['--truth-topic', truth.name] if truth is not None else ['--score']
+        words = ['replay', str(path), '--model', str(model), '--out', f'out/{name}_wide',
+                 *several, *score]
+    else:
+        poses = [topic for topic in scan.infos if topic.msgtype in POSE_TYPES]
+        chosen = ['--pose-topic', pose.name] if (
+            pose is not None and pose.name != TF and len(poses) > 1) else []
+        words = ['import', str(path), f'out/scenes/{name}', *several, *chosen]
+    return shlex.join(['neo', *words])

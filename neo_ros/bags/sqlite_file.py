@@ -1,0 +1,201 @@
+"""Read the sqlite3 storage of rosbag2, also one that was cut off or damaged."""
+from collections import Counter
+from collections.abc import Collection, Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import apsw
+from neo_ros.bags.damage import Damage
+from neo_ros.errors import BagError
+
+_LAST_NS = (1 << 63) - 1
+# Rows behind a damaged page are looked for one by one; pages hold fewer rows than this.
+_MAX_MISSES = 10_000
+_HEADER_BYTES = 100
+Row = tuple[int, int, int, bytes]  # id, topic id, log time in ns, CDR
+
+
+class SqliteFile:
+    """
+    The messages of one .db3 file in the order of their log times.
+
+    Damage is met in two ways: rows are read by their number where the index by time fails, and
+    a file shorter than it says is opened all the same. There are no checksums in this format.
+    A file that was being written to is read with its write-ahead log. `damage` is exact once
+    all messages were read. Raises BagError for files that are no such database.
+    """
+
+    def __init__(self, path: Path, expected: int | None = None) -> None:
+        self.path = path
+        self._expected = expected
+        self._damaged_at: int | None = None
+        self._database = _open(path)
+        try:
+            # topic id -> column name -> value, and type -> (encoding, definition)
+            self.topics = {row['id']: row for row in self._table('topics')}
+            self.definitions = {row['topic_type']: row for row in self._table(
+                'message_definitions', must=False)}
+            self.counts: Counter[int] = Counter()
+            try:
+                for topic, count in self._rows(
+                        'SELECT topic_id, COUNT(*) FROM messages GROUP BY topic_id'):
+                    self.counts[topic] = count
+                if expected is None:
+                    self._expected = self.counts.total()
+            except apsw.Error:
+                self._recount()
+        except apsw.Error as error:
+            self.close()
+            raise BagError(f'{path}: not a readable sqlite3 bag: {error}') from error
+
+    def close(self) -> None:
+        """Close the file."""
+        self._database.close()
+
+    @property
+    def span_ns(self) -> tuple[int, int] | None:
+        """First and last log time; None where that cannot be read."""
+        try:
+            (first, last), = self._rows('SELECT MIN(timestamp), MAX(timestamp) FROM messages')
+        except apsw.Error:
+            stamps = [row[2] for row in self._rows_by_number(set())]
+            return (min(stamps), max(stamps)) if stamps else None
+        return None if first is None else (first, last)
+
+    @property
+    def damage(self) -> Damage | None:
+        """What is lost, as far as the file was read; None if nothing is."""
+        found = self.counts.total()
+        if self._damaged_at is None and (self._expected is None or self._expected <= found):
+            return None
+        lost = None if self._expected is None else max(self._expected - found, 0)
+        if lost == 0:
+            return None
+        place = '' if self._damaged_at is None else f'row {self._damaged_at}'
+        return Damage(self.path.name, found, lost, place)
+
+    def messages(self, topics: Collection[int], start_ns: int = 0,
+                 stop_ns: int = _LAST_NS) -> Iterator[tuple[int, int, bytes]]:
+        """Yield (topic id, log time in ns, CDR) of these topics in [start_ns, stop_ns)."""
+        marks = ','.join('?' * len(topics))
+        seen: set[int] = set()
+        try:
+            # Not by topic: the planner must stay with the index by time.
+            for row in self._database.execute(
+                    'SELECT id, topic_id, timestamp, data FROM messages '
+                    f'WHERE +topic_id IN ({marks}) AND timestamp >= ? AND timestamp < ? '
+                    'ORDER BY timestamp, id', (*topics, start_ns, min(stop_ns, _LAST_NS))):
+                seen.add(row[0])
+                yield row[1], row[2], row[3]
+        except apsw.Error:
+            for number, topic, stamp_ns, data in self._rows_by_number(seen):
+                if topic in topics and start_ns <= stamp_ns < stop_ns:
+                    yield topic, stamp_ns, data
+            self._recount()
+
+    def _recount(self) -> None:
+        """Count what can be read, and of all that was written as far as that is known."""
+        highest = self._highest()
+        if self._expected is None:
+            self._expected = highest
+        self.counts = Counter(row[1] for row in self._rows_by_number(set()))
+
+    def _rows_by_number(self, seen: set[int]) -> Iterator[Row]:
+        """Yield all rows that can be read, but those that were seen."""
+        number, misses = 1, 0
+        highest = self._highest()
+        while misses < _MAX_MISSES and (highest is None or number <= highest):
+            # Behind damage one number at a time, until there is a row again.
+            where = 'id = ?' if misses else 'id >= ? ORDER BY id'
+            try:
+                rows = self._database.execute(
+                    f'SELECT id, topic_id, timestamp, data FROM messages WHERE {where}', (number,))
+                if not misses:
+                    for row in rows:
+                        number = row[0] + 1
+                        if row[0] not in seen:
+                            yield row
+                    return
+                row = rows.fetchone()
+                number, misses = number + 1, 0 if row else misses + 1
+                if row and row[0] not in seen:
+                    yield row
+            except apsw.Error:
+                if not misses:
+                    self._damaged_at = min(self._damaged_at or number, number)
+                number, misses = number + (1 if misses else 0), misses + 1
+
+    def _highest(self) -> int | None:
+        """Return the number of the last row; None where it cannot be read."""
+        try:
+            return self._rows('SELECT MAX(id) FROM messages')[0][0] or 0
+        except apsw.Error:
+            return self._expected
+
+    def _rows(self, query: str) -> list[Any]:
+        return self._database.execute(query).fetchall()
+
+    def _table(self, name: str, must: bool = True) -> list[dict[str, Any]]:
+        try:
+            columns = [row[1] for row in self._rows(f'PRAGMA table_info({name})')]
+            return [dict(zip(columns, row)) for row in self._rows(f'SELECT * FROM {name}')]
+        except apsw.Error:
+            if must:
+                raise
+            return []  # Bags before Iron have no definitions.
+
+
+def _open(path: Path) -> apsw.Connection:
+    """Open a database for reading only, with its log if it has one."""
+    error: apsw.Error | None = None
+    # A log can only be read where a file can be made beside it; without it, nothing is touched.
+    options = ['mode=ro', 'mode=ro&immutable=1'] if Path(f'{path}-wal').exists() else [
+        'mode=ro&immutable=1']
+    for option in options:
+        try:
+            database = apsw.Connection(
+                f'file:{quote(str(path))}?{option}',
+                flags=apsw.SQLITE_OPEN_READONLY | apsw.SQLITE_OPEN_URI,
+                vfs=_WHOLE_PAGES.name if _is_torn(path) else None)
+            # Otherwise sqlite refuses a file that is shorter than its header says.
+            database.execute('PRAGMA writable_schema = ON')
+            database.execute('SELECT name FROM sqlite_master').fetchall()
+            return database
+        except apsw.Error as failure:
+            error = failure
+    raise BagError(f'{path}: not a readable sqlite3 bag: {error}') from error
+
+
+class _WholePages(apsw.VFS):
+    """Hides the last page of a file if it is cut: sqlite would read the rest of it as zeros."""
+
+    name = 'neo_ros_whole_pages'
+
+    def __init__(self) -> None:
+        super().__init__(self.name, '')
+
+    def xOpen(self, name: Any, flags: list[int]) -> apsw.VFSFile:  # noqa: N802
+        return _WholePagesFile('', name, flags)
+
+
+class _WholePagesFile(apsw.VFSFile):
+
+    def xFileSize(self) -> int:  # noqa: N802
+        page = _page_bytes(self.xRead(_HEADER_BYTES, 0))
+        return super().xFileSize() // page * page
+
+
+def _page_bytes(header: bytes) -> int:
+    size = int.from_bytes(header[16:18], 'big')
+    return 65536 if size <= 1 else size  # 1 stands for what two bytes cannot hold.
+
+
+def _is_torn(path: Path) -> bool:
+    with path.open('rb') as file:
+        header = file.read(_HEADER_BYTES)
+    size = path.stat().st_size
+    return size > _HEADER_BYTES and size % _page_bytes(header) != 0
+
+
+_WHOLE_PAGES = _WholePages()

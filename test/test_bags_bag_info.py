@@ -1,0 +1,113 @@
+"""`neo bag-info`: rates, gaps, cameras, roles and the next command, on bags of several kinds."""
+import json
+import math
+from pathlib import Path
+import shlex
+
+from bag_files import START_NS, write_walk_bag
+from camera_bags import CameraBag
+from neo_ros.bags import BagWriter
+from neo_ros.bags.bag_info import BagInfo, read_bag_info, TopicInfo
+from neo_ros.cli.main import app
+from neo_ros.errors import BagError
+from neo_ros.geometry import Intrinsics, ViewExpansion
+import numpy as np
+import pytest
+from tiny_model import write_tiny_model
+from typer.testing import CliRunner
+
+EXPANSION = ViewExpansion.to_size(Intrinsics.from_hfov(32, 24, math.pi / 2), 64, 48)
+IMAGE, TRUTH = '/camera/image_raw', '/camera/wide/image_raw'
+
+
+@pytest.fixture(scope='module')
+def walk_bag(tmp_path_factory) -> Path:
+    return write_walk_bag(tmp_path_factory.mktemp('bags') / 'walk', EXPANSION, 11)
+
+
+def _topic(info: BagInfo, name: str) -> TopicInfo:
+    found, = [topic for topic in info.topics if topic.name == name]
+    return found
+
+
+def test_a_recorded_walk_is_described(walk_bag: Path) -> None:
+    info = read_bag_info(walk_bag)
+    assert (info.start_ns, info.messages, info.damages, info.notes) == (START_NS, 56, [], [])
+    assert info.seconds == pytest.approx(1.0)
+    image = _topic(info, IMAGE)
+    assert (image.count, image.rate_hz, image.longest_gap_s) == (
+        11, pytest.approx(10), pytest.approx(0.1))
+    assert image.content == '32x24 rgb8, frame camera_optical_frame'
+    assert 11 * 32 * 24 * 3 < image.bytes < 11 * (32 * 24 * 3 + 200)
+    assert _topic(info, '/camera/camera_info').content.startswith('32x24 pinhole, 90.0 x 73.7 deg')
+    assert _topic(info, '/odom').content == 'base_link in odom'
+    assert {topic.name: topic.roles for topic in info.topics if topic.roles} == {
+        IMAGE: ['image'], TRUTH: ['image', 'truth'], '/tf': ['pose']}
+    assert _topic(info, '/tf_static').rate_hz is None
+
+
+def test_the_next_command_is_one_that_exists(walk_bag: Path, tmp_path: Path) -> None:
+    plain = shlex.split(read_bag_info(walk_bag).next)
+    assert plain == ['neo', 'import', str(walk_bag), 'out/scenes/walk', '--image-topic', IMAGE]
+    model = write_tiny_model(tmp_path / 'm.onnx', EXPANSION)
+    with_model = shlex.split(read_bag_info(walk_bag, model, EXPANSION).next)
+    assert with_model[:6] == ['neo', 'replay', str(walk_bag), '--model', str(model), '--out']
+    assert with_model[-2:] == ['--truth-topic', TRUTH]
+    with_model[6] = str(tmp_path / 'out')
+    result = CliRunner().invoke(app, with_model[1:])
+    assert result.exit_code == 0, result.output
+    assert (tmp_path / 'out' / 'scores.csv').is_file()
+
+
+def test_a_gap_and_a_lack_of_poses_are_told(tmp_path: Path) -> None:
+    with CameraBag(tmp_path / 'bag') as bag:
+        for stamp in (0, 100, 200, 1700, 1800):
+            bag.log_ns = stamp * 1_000_000
+            bag.image(IMAGE, stamp, np.zeros((24, 32, 3), np.uint8), compressed=True)
+    info = read_bag_info(tmp_path / 'bag')
+    assert _topic(info, IMAGE).longest_gap_s == pytest.approx(1.5)
+    assert _topic(info, IMAGE).rate_hz == pytest.approx(4 / 1.8)
+    assert _topic(info, IMAGE).content == '32x24 png, frame optical'
+    assert ['no camera_info' in note or 'no poses' in note for note in info.notes] == [True] * 2
+
+
+def test_several_pose_topics_are_named_in_the_command(tmp_path: Path) -> None:
+    with CameraBag(tmp_path / 'bag') as bag:
+        bag.info('/eye/camera_info', 0, EXPANSION.source)
+        for stamp in range(3):
+            bag.image('/eye/image', stamp, np.zeros((24, 32, 3), np.uint8))
+            bag.pose('/slam/pose', stamp, np.eye(4))
+        bag.pose('/goal', 5, np.eye(4))
+    info = read_bag_info(tmp_path / 'bag')
+    assert _topic(info, '/slam/pose').roles == ['pose'] and _topic(info, '/goal').roles == []
+    assert info.next.endswith('out/scenes/bag --pose-topic /slam/pose')
+
+
+def test_damage_is_counted_and_the_rest_described(walk_bag: Path, tmp_path: Path) -> None:
+    file = tmp_path / 'cut.mcap'
+    content = next(walk_bag.glob('*.mcap')).read_bytes()
+    file.write_bytes(content[:len(content) // 2])
+    info = read_bag_info(file)
+    assert 0 < info.messages < 56
+    assert info.damages[0].startswith(f'cut.mcap: {info.messages} messages recovered, an unknown')
+    assert _topic(info, IMAGE).roles == ['image']
+
+
+def test_bags_without_messages_or_images(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / 'empty') as writer:
+        writer.add_topic('/text', 'std_msgs/msg/String')
+    with pytest.raises(BagError, match='expected messages'):
+        read_bag_info(tmp_path / 'empty')
+    with CameraBag(tmp_path / 'blind') as bag:
+        bag.pose('/pose', 0, np.eye(4))
+    info = read_bag_info(tmp_path / 'blind')
+    assert info.next == '' and 'no images' in info.notes[0]
+
+
+def test_the_command_prints_a_table_or_json(walk_bag: Path) -> None:
+    result = CliRunner().invoke(app, ['bag-info', str(walk_bag)])
+    assert result.exit_code == 0, result.output
+    for text in (IMAGE, '10.0', 'image, truth', 'Next: neo import'):
+        assert text in result.output
+    result = CliRunner().invoke(app, ['bag-info', str(walk_bag), '--json'])
+    assert json.loads(result.output)['messages'] == 56

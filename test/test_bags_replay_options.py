@@ -1,0 +1,183 @@
+"""Replay of sections, of compressed and of other cameras, with its threads and its video."""
+from collections import Counter
+import math
+from pathlib import Path
+
+import av
+from bag_files import START_NS, walk_frames, write_walk_bag
+from camera_bags import CameraBag
+from neo_ros.bags import BagReader, replay, Section
+from neo_ros.bags.camera_topics import find_camera, find_truth_topic
+from neo_ros.errors import BagError, NeoError
+from neo_ros.evaluation.side_by_side import SideBySide
+from neo_ros.geometry import Intrinsics, ViewExpansion
+from neo_ros.messages import image_fields, read_image
+from neo_ros.runtime import FovExtrapolator
+import numpy as np
+import pytest
+from tiny_model import write_tiny_model
+
+EXPANSION = ViewExpansion.to_size(Intrinsics.from_hfov(32, 24, math.pi / 2), 64, 48)
+IMAGE = '/camera/image_raw'
+FRAMES = 10
+
+
+@pytest.fixture(scope='module')
+def extrapolator(tmp_path_factory) -> FovExtrapolator:
+    path = tmp_path_factory.mktemp('model') / 'm.onnx'
+    return FovExtrapolator.load(write_tiny_model(path, EXPANSION), threads=1)
+
+
+@pytest.fixture(scope='module')
+def walk_bag(tmp_path_factory) -> Path:
+    """Ten frames at 10 Hz, /tf_static at the start."""
+    return write_walk_bag(tmp_path_factory.mktemp('bag') / 'walk', EXPANSION, FRAMES)
+
+
+def _counts(path: Path) -> Counter[str]:
+    with BagReader(path) as bag:
+        return Counter(message.topic.name for message in bag.messages())
+
+
+def _stamps(path: Path, topic: str) -> list[float]:
+    with BagReader(path) as bag:
+        return [(message.stamp_ns - START_NS) / 1e9 for message in bag.messages([topic])]
+
+
+def test_a_section_keeps_its_stamps_and_what_is_latched(tmp_path, walk_bag, extrapolator) -> None:
+    steps: list[tuple[int, int]] = []
+    result = replay(walk_bag, extrapolator, tmp_path / 'out', section=Section(0.25, 0.6),
+                    on_progress=lambda *step: steps.append(step))
+    assert result.frames == 3
+    for topic in (IMAGE, '/camera/wide/image', '/tf'):
+        assert _stamps(tmp_path / 'out', topic) == pytest.approx([0.3, 0.4, 0.5])
+    # Whoever starts to listen needs it, though it was sent before the section.
+    assert _stamps(tmp_path / 'out', '/tf_static') == [0.25]
+    assert steps[-1][0] == steps[-1][1] and all(done <= total for done, total in steps)
+
+
+def test_the_calibration_before_a_section_still_holds(tmp_path, extrapolator) -> None:
+    with CameraBag(tmp_path / 'bag') as bag:
+        bag.info('/camera/camera_info', 0, Intrinsics.from_hfov(32, 24, 1.0))
+        for stamp in range(4):
+            bag.log_ns = stamp * 1_000_000_000
+            bag.image(IMAGE, stamp, np.zeros((24, 32, 3), np.uint8))
+    result = replay(tmp_path / 'bag', extrapolator, tmp_path / 'out', section=Section(1.5))
+    assert (result.frames, result.rejected) == (0, {'camera': 2})
+
+
+def test_every_nth_image_is_widened_and_all_are_copied(tmp_path, walk_bag, extrapolator) -> None:
+    result = replay(walk_bag, extrapolator, tmp_path / 'out', section=Section(every=4))
+    assert result.frames == 3
+    assert _stamps(tmp_path / 'out', '/camera/wide/image') == pytest.approx([0, 0.4, 0.8])
+    counts = _counts(tmp_path / 'out')
+    assert counts[IMAGE] == FRAMES and counts['/camera/wide/mask'] == 3
+
+
+@pytest.mark.parametrize(('values', 'message'), [
+    ((-1.0,), 'start, end: expected 0 <= start < end'), ((2.0, 1.0), 'start < end'),
+    ((0.0, None, 0), 'every: expected a number >= 1')], ids=['before', 'empty', 'every 0'])
+def test_sections_that_are_none_are_refused(values: tuple, message: str) -> None:
+    with pytest.raises(BagError, match=message):
+        Section(*values)
+
+
+def test_a_section_behind_the_end_is_refused(tmp_path, walk_bag, extrapolator) -> None:
+    with pytest.raises(BagError, match=r'expected less than the 0.900 s of the bag, got 5'):
+        replay(walk_bag, extrapolator, tmp_path / 'out', section=Section(5.0))
+    assert not (tmp_path / 'out').exists()
+
+
+def test_compressed_images_are_widened_like_raw_ones(tmp_path, extrapolator) -> None:
+    images = [EXPANSION.crop(wide) for _, wide, _ in walk_frames(EXPANSION, 3)]
+    for compressed, topic in ((False, IMAGE), (True, f'{IMAGE}/compressed')):
+        with CameraBag(tmp_path / f'bag{compressed}') as bag:
+            bag.info('/camera/camera_info', 0, EXPANSION.source)
+            for stamp, image in enumerate(images):
+                bag.image(topic, stamp, image, compressed=compressed)
+            if compressed:  # One that is cut off.
+                bag.send(topic, 'sensor_msgs/msg/CompressedImage', 9, format='png',
+                         header=bag.header(9, ''), data=np.frombuffer(b'\x89PNG\r\n', np.uint8))
+        result = replay(tmp_path / f'bag{compressed}', extrapolator,
+                        tmp_path / f'out{compressed}')
+        assert (result.frames, result.rejected) == (
+            3, {'encoding': 1} if compressed else {})
+    outs = []
+    for compressed in (False, True):
+        with BagReader(tmp_path / f'out{compressed}') as bag:
+            outs.append([read_image(m.read()) for m in bag.messages(['/camera/wide/image'])])
+    np.testing.assert_array_equal(outs[0], outs[1])
+
+
+def test_raw_images_are_taken_before_compressed_ones(tmp_path, extrapolator) -> None:
+    image = np.zeros((24, 32, 3), np.uint8)
+    with CameraBag(tmp_path / 'bag') as bag:
+        bag.image(IMAGE, 1, image)
+        bag.image(f'{IMAGE}/compressed', 1, image, compressed=True)
+    with BagReader(tmp_path / 'bag') as reader:
+        assert find_camera(reader, EXPANSION.source, None).image.name == IMAGE
+        found = find_camera(reader, EXPANSION.source, f'{IMAGE}/compressed')
+        assert (found.image.name, found.wide) == (f'{IMAGE}/compressed', '/camera/wide')
+
+
+def test_truth_is_found_by_its_size_but_not_in_what_a_model_made(
+        tmp_path, walk_bag, extrapolator) -> None:
+    replay(walk_bag, extrapolator, tmp_path / 'out')
+    with BagReader(tmp_path / 'out') as reader:
+        camera = find_camera(reader, EXPANSION.source, None)
+        truth = find_truth_topic(reader, camera, EXPANSION.target)
+        assert truth is not None and truth.name == '/camera/wide/image_raw'
+
+
+def test_an_error_of_a_callback_ends_the_replay(tmp_path, walk_bag, extrapolator) -> None:
+    def fail(stamp_ns: int, image: np.ndarray, wide_image: np.ndarray) -> None:
+        raise NeoError('disk full')
+
+    with pytest.raises(NeoError, match='disk full'):
+        replay(walk_bag, extrapolator, tmp_path / 'out', on_frame=fail)
+
+
+def test_the_video_shows_camera_and_wide_view_in_time(tmp_path, walk_bag, extrapolator) -> None:
+    path = tmp_path / 'new' / 'walk.mp4'
+    with SideBySide(path, EXPANSION) as video:
+        replay(walk_bag, extrapolator, tmp_path / 'out', section=Section(every=3),
+               on_frame=video.add)
+    with av.open(str(path)) as file:
+        frames = list(file.decode(video=0))
+    assert [frame.time for frame in frames] == pytest.approx([0, 0.3, 0.6, 0.9], abs=1e-3)
+    picture = frames[1].to_ndarray(format='rgb24').astype(int)
+    assert picture.shape == (48, 128, 3)
+    truth = walk_frames(EXPANSION, FRAMES)[3][1]
+    seen = EXPANSION.crop(truth)[4:-4, 4:-4].astype(int)  # Away from the drawn outline.
+    for left in (0, 64):
+        shown = EXPANSION.crop(picture[:, left:left + 64])[4:-4, 4:-4]
+        # Colours are stored at half the resolution.
+        assert np.abs(shown.mean(axis=2) - seen.mean(axis=2)).mean() < 12
+
+
+def test_stamps_that_go_back_do_not_stop_the_video(tmp_path) -> None:
+    image = np.zeros((24, 32, 3), np.uint8)
+    wide = np.full((48, 64, 3), 200, np.uint8)
+    with SideBySide(tmp_path / 'a.mp4', EXPANSION) as video:
+        for stamp in (5_000_000_000, 4_000_000_000, 4_000_000_000, 6_000_000_000):
+            video.add(stamp, image, wide)
+    with av.open(str(tmp_path / 'a.mp4')) as file:
+        assert len(list(file.decode(video=0))) == 4
+    with SideBySide(tmp_path / 'none.mp4', EXPANSION):
+        pass
+    assert not (tmp_path / 'none.mp4').exists()
+    with pytest.raises(NeoError, match='cannot write the video'):
+        SideBySide(tmp_path / 'a.mp4' / 'b.mp4', EXPANSION)
+
+
+def test_a_wider_camera_is_resampled_to_the_models(tmp_path, extrapolator) -> None:
+    larger = Intrinsics.from_hfov(64, 48, 1.8)
+    with CameraBag(tmp_path / 'bag') as bag:
+        bag.info('/camera/camera_info', 0, larger)
+        bag.send(IMAGE, 'sensor_msgs/msg/Image', 1, header=bag.header(1, 'eye'),
+                 **image_fields(np.full((48, 64, 3), 90, np.uint8)))
+    frames: list[np.ndarray] = []
+    result = replay(tmp_path / 'bag', extrapolator, tmp_path / 'out',
+                    on_frame=lambda stamp_ns, image, wide: frames.append(image))
+    assert (result.frames, result.rejected) == (1, {})
+    assert frames[0].shape == (24, 32, 3) and (frames[0] == 90).all()
