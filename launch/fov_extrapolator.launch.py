@@ -1,5 +1,5 @@
 """
-Start the field-of-view extrapolator of one camera.
+Start the field-of-view extrapolator of one camera, and a viewer if wanted.
 
 ros2 launch neo_ros fov_extrapolator.launch.py namespace:=camera image:=image_rect model:=M.onnx
 """
@@ -7,7 +7,8 @@ from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
 from launch import LaunchContext, LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.actions import DeclareLaunchArgument, ExecuteProcess, OpaqueFunction
+from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
@@ -17,10 +18,11 @@ def generate_launch_description() -> LaunchDescription:
     parameters = Path(get_package_share_directory('neo_ros')) / 'config' / 'fov_extrapolator.yaml'
     arguments = {
         'namespace': ('', 'Namespace of the camera and of the wide topics'),
-        'image': ('image', 'Rectified image of the camera'),
+        'image': ('image', 'Image of the camera; image/compressed follows it'),
         'camera_info': ('camera_info', 'Calibration of the camera'),
         'model': ('', 'Model (ONNX file of "neo train"); empty: what params_file says'),
         'params_file': (str(parameters), 'YAML file with the parameters of the node'),
+        'viewer': ('false', 'Show the wide image in a browser, at http://127.0.0.1:8600'),
     }
     return LaunchDescription([
         DeclareLaunchArgument(name, default_value=default, description=description)
@@ -28,11 +30,19 @@ def generate_launch_description() -> LaunchDescription:
     ] + [OpaqueFunction(function=start_node)])
 
 
-def start_node(context: LaunchContext) -> list[Node]:
+def start_node(context: LaunchContext) -> list[Node | ExecuteProcess]:
     """Start the node once the arguments are known: an empty model must not override the file."""
     model = LaunchConfiguration('model').perform(context)
-    return [Node(
-        package='neo_ros', executable='fov_extrapolator', output='screen',
-        namespace=LaunchConfiguration('namespace'),
-        parameters=[LaunchConfiguration('params_file'), *([{'model': model}] if model else [])],
-        remappings=[(topic, LaunchConfiguration(topic)) for topic in ('image', 'camera_info')])]
+    namespace = LaunchConfiguration('namespace').perform(context).strip('/')
+    image = LaunchConfiguration('image')
+    wide_image = '/'.join(['', *([namespace] if namespace else []), 'wide/image'])
+    return [
+        Node(
+            package='neo_ros', executable='fov_extrapolator', output='screen',
+            namespace=namespace,
+            parameters=[LaunchConfiguration('params_file'),
+                        *([{'model': model}] if model else [])],
+            remappings=[('image', image), ('image/compressed', [image, '/compressed']),
+                        ('camera_info', LaunchConfiguration('camera_info'))]),
+        ExecuteProcess(cmd=['neo', 'view', '--topic', wide_image], output='screen',
+                       condition=IfCondition(LaunchConfiguration('viewer')))]

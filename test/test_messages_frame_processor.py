@@ -1,12 +1,13 @@
 """One frame in, the content of the wide messages out, or a refusal."""
 import math
+from types import SimpleNamespace
 
 from camera_messages import camera_info_message, image_message, noise_image
 from neo_ros.errors import ImageRejected
 from neo_ros.geometry import Intrinsics
-from neo_ros.messages import camera_info_fields
+from neo_ros.messages import camera_info_fields, jpeg_fields
 from neo_ros.messages.frame_processor import FrameProcessor
-from neo_ros.runtime import FovExtrapolator
+from neo_ros.runtime import FovExtrapolator, WideView
 import numpy as np
 import pytest
 from tiny_model import TINY_EXPANSION, write_tiny_model
@@ -28,7 +29,7 @@ def test_outputs_are_those_of_the_extrapolator(extrapolator):
     np.testing.assert_array_equal(frame.confidence, expected.confidence)
     np.testing.assert_array_equal(frame.extrapolated_mask == 255, extrapolator.extrapolated_mask)
     assert set(np.unique(frame.extrapolated_mask)) == {0, 255}
-    assert set(frame.stages_ms) == {'decode', 'infer'}
+    assert set(frame.stages_ms) == {'decode', 'infer', 'check'}
 
 
 def test_known_and_unknown_camera_give_the_same_wide_camera(extrapolator):
@@ -44,6 +45,7 @@ def test_known_and_unknown_camera_give_the_same_wide_camera(extrapolator):
 def test_network_rests_when_nobody_wants_its_outputs():
     class Resting:
         expansion = TINY_EXPANSION
+        scene_check = None
 
         def expand(self, image):
             raise AssertionError('the network ran')
@@ -71,3 +73,64 @@ def test_other_cameras_are_refused_with_both_figures(extrapolator, image, camera
     with pytest.raises(ImageRejected, match=words) as refusal:
         FrameProcessor(extrapolator).process(image, camera)
     assert refusal.value.reason == reason
+
+
+class Watched:
+    """A network that is always half sure, with a scene check that always says the same."""
+
+    expansion = TINY_EXPANSION
+
+    def __init__(self, score):
+        self._score = score
+
+    @property
+    def scene_check(self):
+        return self
+
+    def score(self, image, confidence):
+        return self._score
+
+    def expand(self, image):
+        target = TINY_EXPANSION.target
+        confidence = np.full((target.height, target.width), 128, np.uint8)
+        confidence[TINY_EXPANSION.observed] = 255
+        return WideView(np.zeros((target.height, target.width, 3), np.uint8), confidence)
+
+
+@pytest.mark.parametrize('score, ring', [(0.0, 128), (0.25, 96), (1.0, 0)])
+def test_confidence_sinks_with_the_score_where_the_camera_did_not_see(score, ring):
+    frame = FrameProcessor(Watched(score)).process(image_message(noise_image(SOURCE, 1)), None)
+    assert frame.out_of_scene == score
+    assert (frame.confidence[TINY_EXPANSION.observed] == 255).all()
+    assert (frame.confidence[TINY_EXPANSION.extrapolated_mask] == ring).all()
+
+
+def test_a_bomb_is_refused_by_the_size_of_its_header_before_it_is_decoded(extrapolator,
+                                                                          monkeypatch):
+    data = jpeg_fields(np.zeros((3000, 4000, 3), np.uint8), 50)['data'].tobytes()
+    monkeypatch.setattr('cv2.imdecode', lambda *_: pytest.fail('it was decoded'))
+    with pytest.raises(ImageRejected, match='takes 32x24, the image is 4000x3000'):
+        FrameProcessor(extrapolator).process(SimpleNamespace(format='jpeg', data=data), None)
+
+
+def test_image_and_camera_info_of_different_sizes_are_refused(extrapolator):
+    wider = Intrinsics.from_hfov(64, 48, math.radians(100))
+    with pytest.raises(ImageRejected, match='image is 32x24, the camera_info says 64x48') as found:
+        FrameProcessor(extrapolator).process(
+            image_message(noise_image(SOURCE, 1)), camera_info_message(wider))
+    assert found.value.reason == 'size'
+
+
+def test_a_new_camera_info_and_rectify_take_effect_at_the_next_frame(extrapolator):
+    processor = FrameProcessor(extrapolator)
+    image = image_message(noise_image(SOURCE, 1))
+    assert processor.process(image, camera_info_message(SOURCE)).camera_note == ''
+    wider = Intrinsics.from_hfov(64, 48, math.radians(100))
+    wide_image = image_message(noise_image(wider, 1))
+    bent = camera_info_message(wider, d=[-0.01, 0, 0, 0, 0])
+    assert 'resampled' in processor.process(wide_image, camera_info_message(wider)).camera_note
+    with pytest.raises(ImageRejected, match='rectify'):
+        processor.process(wide_image, bent)
+    processor.rectify = True
+    assert 'rectified' in processor.process(wide_image, bent).camera_note
+    assert processor.process(image, None).camera_note == ''

@@ -8,11 +8,16 @@ import sys
 import xml.etree.ElementTree as ElementTree
 
 import neo_ros
+from neo_ros.node.extrapolator_node import ExtrapolatorNode
 from neo_ros.node.fastdds_profile import use_large_image_profile, VARIABLE
+from neo_ros.node.interface import INPUTS, OUTPUTS, SERVICES
+from neo_ros.node.interface_tables import interface_tables, with_tables
 from neo_ros.node.parameters import declare_parameters
 from neo_ros.paths import share_dir
 import pytest
+from rclpy.parameter import Parameter
 from ros_graph import ros_graph
+from tiny_model import write_tiny_model
 import yaml
 
 LAUNCH = share_dir() / 'launch' / 'fov_extrapolator.launch.py'
@@ -66,6 +71,49 @@ def test_profile_is_used_unless_the_user_has_one():
         assert environment == {name: 'mine.xml'}
 
 
+def test_tables_of_the_manual_are_those_of_the_code():
+    manual = Path(neo_ros.__file__).parent.parent / 'docs' / 'node.md'
+    if not manual.is_file():
+        pytest.skip('not a source checkout')
+    text = manual.read_text()
+    for name, table in interface_tables().items():
+        assert table in text, f'{name}: python -m neo_ros.node.interface_tables docs/node.md'
+    assert with_tables(text) == text
+    assert with_tables(text.replace('| `max_fps` |', '| `fps` |')) == text
+
+
+def test_security_policy_grants_what_the_node_needs_and_nothing_more(tmp_path):
+    profile = ElementTree.parse(share_dir() / 'config' / 'sros2_policy.xml').find('.//profile')
+    assert (profile.get('ns'), profile.get('node')) == ('/', 'fov_extrapolator')
+    granted = {key: {f'/{entry.text}' if entry.text[0] not in '/~' else entry.text
+                     for group in profile.findall(f'{kind}s[@{key}="ALLOW"]') for entry in group}
+               for kind, key in (('topic', 'subscribe'), ('topic', 'publish'),
+                                 ('service', 'reply'))}
+    with ros_graph() as graph:
+        # In a namespace of its own: nodes of other tests take a while to be forgotten.
+        node = ExtrapolatorNode(context=graph.context, namespace='policy', parameter_overrides=[
+            Parameter('model', value=str(write_tiny_model(tmp_path / 'tiny.onnx')))])
+        node.autostart()
+        by_node = (node.get_name(), node.get_namespace())
+        own = f'{node.get_fully_qualified_name()}/'
+
+        def names(found):
+            return {name.replace(own, '~/').removeprefix('/policy') for name, _ in found}
+        published = graph.spin_until(lambda: len(found := names(
+            node.get_publisher_names_and_types_by_node(*by_node))) >= 8 and found)
+        served = names(node.get_service_names_and_types_by_node(*by_node))
+        subscribed = names(node.get_subscriber_names_and_types_by_node(*by_node))
+        node.stop()
+        node.destroy_node()
+    assert {f'/{output.name}' for output in OUTPUTS.values()} <= published
+    assert {service.name for service in SERVICES} <= served
+    assert published == granted['publish'] and served == granted['reply']
+    assert subscribed <= granted['subscribe']
+    # Compressed images and simulated time are subscribed only where a parameter asks for them.
+    assert granted['subscribe'] == {f'/{entry.name}' for entry in INPUTS} | {
+        '/clock', '/parameter_events'}
+
+
 def test_launch_file_compiles_and_has_its_function():
     tree = ast.parse(LAUNCH.read_text())
     compile(tree, str(LAUNCH), 'exec')
@@ -84,4 +132,4 @@ def test_launch_file_describes_its_arguments(monkeypatch):
     monkeypatch.setattr(module, 'get_package_share_directory', lambda name: str(share_dir()))
     names = {argument.name for argument in
              module.generate_launch_description().get_launch_arguments()}
-    assert names == {'namespace', 'image', 'camera_info', 'model', 'params_file'}
+    assert names == {'namespace', 'image', 'camera_info', 'model', 'params_file', 'viewer'}

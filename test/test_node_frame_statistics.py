@@ -60,3 +60,19 @@ def test_latencies_are_of_the_last_frames():
 
 def test_no_frame_yet_has_no_latency():
     assert Statistics(HandClock()).snapshot().latency_ms == {}
+
+
+def test_what_the_images_were_like_is_that_of_the_window():
+    clock = HandClock()
+    statistics = Statistics(clock)
+    for score, guided in ((1.0, True), (1.0, True)):
+        statistics.count_published({}, score, guided, 'resampled')
+    clock.time += WINDOW_S + 0.1
+    for score, guided in ((0.2, True), (0.4, False), (None, False), (None, False)):
+        statistics.count_published({}, score, guided)
+    counts = statistics.snapshot()
+    assert (counts.out_of_scene, counts.guided) == (pytest.approx(0.3), 0.25)
+    assert counts.camera_note == ''
+    clock.time += WINDOW_S + 0.1
+    assert statistics.snapshot().out_of_scene is None
+    assert statistics.snapshot().guided == 0

@@ -20,6 +20,7 @@ class GatedExtrapolator:
     """A network that works as slowly as the test lets it."""
 
     expansion = TINY_EXPANSION
+    scene_check = None
 
     def __init__(self):
         self.entered = threading.Semaphore(0)
@@ -111,7 +112,7 @@ def test_stop_in_the_middle_of_inference_publishes_nothing(bench):
 
 
 def test_nothing_is_done_while_nobody_subscribes():
-    outputs, statistics = KeptOutputs(Wanted(False, False, False, False)), Statistics()
+    outputs, statistics = KeptOutputs(Wanted(*[False] * 5)), Statistics()
     extrapolator = GatedExtrapolator()
     worker = FrameWorker(FrameProcessor(extrapolator), outputs, statistics, print)
     worker.start()
@@ -142,6 +143,6 @@ def test_latency_is_split_into_stages(bench):
     assert bench.outputs.published.acquire(timeout=WAIT_S)
     assert bench.worker.stop(WAIT_S)
     spread = bench.statistics.snapshot().latency_ms
-    assert list(spread) == ['queue', 'decode', 'infer', 'publish', 'total']
-    parts = sum(spread[stage].max for stage in ('queue', 'decode', 'infer', 'publish'))
+    assert list(spread) == ['queue', 'decode', 'infer', 'check', 'publish', 'total']
+    parts = sum(spread[stage].max for stage in ('queue', 'decode', 'infer', 'check', 'publish'))
     assert parts <= spread['total'].max * 1.01 + 1

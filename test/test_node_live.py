@@ -1,29 +1,24 @@
 """The node as a process of its own on a real ROS graph."""
-from array import array
-import re
 import signal
-import time
 
 from camera_messages import noise_image
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState, GetState
+from lifecycle_msgs.srv import ChangeState
+from live_node import Camera, change_state, end, NODE, set_parameter, state_of
 from neo_ros.messages import camera_info_fields, image_fields
 from neo_ros.node.extrapolator_node import ExtrapolatorNode
 from neo_ros.runtime import FovExtrapolator
 import numpy as np
 import pytest
-from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
-from rcl_interfaces.srv import SetParameters
 import rclpy.parameter
 from rclpy.qos import qos_profile_sensor_data
 from ros_graph import ros_graph
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import Image
 from std_srvs.srv import SetBool
 from tiny_model import TINY_EXPANSION, write_tiny_model
 
 SOURCE, TARGET = TINY_EXPANSION.source, TINY_EXPANSION.target
-NODE = '/robot/fov_extrapolator'
 
 
 @pytest.fixture
@@ -35,78 +30,6 @@ def graph():
 @pytest.fixture(scope='module')
 def model(tmp_path_factory):
     return write_tiny_model(tmp_path_factory.mktemp('model') / 'tiny.onnx')
-
-
-class Camera:
-    """A camera driver in the namespace /robot, and what the node makes of its frames."""
-
-    def __init__(self, graph):
-        self.graph = graph
-        self.images = graph.node.create_publisher(Image, '/robot/image', 10)
-        self.infos = None
-        self.wide = {name: graph.collect(kind, f'/robot/wide/{name}') for name, kind in (
-            ('image', Image), ('mask', Image), ('confidence', Image),
-            ('camera_info', CameraInfo))}
-        self.diagnostics = graph.collect(DiagnosticArray, '/diagnostics')
-
-    def start_node(self, model, *parameters):
-        arguments = [part for parameter in (f'model:={model}', *parameters)
-                     for part in ('-p', parameter)]
-        return self.graph.start('-m', 'neo_ros.node.main', '--ros-args', '-r', '__ns:=/robot',
-                                *arguments)
-
-    def wait_for_node(self):
-        self.graph.spin_until(lambda: self.images.get_subscription_count() and all(
-            self.graph.node.count_publishers(f'/robot/wide/{name}') for name in self.wide))
-        self.graph.spin_for(0.3)  # The node's publishers see our subscriptions a moment later.
-
-    def publish(self, image, number, **changes):
-        fields = image_fields(image) | changes
-        fields['data'] = array('B', bytes(fields['data']))
-        message = Image(**fields)
-        message.header.stamp.sec, message.header.stamp.nanosec = 1_700_000_000, number
-        message.header.frame_id = f'camera_{number}'
-        self.images.publish(message)
-        return message
-
-    def publish_info(self, **changes):
-        if self.infos is None:
-            self.infos = self.graph.node.create_publisher(CameraInfo, '/robot/camera_info', 10)
-            self.graph.spin_until(self.infos.get_subscription_count)
-        self.infos.publish(CameraInfo(**(camera_info_fields(SOURCE) | changes)))
-        self.graph.spin_for(0.1)
-
-    def widen(self, image, number):
-        """Publish a frame and wait for all four answers."""
-        sent = self.publish(image, number)
-        self.graph.spin_until(lambda: all(
-            kept and kept[-1].header == sent.header for kept in self.wide.values()))
-        return {name: kept[-1] for name, kept in self.wide.items()}
-
-    def wait_for_diagnosis(self, level, words):
-        def found():
-            for entry in self.diagnostics:
-                status = entry.status[0]
-                if status.level == level and re.search(words, status.message):
-                    return {pair.key: pair.value for pair in status.values}
-            return None
-        return self.graph.spin_until(found)
-
-
-def change_state(graph, transition):
-    request = ChangeState.Request(transition=Transition(id=transition))
-    return graph.call(ChangeState, f'{NODE}/change_state', request).success
-
-
-def state_of(graph):
-    return graph.call(GetState, f'{NODE}/get_state', GetState.Request()).current_state.label
-
-
-def end(process, number=signal.SIGTERM):
-    """Send a signal; return the exit code and the seconds that it took."""
-    started = time.monotonic()
-    process.send_signal(number)
-    return process.wait(20), time.monotonic() - started
 
 
 def test_frames_come_back_wide_with_their_header(graph, model):
@@ -213,17 +136,17 @@ def test_wrong_model_leaves_it_unconfigured_with_the_reason(graph, model, tmp_pa
     assert set_parameter(graph, 'model', str(model)).successful
     assert change_state(graph, Transition.TRANSITION_CONFIGURE)
     refusal = set_parameter(graph, 'model', str(broken))
-    assert not refusal.successful and 'clean up' in refusal.reason
+    assert not refusal.successful and 'truncated' in refusal.reason
     assert change_state(graph, Transition.TRANSITION_ACTIVATE)
     camera.wait_for_node()
     camera.widen(noise_image(SOURCE, 0), 1)
 
 
 def test_unforeseen_error_ends_unconfigured_and_is_told(graph, model):
-    def load(path, threads):
+    def load(path, threads, providers):
         if path != str(model):
             raise RuntimeError('the disk is on fire')
-        return FovExtrapolator.load(path, threads)
+        return FovExtrapolator.load(path, threads, providers)
 
     node = ExtrapolatorNode(load, context=graph.context, parameter_overrides=[
         rclpy.parameter.Parameter('model', value='other.onnx')])
@@ -235,12 +158,6 @@ def test_unforeseen_error_ends_unconfigured_and_is_told(graph, model):
     assert (node.state_label, node.fault) == ('active', '')
     assert node.stop() is True
     node.destroy_node()
-
-
-def set_parameter(graph, name, text):
-    value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=text)
-    request = SetParameters.Request(parameters=[Parameter(name=name, value=value)])
-    return graph.call(SetParameters, f'{NODE}/set_parameters', request).results[0]
 
 
 SLOW_NODE = """

@@ -162,7 +162,8 @@ def test_scan_knows_the_field_numbers_of_onnx() -> None:
     kinds = {'ModelProto': 'model', 'GraphProto': 'graph', 'NodeProto': 'node',
              'AttributeProto': 'attribute', 'FunctionProto': 'function',
              'SparseTensorProto': 'sparse_tensor', 'TrainingInfoProto': 'training'}
-    leaves = {'TensorProto': 'tensor', 'StringStringEntryProto': 'metadata'}
+    leaves = {'TensorProto': 'tensor', 'StringStringEntryProto': 'metadata',
+              'ValueInfoProto': 'value'}
     for kind, name in kinds.items():
         expected = {
             field.number: {**kinds, **leaves}[field.message_type.name]

@@ -3,23 +3,33 @@ ROS messages to numpy and back, duck-typed: rclpy messages and rosbags' dataclas
 
 Nothing here imports rclpy or rosbags.
 """
+from neo_ros.messages.camera_fit import CameraFit
 from neo_ros.messages.camera_info import (
     camera_info_fields,
-    check_same_camera,
     expand_camera_info,
+    is_same_camera,
     read_camera_info,
+)
+from neo_ros.messages.compressed_image import (
+    compressed_image_size,
+    jpeg_fields,
+    read_compressed_image,
 )
 from neo_ros.messages.frame_processor import FrameProcessor, WideFrame
 from neo_ros.messages.image import image_fields, MONO8, read_image, RGB8
 
 __all__ = [
     'camera_info_fields',
-    'check_same_camera',
+    'CameraFit',
+    'compressed_image_size',
     'expand_camera_info',
     'FrameProcessor',
     'image_fields',
+    'is_same_camera',
+    'jpeg_fields',
     'MONO8',
     'read_camera_info',
+    'read_compressed_image',
     'read_image',
     'RGB8',
     'WideFrame',

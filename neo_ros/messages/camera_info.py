@@ -15,11 +15,16 @@ CENTRE = 0.5
 # Indices into the row-major 3x3 K and 3x4 P: fx, skew, cx (and Tx); fy, cy (and Ty).
 K_COLUMNS = 3
 P_COLUMNS = 4
+FISHEYE = 'equidistant'
+# Distortion models of ROS and how many coefficients they may have.
+DISTORTION_MODELS = {'plumb_bob': (4, 5), 'rational_polynomial': (8,), FISHEYE: (4,)}
 
 
-def read_camera_info(message: Any) -> Intrinsics:
+def read_camera_info(message: Any, distorted: bool = False) -> Intrinsics:
     """
     Return the camera of a `sensor_msgs/CameraInfo`, of the image as it is sent.
+
+    With `distorted` a camera with distortion passes, too: the result is its pinhole part.
 
     `message` is anything with the fields of the ROS message. ROI and binning are folded in:
     K describes the full sensor, the result the cut and binned image. Binned pixels are taken
@@ -28,7 +33,27 @@ def read_camera_info(message: Any) -> Intrinsics:
     Raises ImageRejected('camera_info') for an uncalibrated camera (K[0] = 0), values that are
     not finite, distortion, and windows outside the sensor.
     """
-    return _fold_window(message, _read_matrix(message.k, 'k', 9), K_COLUMNS)[0]
+    if not distorted:
+        _refuse_distortion(message)
+    return _fold_window(message, read_matrix(message.k, 'k', 9), K_COLUMNS)[0]
+
+
+def read_distortion(message: Any) -> tuple[np.ndarray, bool]:
+    """
+    Return OpenCV's coefficients, float64 (4,), (5,) or (8,), and whether they are a fisheye's.
+
+    Raises ImageRejected('camera_info') for models other than plumb_bob, rational_polynomial and
+    equidistant, and for numbers that are not finite.
+    """
+    values = np.array(message.d, np.float64).reshape(-1)
+    name = message.distortion_model
+    counts = DISTORTION_MODELS.get(name, ())
+    if not values.any():  # NaN counts as any
+        return np.zeros(5), False
+    if values.size not in counts or not np.isfinite(values).all():
+        raise _rejected(f'd: expected the finite coefficients of {", ".join(DISTORTION_MODELS)}, '
+                        f'got {values.tolist()!s:.120} ({name!r:.40})')
+    return values, name == FISHEYE
 
 
 def expand_camera_info(message: Any, expansion: ViewExpansion) -> dict[str, Any]:
@@ -42,12 +67,13 @@ def expand_camera_info(message: Any, expansion: ViewExpansion) -> dict[str, Any]
     Raises ImageRejected('camera_info') as `read_camera_info` does, and where the image's size
     is not the one of `expansion.source`.
     """
-    camera, k = _fold_window(message, _read_matrix(message.k, 'k', 9), K_COLUMNS)
+    _refuse_distortion(message)
+    camera, k = _fold_window(message, read_matrix(message.k, 'k', 9), K_COLUMNS)
     source = expansion.source
     if (camera.width, camera.height) != (source.width, source.height):
         raise _rejected(f'size: expected {source.width}x{source.height}, '
                         f'got {camera.width}x{camera.height}')
-    p = _read_matrix(message.p, 'p', 12)
+    p = read_matrix(message.p, 'p', 12)
     if p.any():
         p = _fold_window(message, p, P_COLUMNS, 'p')[1]
     else:
@@ -57,7 +83,7 @@ def expand_camera_info(message: Any, expansion: ViewExpansion) -> dict[str, Any]
         matrix[columns + 2] += expansion.top
     target = expansion.target
     fields = _fields(target.width, target.height, k, p)
-    return fields | {'r': _read_matrix(message.r, 'r', 9)}
+    return fields | {'r': read_matrix(message.r, 'r', 9)}
 
 
 def camera_info_fields(intrinsics: Intrinsics) -> dict[str, Any]:
@@ -72,27 +98,31 @@ def camera_info_fields(intrinsics: Intrinsics) -> dict[str, Any]:
     return _fields(intrinsics.width, intrinsics.height, k.reshape(-1), p.reshape(-1))
 
 
-def check_same_camera(found: Intrinsics, expected: Intrinsics, tolerance: float = 0.01) -> None:
+def is_same_camera(found: Intrinsics, expected: Intrinsics, tolerance: float = 0.01) -> bool:
     """
-    Raise ImageRejected('camera') unless `found` is the camera that the model was trained for.
+    Say whether `found` is the camera that the model was trained for.
 
     Sizes must agree exactly, focal lengths within `tolerance` of their value, the optical
-    centre within `tolerance` of the image's size. The paper lost 5.3 dB to another field of view
-    than the trained one, so such a camera is refused and not merely warned about.
+    centre within `tolerance` of the image's size.
     """
-    same = (
+    return (
         (found.width, found.height) == (expected.width, expected.height)
         and abs(found.fx - expected.fx) <= tolerance * expected.fx
         and abs(found.fy - expected.fy) <= tolerance * expected.fy
         and abs(found.cx - expected.cx) <= tolerance * expected.width
         and abs(found.cy - expected.cy) <= tolerance * expected.height)
-    if not same:
-        raise ImageRejected(
-            'camera', f'camera: the model expects {_describe(expected)}, the camera is '
-            f'{_describe(found)}; crop or resize its image, or train a model for it')
 
 
-def _describe(camera: Intrinsics) -> str:
+def read_matrix(values: Any, name: str, count: int) -> np.ndarray:
+    """Return a float64 copy of a matrix field, (count,); raises ImageRejected('camera_info')."""
+    matrix = np.array(values, np.float64).reshape(-1)
+    if matrix.size != count or not np.isfinite(matrix).all():
+        raise _rejected(f'{name}: expected {count} finite numbers, got {matrix.tolist()}')
+    return matrix
+
+
+def describe_camera(camera: Intrinsics) -> str:
+    """Put a camera into words, as CameraInfo counts pixels."""
     return (f'{camera.width}x{camera.height} with hfov {math.degrees(camera.hfov):.2f} deg '
             f'(fx {camera.fx:.2f}, fy {camera.fy:.2f}, '
             f'cx {camera.cx - CENTRE:.2f}, cy {camera.cy - CENTRE:.2f})')
@@ -107,12 +137,13 @@ def _rejected(message: str) -> ImageRejected:
     return ImageRejected('camera_info', f'camera_info {message}')
 
 
-def _read_matrix(values: Any, name: str, count: int) -> np.ndarray:
-    """Return a float64 copy of a matrix field, (count,), finite."""
-    matrix = np.array(values, np.float64).reshape(-1)
-    if matrix.size != count or not np.isfinite(matrix).all():
-        raise _rejected(f'{name}: expected {count} finite numbers, got {matrix.tolist()}')
-    return matrix
+def _refuse_distortion(message: Any) -> None:
+    distortion = np.array(message.d, np.float64).reshape(-1)
+    if distortion.any():  # NaN counts as any
+        raise _rejected(
+            f'd: rectified input required, got distortion {distortion.tolist()!s:.200} '
+            f'({message.distortion_model!r:.40}); rectify the image first (image_proc), '
+            'or set the parameter rectify')
 
 
 def _fold_window(message: Any, matrix: np.ndarray, columns: int,
@@ -122,10 +153,6 @@ def _fold_window(message: Any, matrix: np.ndarray, columns: int,
 
     Returns the camera of the image as it is sent and the changed copy of the matrix.
     """
-    distortion = np.array(message.d, np.float64).reshape(-1)
-    if distortion.any():  # NaN counts as any
-        raise _rejected(f'd: rectified input required, got distortion {distortion.tolist()} '
-                        f'({message.distortion_model!r}); rectify the image first (image_proc)')
     row = columns  # index of the first element of the second row
     fx, fy = matrix[0], matrix[row + 1]
     if fx == 0:

@@ -1,12 +1,14 @@
 """From one camera message to the content of the wide messages: the node's and the replay's way."""
+from collections.abc import Hashable
 from dataclasses import dataclass
 import time
 from typing import Any, Protocol
 
+import cv2
 from neo_ros.errors import ImageRejected
 from neo_ros.geometry import ViewExpansion
-from neo_ros.messages.camera_info import (
-    camera_info_fields, check_same_camera, expand_camera_info, read_camera_info)
+from neo_ros.messages.camera_fit import camera_key, CameraFit
+from neo_ros.messages.compressed_image import compressed_size, read_compressed_image
 from neo_ros.messages.image import read_image
 import numpy as np
 
@@ -22,6 +24,17 @@ class View(Protocol):
     def confidence(self) -> np.ndarray:
         """Uint8 (H, W), 255 = sure."""
 
+    @property
+    def guided(self) -> bool:
+        """Whether the scene memory knew where the camera is."""
+
+
+class SceneScorer(Protocol):
+    """Tells images of the trained scene from others, as runtime's SceneCheck does."""
+
+    def score(self, image: np.ndarray, confidence: np.ndarray) -> float:
+        """Return 0 for an image of the scene, up to 1 for anything else."""
+
 
 class Extrapolator(Protocol):
     """What is needed of a FovExtrapolator."""
@@ -29,6 +42,10 @@ class Extrapolator(Protocol):
     @property
     def expansion(self) -> ViewExpansion:
         """The source and target views of the model."""
+
+    @property
+    def scene_check(self) -> SceneScorer | None:
+        """What knows the scene; None where the model's card holds no reference."""
 
     def expand(self, image: np.ndarray) -> View:
         """Widen one camera image, uint8 RGB (h, w, 3)."""
@@ -41,56 +58,97 @@ class WideFrame:
 
     image: uint8 RGB (H, W, 3) and confidence: uint8 (H, W), 255 = sure; None where the network
     did not run. extrapolated_mask: uint8 (H, W), 255 = made up by the model. camera_info: the
-    fields of the wide CameraInfo. stages_ms: milliseconds spent in 'decode' and 'infer'.
+    fields of the wide CameraInfo. out_of_scene: 0 = an image of the trained scene, 1 = nothing
+    like it; None where the network did not run or its card holds no reference. guided: the scene
+    memory knew where the camera is. camera_note: what was done to the image to make it the
+    model's view, '' = nothing. stages_ms: milliseconds spent in 'decode', 'infer' and 'check'.
     """
 
     image: np.ndarray | None
     confidence: np.ndarray | None
     extrapolated_mask: np.ndarray
     camera_info: dict[str, Any]
+    out_of_scene: float | None
+    guided: bool
+    camera_note: str
     stages_ms: dict[str, float]
 
 
 class FrameProcessor:
-    """Checks and decodes a frame, widens it, and says how long that took."""
+    """
+    Checks and decodes a frame, widens it, and says how long that took.
 
-    def __init__(self, extrapolator: Extrapolator) -> None:
+    `rectify`, which may change at any time, takes the distortion out of the images first.
+    """
+
+    def __init__(self, extrapolator: Extrapolator, rectify: bool = False) -> None:
+        self.rectify = rectify
         self._extrapolator = extrapolator
         self._expansion = extrapolator.expansion
         self._mask = np.where(self._expansion.extrapolated_mask, 255, 0).astype(np.uint8)
+        self._fit: tuple[Hashable, CameraFit] | None = None
 
     def process(self, image_message: Any, camera_info_message: Any | None,
                 infer: bool = True) -> WideFrame:
         """
-        Return the outputs for a `sensor_msgs/Image` and its `CameraInfo`, if known.
+        Return the outputs for a `sensor_msgs/Image` or `CompressedImage` and its `CameraInfo`.
 
         Without a CameraInfo the image's size has to do, and the wide camera is the one that the
-        model was trained with. With `infer` False the frame is checked, but not widened.
-        Raises ImageRejected with the reasons of `read_image`, and 'size', 'camera_info' or
-        'camera' for another camera than the model's.
+        model was trained with. Another camera is cropped and resampled, see `CameraFit`. The
+        confidence of what the model made up sinks for images unlike the trained scene. With
+        `infer` False the frame is checked, but not widened.
+        Raises ImageRejected with the reasons of `read_image` or `read_compressed_image`, and
+        'size', 'camera_info' or 'camera' for another camera than the model's.
         """
         started = time.perf_counter()
-        self._check_size(image_message)
-        image = read_image(image_message)
-        camera_info = self._camera_info(camera_info_message)
-        decoded = time.perf_counter()
-        wide = self._extrapolator.expand(image) if infer else None
-        inferred = time.perf_counter()
+        fit = self._find_fit(camera_info_message)
+        image = fit.apply(self._read(image_message, fit))
+        decoded = checked = inferred = time.perf_counter()
+        wide = confidence = score = None
+        if infer:
+            wide = self._extrapolator.expand(image)
+            inferred = time.perf_counter()
+            score = self._score(image, wide)
+            confidence = self._lowered(wide.confidence, score or 0.0)
+            checked = time.perf_counter()
         return WideFrame(
-            image=wide.wide_image if wide else None,
-            confidence=wide.confidence if wide else None,
-            extrapolated_mask=self._mask, camera_info=camera_info,
-            stages_ms={'decode': 1e3 * (decoded - started), 'infer': 1e3 * (inferred - decoded)})
+            image=wide.wide_image if wide else None, confidence=confidence,
+            extrapolated_mask=self._mask, camera_info=fit.camera_info, out_of_scene=score,
+            guided=wide is not None and wide.guided, camera_note=fit.note,
+            stages_ms={'decode': 1e3 * (decoded - started), 'infer': 1e3 * (inferred - decoded),
+                       'check': 1e3 * (checked - inferred)})
 
-    def _check_size(self, message: Any) -> None:
-        source = self._expansion.source
-        if (message.width, message.height) != (source.width, source.height):
+    def _find_fit(self, message: Any | None) -> CameraFit:
+        key = (self.rectify, camera_key(message))
+        if self._fit is None or self._fit[0] != key:
+            self._fit = (key, CameraFit(message, self._expansion, key[0]))
+        return self._fit[1]
+
+    def _read(self, message: Any, fit: CameraFit) -> np.ndarray:
+        compressed = hasattr(message, 'format')
+        # Before decoding: a file of some kilobytes may claim any size.
+        size = compressed_size(message) if compressed else (message.width, message.height)
+        if size != fit.size:
+            source = self._expansion.source
             raise ImageRejected(
-                'size', f'size: the model takes {source.width}x{source.height}, the image is '
-                f'{message.width}x{message.height}; resize it, or train a model for this camera')
+                'size', f'size: the image is {size[0]}x{size[1]}, the camera_info says '
+                f'{fit.size[0]}x{fit.size[1]}' if fit.note else
+                f'size: the model takes {source.width}x{source.height}, the image is '
+                f'{size[0]}x{size[1]}; resize it, publish its camera_info, or train a model for '
+                'this camera')
+        return read_compressed_image(message) if compressed else read_image(message)
 
-    def _camera_info(self, message: Any | None) -> dict[str, Any]:
-        if message is None:
-            return camera_info_fields(self._expansion.target)
-        check_same_camera(read_camera_info(message), self._expansion.source)
-        return expand_camera_info(message, self._expansion)
+    def _score(self, image: np.ndarray, wide: View) -> float | None:
+        if wide.guided:
+            return 0.0  # The image agrees with the memory of the scene.
+        check = self._extrapolator.scene_check
+        return check.score(image, wide.confidence) if check is not None else None
+
+    def _lowered(self, confidence: np.ndarray, score: float) -> np.ndarray:
+        """Return the confidence times (1 - score) where the camera did not see."""
+        if score == 0:
+            return confidence
+        lowered = cv2.convertScaleAbs(confidence, alpha=1 - score)
+        seen = self._expansion.observed
+        lowered[seen] = confidence[seen]
+        return lowered

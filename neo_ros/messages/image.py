@@ -55,7 +55,7 @@ def read_image(message: Any) -> np.ndarray:
     encoding = ENCODINGS.get(name) if isinstance(name, str) else None
     if encoding is None:
         raise ImageRejected(
-            'encoding', f'encoding: expected one of {", ".join(ENCODINGS)}, got {name!r}')
+            'encoding', f'encoding: expected one of {", ".join(ENCODINGS)}, got {name!r:.80}')
     height, width, step = message.height, message.width, message.step
     smallest = MIN_BAYER_SIDE if name.startswith('bayer') else 1
     if min(height, width) < smallest or height * width > MAX_PIXELS:

@@ -52,7 +52,9 @@ class BagPlayer:
                 continue
             message_class = find_message_class(topic.msgtype)
             if message_class is None:
-                report(f'{topic.name} is left out: {topic.msgtype} is not installed')
+                # rclpy takes bytes as they are, but only for a publisher with a type support.
+                report(f'{topic.name} is left out: {topic.msgtype} is not installed, and rclpy '
+                       'cannot publish without it; install its package, or use ros2 bag play')
                 continue
             self._publishers[topic] = node.create_publisher(
                 message_class, topic.name, _qos_of(topic))

@@ -34,10 +34,12 @@ class CameraProbe:
     """
     Publishes noise on `image` at a fixed rate and subscribes to everything the node offers.
 
-    `arrivals` holds, per wide image, its stamp and when it came, both in nanoseconds.
+    `arrivals` holds, per wide image, its stamp and when it came, both in nanoseconds; `beats`
+    when each diagnosis came, in seconds, and the memory of the process `pid` then, in MB.
     """
 
-    def __init__(self, width: int, height: int) -> None:
+    def __init__(self, width: int, height: int, pid: int) -> None:
+        self._pid = pid
         self._node = rclpy.create_node('camera_probe')
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
@@ -45,6 +47,7 @@ class CameraProbe:
         self._camera = self._node.create_publisher(Image, 'image', QoSProfile(depth=1))
         self.sent: list[int] = []
         self.arrivals: list[tuple[int, int]] = []
+        self.beats: list[tuple[float, float]] = []
         self.stages: dict[str, str] = {}
         for kind, topic, callback in (
                 (Image, 'wide/image', self._on_wide), (Image, 'wide/mask', _ignore),
@@ -64,7 +67,7 @@ class CameraProbe:
 
     def run(self, rate: float, seconds: float) -> None:
         """Send images for a while; forgets earlier ones."""
-        self.sent, self.arrivals = [], []
+        self.sent, self.arrivals, self.beats = [], [], []
         start = time.monotonic()
         for index in range(round(rate * seconds)):
             self._spin_until(start + index / rate)
@@ -93,6 +96,7 @@ class CameraProbe:
         for status in message.status:
             if status.name.endswith('fov_extrapolator'):
                 self.stages = {entry.key: entry.value for entry in status.values}
+                self.beats.append((time.monotonic(), _rss_mb(self._pid)))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -105,7 +109,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     use_large_image_profile()
     rclpy.init(args=[])
     try:
-        print(json.dumps(_measure(CameraProbe(options.width, options.height), options)))
+        probe = CameraProbe(options.width, options.height, options.pid)
+        print(json.dumps(_measure(probe, options)))
     except TimeoutError as error:
         sys.exit(str(error))
     finally:
@@ -119,11 +124,12 @@ def _measure(probe: CameraProbe, options: argparse.Namespace) -> dict[str, Any]:
     cpu, started = _cpu_seconds(options.pid), time.monotonic()
     probe.run(options.rate, options.seconds)
     cpu, wall = _cpu_seconds(options.pid) - cpu, time.monotonic() - started
-    rss_mb = _rss_mb(options.pid)
+    rss_mb, beats = _rss_mb(options.pid), probe.beats.copy()
     probe.drain()
     sent = set(probe.sent)
     return {'sent': len(sent), 'arrivals': [pair for pair in probe.arrivals if pair[0] in sent],
-            'cpu_percent': 100 * cpu / wall, 'rss_mb': rss_mb, 'diagnostics': probe.stages}
+            'cpu_percent': 100 * cpu / wall, 'rss_mb': rss_mb, 'beats': beats,
+            'diagnostics': probe.stages}
 
 
 def _noise_message(width: int, height: int) -> Image:

@@ -5,6 +5,22 @@ from dataclasses import dataclass
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from neo_ros.node.frame_statistics import Snapshot
 
+# A camera that is now and then unlike the scene must not flip the verdict every second.
+UNLIKE_ABOVE, LIKE_BELOW = 0.5, 0.35
+
+
+class SceneWatch:
+    """Turns the mean score of the last seconds into a verdict that does not flicker."""
+
+    def __init__(self) -> None:
+        self.unlike = False
+
+    def update(self, score: float | None) -> bool:
+        """Return whether the images are unlike the trained scene; None = no image lately."""
+        if score is not None:
+            self.unlike = score > (LIKE_BELOW if self.unlike else UNLIKE_ABOVE)
+        return self.unlike
+
 
 @dataclass(frozen=True)
 class Health:
@@ -13,7 +29,7 @@ class Health:
 
     state: lifecycle state. fault: why the last transition failed, or empty. topic: the image
     topic's full name, publishers: how many it has. qos_conflict: in words, or empty.
-    subscribed: whether anybody reads an output.
+    subscribed: whether anybody reads an output. unlike_scene: the verdict of the SceneWatch.
     """
 
     state: str
@@ -23,6 +39,7 @@ class Health:
     publishers: int
     qos_conflict: str
     subscribed: bool
+    unlike_scene: bool
     counts: Snapshot
 
 
@@ -47,6 +64,10 @@ def judge(health: Health) -> tuple[bytes, str]:
         return DiagnosticStatus.WARN, f'some images are rejected: {counts.last_rejection}'
     if not counts.recent_published:
         return DiagnosticStatus.WARN, 'the first image is being widened'
+    if health.unlike_scene:
+        return DiagnosticStatus.WARN, (
+            'the images are unlike the trained scene: another place, or a camera that is covered, '
+            'in the dark or out of focus')
     return DiagnosticStatus.OK, f'widening {counts.rate_out:.1f} images per second'
 
 
@@ -68,6 +89,12 @@ def build_status(name: str, health: Health, model: Mapping[str, str]) -> Diagnos
         **{f'rejected: {reason}': str(count)
            for reason, count in sorted(counts.rejected.items())},
         'last rejection': counts.last_rejection,
+        'camera': counts.camera_note or 'as the model takes it',
+        'guided by the scene memory': f'{counts.guided:.0%}',
+        'out of the scene': ('unknown' if counts.out_of_scene is None
+                             else f'{counts.out_of_scene:.2f}'),
+        'in the trained scene': ('unknown' if counts.out_of_scene is None
+                                 else str(not health.unlike_scene).lower()),
         **{f'latency {stage} median/p95/max [ms]': '/'.join(f'{value:.2f}' for value in spread)
            for stage, spread in counts.latency_ms.items()},
     }

@@ -5,15 +5,17 @@ import time
 import traceback
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
 from neo_ros.errors import NeoError
-from neo_ros.messages.frame_processor import Extrapolator, FrameProcessor
-from neo_ros.node.diagnostics import build_array, build_status, Health
+from neo_ros.node.camera_inputs import CameraInputs
+from neo_ros.node.diagnostics import build_array, build_status, Health, SceneWatch
 from neo_ros.node.frame_statistics import Statistics
 from neo_ros.node.frame_worker import Frame, FrameWorker
+from neo_ros.node.interface import DIAGNOSTICS, ENABLE, RELOAD_MODEL
+from neo_ros.node.loaded_model import Load, load_model, LoadedModel
 from neo_ros.node.parameters import (
     declare_parameters,
-    FIXED_WHILE_CONFIGURED,
+    INPUT_PARAMETERS,
+    MODEL_PARAMETERS,
     NodeParameters,
     read_parameters,
 )
@@ -21,13 +23,10 @@ from neo_ros.node.wide_publishers import WidePublishers
 from neo_ros.runtime import FovExtrapolator
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
-from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
-from rclpy.qos import qos_policy_name_from_kind, QoSProfile, ReliabilityPolicy
-from rclpy.subscription import Subscription
-from sensor_msgs.msg import CameraInfo, Image
-from std_srvs.srv import SetBool
+from sensor_msgs.msg import CameraInfo
+from std_srvs.srv import SetBool, Trigger
 
 NODE_NAME = 'fov_extrapolator'
 # How long a transition waits for the frame in work; its result is thrown away in any case.
@@ -55,36 +54,36 @@ class ExtrapolatorNode(LifecycleNode):
 
     configure loads and checks the model, activate subscribes, deactivate stops taking frames,
     cleanup frees the model. A model that cannot be loaded leaves the node unconfigured with the
-    reason in the log and on `/diagnostics`. `load` makes an extrapolator of a path and a number
-    of threads.
+    reason in the log and on `/diagnostics`. While it is configured, another model takes over
+    once it has passed its checks; the subscriptions stay. `load` makes an extrapolator of a
+    path, a number of threads and ONNX Runtime's providers.
     """
 
-    def __init__(self, load: Callable[[str, int], Extrapolator] = FovExtrapolator.load,
-                 **node_options: Any) -> None:
+    def __init__(self, load: Load = FovExtrapolator.load, **node_options: Any) -> None:
         super().__init__(NODE_NAME, **node_options)
         self.fault = ''
         self._load = load
         self._statistics = Statistics()
+        self._scene_watch = SceneWatch()
         self._enabled = True
-        self._qos_conflict = ''
-        self._camera_info: CameraInfo | None = None
-        self._values: NodeParameters | None = None
-        self._model: dict[str, str] = {}
-        self._processor: FrameProcessor | None = None
+        self._model: LoadedModel | None = None
+        self._candidate: LoadedModel | None = None
         self._outputs: WidePublishers | None = None
         self._worker: FrameWorker | None = None
-        self._inputs: list[Subscription] = []
+        self._inputs = CameraInputs(self, self._on_image)
         declare_parameters(self)
-        self.add_on_set_parameters_callback(self._on_set_parameters)
-        self.create_service(SetBool, '~/enable', self._on_enable)
-        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        self.add_on_set_parameters_callback(self._check_parameters)
+        self.add_post_set_parameters_callback(self._use_parameters)
+        self.create_service(ENABLE.kind, ENABLE.name, self._on_enable)
+        self.create_service(RELOAD_MODEL.kind, RELOAD_MODEL.name, self._on_reload_model)
+        self._diagnostics = self.create_publisher(DIAGNOSTICS.kind, DIAGNOSTICS.name, 10)
         # Steady, so that a paused simulation is still diagnosed.
         self.create_timer(1.0, self._publish_diagnostics,
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def autostart(self) -> None:
         """Configure and activate, if the parameter asks for it; failures are logged."""
-        if read_parameters(self).autostart:
+        if self.get_parameter('autostart').value:
             if self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
                 self.trigger_activate()
 
@@ -96,32 +95,30 @@ class ExtrapolatorNode(LifecycleNode):
     @_logged
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Load, check and warm up the model, announce the outputs."""
-        self._values = read_parameters(self)
         try:
-            extrapolator = self._load(self._values.model, self._values.threads)
+            values = read_parameters(self)
+            self._model = load_model(values, self._load)
         except NeoError as error:
             self.fault = f'cannot load the model: {error}'
             self.get_logger().error(self.fault)
             return TransitionCallbackReturn.FAILURE
-        expansion = extrapolator.expansion
-        self._processor = FrameProcessor(extrapolator)
-        self._outputs = WidePublishers(self, expansion.target)
-        self._model = _describe_model(self._values.model, extrapolator)
+        self._outputs = WidePublishers(self, values.jpeg_quality)
         self.fault = ''
-        self.get_logger().info('configured: ' + ', '.join(
-            f'{key} {value}' for key, value in self._model.items()))
+        self._log_model('configured')
         return super().on_configure(state)
 
     @_logged
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Take frames."""
-        assert self._processor and self._outputs and self._values
+        assert self._model and self._outputs
         result = super().on_activate(state)
-        self._worker = FrameWorker(self._processor, self._outputs, self._statistics,
-                                   self._report, self._values.max_fps)
+        values = read_parameters(self)
+        self._worker = FrameWorker(self._model.processor, self._outputs, self._statistics,
+                                   self._report, values.max_fps)
         self._worker.start()
+        self._inputs.choose(values.transport, values.reliable)
         if self._enabled:
-            self._subscribe()
+            self._inputs.subscribe()
         self.fault = ''
         return result
 
@@ -150,7 +147,7 @@ class ExtrapolatorNode(LifecycleNode):
 
     def stop(self) -> bool:
         """Take no more frames; return False when the network is still busy with the last one."""
-        self._unsubscribe()
+        self._inputs.unsubscribe()
         worker, self._worker = self._worker, None
         return worker is None or worker.stop(STOP_TIMEOUT_S)
 
@@ -158,85 +155,93 @@ class ExtrapolatorNode(LifecycleNode):
         self.stop()
         if self._outputs is not None:
             self._outputs.destroy()
-        self._outputs = self._processor = None
-        self._model = {}
+        self._outputs = self._model = self._candidate = None
 
-    def _subscribe(self) -> None:
-        assert self._values
-        # The newest image only; a frame that waits here is as old as one that waits anywhere.
-        qos = QoSProfile(depth=1, reliability=(
-            ReliabilityPolicy.RELIABLE if self._values.reliable
-            else ReliabilityPolicy.BEST_EFFORT))
-        self._qos_conflict = ''
-        self._inputs = [
-            self.create_subscription(Image, 'image', self._on_image, qos,
-                                     event_callbacks=SubscriptionEventCallbacks(
-                                         incompatible_qos=self._on_qos_conflict)),
-            self.create_subscription(CameraInfo, 'camera_info', self._on_camera_info, qos)]
-
-    def _unsubscribe(self) -> None:
-        for subscription in self._inputs:
-            self.destroy_subscription(subscription)
-        self._inputs = []
-        self._camera_info = None
-
-    def _on_image(self, message: Image) -> None:
+    def _on_image(self, message: Any, camera_info: CameraInfo | None) -> None:
         if self._worker is not None:
-            self._worker.submit(Frame(message, self._camera_info, time.perf_counter()))
-
-    def _on_camera_info(self, message: CameraInfo) -> None:
-        self._camera_info = message
-
-    def _on_qos_conflict(self, event: Any) -> None:
-        policy = qos_policy_name_from_kind(event.last_policy_kind)
-        asked = 'reliable' if self._values and self._values.reliable else 'best effort'
-        self._qos_conflict = (
-            f'a publisher of {self.resolve_topic_name("image")} offers another {policy} than I '
-            f'ask for ({asked}): change its QoS or my parameter "reliable"')
-        self.get_logger().warning(self._qos_conflict)
+            self._worker.submit(Frame(message, camera_info, time.perf_counter()))
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response
                    ) -> SetBool.Response:
         self._enabled = request.data
         if self._worker is not None:
-            self._unsubscribe()
+            self._inputs.unsubscribe()
             if self._enabled:
-                self._subscribe()
+                self._inputs.subscribe()
         response.success = True
         response.message = f'{"enabled" if self._enabled else "disabled"}, {self.state_label}'
         return response
 
-    def _on_set_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
-        for parameter in parameters:
-            if parameter.name in FIXED_WHILE_CONFIGURED and self._processor is not None:
-                return SetParametersResult(successful=False, reason=(
-                    f'{parameter.name} is read by configure: clean up, set it, configure again'))
-        for parameter in parameters:
-            if parameter.name == 'max_fps' and self._worker is not None:
-                self._worker.max_fps = parameter.value
+    def _on_reload_model(self, request: Trigger.Request, response: Trigger.Response
+                         ) -> Trigger.Response:
+        try:
+            if self._model is None:
+                raise NeoError(f'{self.state_label}: configure loads the model')
+            self._take_over(load_model(read_parameters(self), self._load))
+        except NeoError as error:
+            response.message = f'the model stays as it is: {error}'
+            self.get_logger().error(response.message)
+            return response
+        assert self._model
+        response.success = True
+        response.message = f'loaded {self._model.description["path"]}'
+        return response
+
+    def _check_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+        """Refuse values that cannot be used; load a model before it is accepted."""
+        self._candidate = None
+        try:
+            values: NodeParameters = read_parameters(self, parameters)
+            changes_model = any(parameter.name in MODEL_PARAMETERS for parameter in parameters)
+            if self._model is not None and changes_model:
+                self._candidate = load_model(values, self._load)
+        except NeoError as error:
+            return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
+
+    def _use_parameters(self, parameters: list[Parameter]) -> None:
+        """Put accepted values to use."""
+        candidate, self._candidate = self._candidate, None
+        if candidate is not None:
+            self._take_over(candidate)
+        values = read_parameters(self)
+        if self._model is not None:
+            self._model.processor.rectify = values.rectify
+        if self._outputs is not None:
+            self._outputs.jpeg_quality = values.jpeg_quality
+        if self._worker is not None:
+            self._worker.max_fps = values.max_fps
+            if any(parameter.name in INPUT_PARAMETERS for parameter in parameters):
+                self._inputs.unsubscribe()
+                self._inputs.choose(values.transport, values.reliable)
+                if self._enabled:
+                    self._inputs.subscribe()
+
+    def _take_over(self, model: LoadedModel) -> None:
+        """Let the next frame go through this model."""
+        self._model = model
+        if self._worker is not None:
+            self._worker.processor = model.processor
+        self._log_model('the model is now')
+
+    def _log_model(self, words: str) -> None:
+        assert self._model
+        self.get_logger().info(f'{words}: ' + ', '.join(
+            f'{key} {value}' for key, value in self._model.description.items()))
 
     def _report(self, message: str) -> None:
         if self.context.ok():
             self.get_logger().warning(message, throttle_duration_sec=REPORT_PERIOD_S)
 
     def _publish_diagnostics(self) -> None:
-        if self._camera_info is not None and not self.count_publishers(
-                self.resolve_topic_name('camera_info')):
-            self._camera_info = None  # The next camera must not be judged by the last one.
-        topic = self.resolve_topic_name('image')
+        self._inputs.forget_lost_camera()
+        counts = self._statistics.snapshot()
         health = Health(
-            state=self.state_label, fault=self.fault, enabled=self._enabled, topic=topic,
-            publishers=self.count_publishers(topic), qos_conflict=self._qos_conflict,
+            state=self.state_label, fault=self.fault, enabled=self._enabled,
+            topic=self._inputs.topic, publishers=self._inputs.publishers,
+            qos_conflict=self._inputs.qos_conflict,
             subscribed=self._outputs is not None and any(self._outputs.wanted()),
-            counts=self._statistics.snapshot())
-        status = build_status(self.get_fully_qualified_name(), health, self._model)
+            unlike_scene=self._scene_watch.update(counts.out_of_scene), counts=counts)
+        status = build_status(self.get_fully_qualified_name(), health,
+                              self._model.description if self._model else {})
         self._diagnostics.publish(build_array(self.get_clock().now().to_msg(), status))
-
-
-def _describe_model(path: str, extrapolator: Extrapolator) -> dict[str, str]:
-    source, target = extrapolator.expansion.source, extrapolator.expansion.target
-    card = getattr(extrapolator, 'card', None)
-    return {'path': path, 'scene': card.scene_id if card else 'unknown',
-            'config': card.config_hash if card else 'unknown',
-            'widens': f'{source.width}x{source.height} to {target.width}x{target.height}'}

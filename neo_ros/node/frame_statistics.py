@@ -28,6 +28,9 @@ class Snapshot:
 
     `recent_*` count events inside the window, `rate_*` are per second. `rejected` counts by
     reason; `last_rejection` is the newest refusal in words, also when it is older than the window.
+    `out_of_scene` is the mean score of the window, None without one; `guided` the share of its
+    images that the scene memory guided; `camera_note` says what was done to the newest image to
+    make it the model's view.
     """
 
     received: int
@@ -40,6 +43,9 @@ class Snapshot:
     recent_rejected: int
     rate_in: float
     rate_out: float
+    out_of_scene: float | None
+    guided: float
+    camera_note: str
     latency_ms: dict[str, Spread]
 
 
@@ -57,6 +63,9 @@ class Statistics:
             event: deque() for event in ('received', 'published', 'rejected')}
         self._latencies: dict[str, deque[float]] = {}
         self._last_rejection = ''
+        self._scores: deque[tuple[float, float]] = deque()
+        self._guided: deque[float] = deque()
+        self._camera_note = ''
 
     def count_received(self) -> None:
         """Count a frame that arrived."""
@@ -75,10 +84,17 @@ class Statistics:
             self._reasons[reason] += 1
             self._last_rejection = message
 
-    def count_published(self, stages_ms: Mapping[str, float]) -> None:
-        """Count a frame that went out and how many milliseconds it spent at each stage."""
+    def count_published(self, stages_ms: Mapping[str, float], out_of_scene: float | None = None,
+                        guided: bool = False, camera_note: str = '') -> None:
+        """Count a frame that went out, the milliseconds of each stage, and what it was like."""
         with self._lock:
             self._count('published')
+            self._camera_note = camera_note
+            if guided:
+                self._guided.append(self._now())
+            if out_of_scene is not None:
+                self._scores.append((self._now(), out_of_scene))
+            self._forget()
             for stage, duration in stages_ms.items():
                 kept = self._latencies.setdefault(stage, deque(maxlen=KEPT_FRAMES))
                 kept.append(duration)
@@ -90,13 +106,18 @@ class Statistics:
             latencies = {stage: list(kept) for stage, kept in self._latencies.items()}
             window = max(min(WINDOW_S, self._now() - self._started), 1e-3)
             totals, reasons = self._totals.copy(), dict(self._reasons)
-            last_rejection = self._last_rejection
+            last_rejection, camera_note = self._last_rejection, self._camera_note
+            self._forget()
+            guided = len(self._guided) / max(recent['published'], 1)
+            scores = [score for _, score in self._scores]
         return Snapshot(
             received=totals['received'], published=totals['published'],
             dropped=totals['dropped'], rejected=reasons, last_rejection=last_rejection,
             recent_received=recent['received'], recent_published=recent['published'],
             recent_rejected=recent['rejected'], rate_in=recent['received'] / window,
-            rate_out=recent['published'] / window,
+            rate_out=recent['published'] / window, camera_note=camera_note,
+            guided=guided,
+            out_of_scene=float(np.mean(scores)) if scores else None,
             latency_ms={stage: Spread(*np.percentile(values, [50, 95, 100]).tolist())
                         for stage, values in latencies.items()})
 
@@ -104,6 +125,14 @@ class Statistics:
         self._totals[event] += 1
         self._times[event].append(self._now())
         self._recent(event)
+
+    def _forget(self) -> None:
+        """Drop what has left the window."""
+        begin = self._now() - WINDOW_S
+        while self._scores and self._scores[0][0] < begin:
+            self._scores.popleft()
+        while self._guided and self._guided[0] < begin:
+            self._guided.popleft()
 
     def _recent(self, event: str) -> int:
         times = self._times[event]

@@ -24,6 +24,7 @@ class Wanted(NamedTuple):
     """Which outputs somebody subscribes to."""
 
     image: bool = True
+    compressed: bool = True
     mask: bool = True
     confidence: bool = True
     camera_info: bool = True
@@ -43,15 +44,16 @@ class FrameWorker:
     """
     Takes the newest frame, widens it, publishes it, counts it; never queues.
 
-    `report` gets the words of every refusal. `max_fps` may be changed while running; 0 means no
-    limit. After `stop` returned nothing is published any more, even when the network is still at
-    work on a frame: inference cannot be interrupted, its result is thrown away.
+    `report` gets the words of every refusal. `max_fps` (0 = no limit) and `processor` may be
+    changed while running: the next frame goes by them. After `stop` returned nothing is published
+    any more, even when the network is still at work on a frame: inference cannot be interrupted,
+    its result is thrown away.
     """
 
     def __init__(self, processor: FrameProcessor, outputs: Outputs, statistics: Statistics,
                  report: Callable[[str], None], max_fps: float = 0.0) -> None:
         self.max_fps = max_fps
-        self._processor = processor
+        self.processor = processor
         self._outputs = outputs
         self._statistics = statistics
         self._report = report
@@ -93,8 +95,9 @@ class FrameWorker:
             wanted = self._outputs.wanted()
             if not any(wanted):
                 return
-            wide = self._processor.process(
-                frame.image, frame.camera_info, infer=wanted.image or wanted.confidence)
+            wide = self.processor.process(
+                frame.image, frame.camera_info,
+                infer=wanted.image or wanted.compressed or wanted.confidence)
             processed = time.perf_counter()
             with self._publishing:
                 if self._stopped.is_set():
@@ -110,7 +113,8 @@ class FrameWorker:
         done = time.perf_counter()
         self._statistics.count_published({
             'queue': 1e3 * (taken - frame.received), **wide.stages_ms,
-            'publish': 1e3 * (done - processed), 'total': 1e3 * (done - frame.received)})
+            'publish': 1e3 * (done - processed), 'total': 1e3 * (done - frame.received)},
+            wide.out_of_scene, wide.guided, wide.camera_note)
 
     def _reject(self, reason: str, message: str) -> None:
         self._statistics.count_rejected(reason, message)

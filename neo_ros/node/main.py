@@ -1,11 +1,13 @@
 """The executable `fov_extrapolator`."""
 from collections.abc import Sequence
 import os
+from pathlib import Path
 import sys
 
 from neo_ros.node.extrapolator_node import ExtrapolatorNode
 from neo_ros.node.fastdds_profile import use_large_image_profile
 import rclpy
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 
@@ -13,8 +15,17 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the node until SIGINT, SIGTERM or a shutdown of its context."""
     use_large_image_profile()
-    rclpy.init(args=list(arguments) if arguments is not None else None)
-    node = ExtrapolatorNode()
+    arguments = list(sys.argv if arguments is None else arguments)
+    if not _can_log():
+        print('fov_extrapolator: the folder of the log files cannot be written; logging to the '
+              'console and /rosout only', file=sys.stderr)
+        arguments += ['--ros-args', '--disable-external-lib-logs']
+    rclpy.init(args=arguments)
+    try:
+        node = ExtrapolatorNode()
+    except (InvalidParameterTypeException, InvalidParameterValueException) as error:
+        rclpy.try_shutdown()
+        sys.exit(f'fov_extrapolator: {error}')
     idle = True
     try:
         node.autostart()
@@ -30,6 +41,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(0)
+
+
+def _can_log() -> bool:
+    """Say whether ROS can write its log files; where it cannot, rclpy does not even start."""
+    home = Path(os.environ.get('ROS_HOME') or Path(os.environ.get('HOME', '/'), '.ros'))
+    folder = Path(os.environ.get('ROS_LOG_DIR') or home / 'log')
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return False
+    return os.access(folder, os.W_OK)
 
 
 def _spin(node: ExtrapolatorNode) -> None:

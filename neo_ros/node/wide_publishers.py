@@ -1,16 +1,18 @@
-"""The four topics that the node publishes."""
+"""The topics that the node publishes."""
 from array import array
+import functools
 from typing import Any
 
-from neo_ros.geometry import Intrinsics
-from neo_ros.messages import image_fields
+from neo_ros.messages import image_fields, jpeg_fields
 from neo_ros.messages.frame_processor import WideFrame
 from neo_ros.node.frame_worker import Wanted
+from neo_ros.node.interface import OUTPUTS
 import numpy as np
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.lifecycle import LifecycleNode
-from rclpy.qos import QoSProfile
+from rclpy.qos import qos_policy_name_from_kind, QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 # Reliable: Fast DDS loses large best-effort messages. Ten, so that a recorder may fall behind.
 DEPTH = 10
@@ -18,24 +20,23 @@ DEPTH = 10
 
 class WidePublishers:
     """
-    Publishers of `wide/image`, `wide/mask`, `wide/confidence` and `wide/camera_info`.
+    Publishers of the topics in `interface.OUTPUTS`.
 
-    Reliable; every policy can be overridden by the `qos_overrides` parameters.
+    Reliable; every policy can be overridden by the `qos_overrides` parameters. `jpeg_quality`
+    may change at any time.
     """
 
-    def __init__(self, node: LifecycleNode, target: Intrinsics) -> None:
+    def __init__(self, node: LifecycleNode, jpeg_quality: int) -> None:
+        self.jpeg_quality = jpeg_quality
         self._node = node
         self._publishers = {
             name: node.create_lifecycle_publisher(
-                kind, f'wide/{name}', QoSProfile(depth=DEPTH),
+                output.kind, output.name, QoSProfile(depth=DEPTH),
+                event_callbacks=PublisherEventCallbacks(
+                    incompatible_qos=functools.partial(self._on_qos_conflict, output.name)),
                 qos_overriding_options=QoSOverridingOptions.with_default_policies())
-            for name, kind in (('image', Image), ('mask', Image), ('confidence', Image),
-                               ('camera_info', CameraInfo))}
-        shape = (target.height, target.width)
-        self._messages = {
-            'image': _blank_message(np.zeros(shape + (3,), np.uint8)),
-            'mask': _blank_message(np.zeros(shape, np.uint8)),
-            'confidence': _blank_message(np.zeros(shape, np.uint8))}
+            for name, output in OUTPUTS.items()}
+        self._messages: dict[str, Image] = {}
 
     def wanted(self) -> Wanted:
         """Say which topics have subscribers."""
@@ -54,6 +55,10 @@ class WidePublishers:
             self._publish_image('confidence', header, frame.confidence)
         if wanted.image and frame.image is not None:
             self._publish_image('image', header, frame.image)
+        if wanted.compressed and frame.image is not None:
+            fields = jpeg_fields(frame.image, self.jpeg_quality)
+            self._publishers['compressed'].publish(CompressedImage(
+                header=header, format=fields['format'], data=_as_array(fields['data'])))
 
     def destroy(self) -> None:
         """Take the topics out of the graph."""
@@ -63,14 +68,24 @@ class WidePublishers:
     def _publish_image(self, name: str, header: Any, image: np.ndarray) -> None:
         # One message per topic, filled in place: assigning an ndarray to `data` takes 1000 times
         # as long, because rclpy converts it element by element.
-        message = self._messages[name]
+        message = self._messages.get(name)
+        if message is None or (message.height, message.width) != image.shape[:2]:
+            fields = image_fields(image)
+            message = Image(**(fields | {'data': _as_array(fields['data'])}))
+            self._messages[name] = message
+        else:
+            np.copyto(np.frombuffer(message.data, np.uint8), image.reshape(-1))
         message.header = header
-        np.copyto(np.frombuffer(message.data, np.uint8), image.reshape(-1))
         self._publishers[name].publish(message)
 
+    def _on_qos_conflict(self, topic: str, event: Any) -> None:
+        self._node.get_logger().warning(
+            f'a subscriber of {self._node.resolve_topic_name(topic)} asks for another '
+            f'{qos_policy_name_from_kind(event.last_policy_kind)} than I offer: change its QoS, '
+            'or mine with the qos_overrides parameters')
 
-def _blank_message(image: np.ndarray) -> Image:
-    fields = image_fields(image)
-    data = array('B')
-    data.frombytes(fields['data'].tobytes())
-    return Image(**(fields | {'data': data}))
+
+def _as_array(data: np.ndarray) -> array:
+    copy = array('B')
+    copy.frombytes(data.tobytes())
+    return copy

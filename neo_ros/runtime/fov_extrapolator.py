@@ -2,12 +2,19 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from neo_ros.errors import ImageRejected, ModelError
 from neo_ros.geometry import ViewExpansion
-from neo_ros.runtime.model_card import ModelCard, read_model_card
+from neo_ros.runtime.confidence import confidence_of
+from neo_ros.runtime.model_card import ModelCard
+from neo_ros.runtime.model_file import open_model
+from neo_ros.runtime.scene_check import SceneCheck
 import numpy as np
 import onnxruntime
+
+if TYPE_CHECKING:
+    from neo_ros.memory.guided_view import GuidedView
 
 
 @dataclass(frozen=True)
@@ -16,51 +23,71 @@ class WideView:
     One widened image.
 
     wide_image: uint8 RGB (H, W, 3), the camera's pixels bit-identical in their window.
-    confidence: uint8 (H, W), 255 = sure.
+    confidence: uint8 (H, W), 255 = sure, see `runtime/confidence.py`.
     Both are contiguous and belong to the caller.
+    guided: the scene memory knew where the camera is, and shows the scene; else the network
+    alone made it up.
     """
 
     wide_image: np.ndarray
     confidence: np.ndarray
+    guided: bool = False
 
 
 class FovExtrapolator:
     """
-    The trained network of one scene as a function from camera images to wide views.
+    The trained network of one scene, and its memory if there is one, on camera images.
 
-    Deterministic: the same image gives the same bits. Everything, compositing included, is in
-    the model file; this class only checks what goes in. One instance serves one thread.
+    Deterministic: the same image gives the same bits, with a memory the same sequence of images
+    since the last `reset`. One instance serves one camera and one thread.
     """
 
-    def __init__(self, session: onnxruntime.InferenceSession, card: ModelCard) -> None:
+    def __init__(self, session: onnxruntime.InferenceSession, card: ModelCard,
+                 guided_view: 'GuidedView | None' = None) -> None:
         self._session = session
+        self._guided_view = guided_view
         self._outputs = [card.outputs.wide.name, card.outputs.confidence.name]
         self.card = card
+        self.scene_check = (SceneCheck(card.scene_reference, card.expansion)
+                            if card.scene_reference else None)
         self.extrapolated_mask = card.expansion.extrapolated_mask
         self.extrapolated_mask.setflags(write=False)
 
     @classmethod
     def load(cls, path: Path | str, threads: int = 0,
-             providers: Sequence[str] = ('CPUExecutionProvider',)) -> 'FovExtrapolator':
+             providers: Sequence[str] = ('CPUExecutionProvider',),
+             guided: bool = True) -> 'FovExtrapolator':
         """
         Check a model file and make it ready to run; `threads` = 0 takes all cores.
 
+        A scene memory that the card names must lie beside the file; with `guided` False it is
+        left alone, and the network works by itself.
         Runs the model once, so the first `expand` is not slower than the others.
-        Raises ModelError for everything that is not a complete neo_ros model: see
-        `read_model_card`; also when the graph's inputs and outputs are not those of the card
-        or when it does not give the camera's pixels back unchanged.
+        Raises ModelError for everything that is not a complete neo_ros model: see `open_model`;
+        also when it does not give the camera's pixels back unchanged.
         """
-        card = read_model_card(path)
+        content, card = open_model(path)
         try:
             # From memory, so that not a single path inside the file is ever followed.
             session = onnxruntime.InferenceSession(
-                Path(path).read_bytes(), _session_options(threads), providers=list(providers))
+                content, _session_options(threads), providers=list(providers))
         except Exception as error:  # ORT raises a dozen types without a common base.
             raise ModelError(f'{path}: ONNX Runtime cannot load the model: {error}') from error
-        _check_tensors(path, session, card)
-        extrapolator = cls(session, card)
+        guided_view = None
+        if guided and card.memory is not None:
+            # Its compiled loops take a second to load: not for models that do without.
+            from neo_ros.memory.guided_view import GuidedView
+            guided_view = GuidedView.load(Path(path).with_name(card.memory.file),
+                                          card.memory.sha256, card.expansion, threads)
+        extrapolator = cls(session, card, guided_view)
         _check_observed_pixels(path, extrapolator)
+        extrapolator.reset()
         return extrapolator
+
+    @property
+    def providers(self) -> list[str]:
+        """What ONNX Runtime really runs the network on, best first."""
+        return self._session.get_providers()
 
     @property
     def expansion(self) -> ViewExpansion:
@@ -79,12 +106,31 @@ class FovExtrapolator:
             raise ImageRejected(
                 'size', f'image: the model takes uint8 {expected} (height, width, RGB), got '
                 f'{image.dtype} {image.shape}; resize or train a model for this camera')
+        guided = self._guided_view
+        guide = guided.guide(image) if guided is not None else None
+        if guided is None or guide is None:
+            return WideView(*self._run_network(image))
+        network = self._run_network(image) if guided.needs_network(guide) else None
+        wide, error = guided.fuse(image, guide, network[0] if network else None)
+        confidence = confidence_of(error)
+        if network is not None:
+            confidence = np.where(np.isnan(error), network[1], confidence)
+        return WideView(wide, confidence.astype(np.uint8), guided=True)
+
+    def _run_network(self, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the wide image and the confidence that the network alone gives."""
         wide, confidence = self._session.run(
             self._outputs, {self.card.input.name: np.ascontiguousarray(image)[None]})
-        return WideView(wide[0], confidence[0])
+        return wide[0], confidence[0]
+
+    def reset(self) -> None:
+        """Forget where the camera was; the next image may be from anywhere."""
+        if self._guided_view is not None:
+            self._guided_view.reset()
 
 
 def _session_options(threads: int) -> onnxruntime.SessionOptions:
+    onnxruntime.disable_telemetry_events()  # A robot reports to nobody.
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
@@ -93,25 +139,6 @@ def _session_options(threads: int) -> onnxruntime.SessionOptions:
     options.add_session_config_entry('session.intra_op.allow_spinning', '0')
     options.log_severity_level = 3  # Errors only: they are raised, warnings are for exporters.
     return options
-
-
-def _check_tensors(path: Path | str, session: onnxruntime.InferenceSession,
-                   card: ModelCard) -> None:
-    """Raise ModelError unless the graph has exactly the card's inputs and outputs."""
-    source, target = card.expansion.source, card.expansion.target
-    wide_shape = [1, target.height, target.width, 3]
-    expected = {
-        'input': {card.input.name: [1, source.height, source.width, 3]},
-        'output': {card.outputs.wide.name: wide_shape,
-                   card.outputs.confidence.name: wide_shape[:3]},
-    }
-    for kind, nodes in (('input', session.get_inputs()), ('output', session.get_outputs())):
-        found = {node.name: f'{node.type} {node.shape}' for node in nodes}
-        wanted = {name: f'tensor(uint8) {shape}' for name, shape in expected[kind].items()}
-        if found != wanted:
-            raise ModelError(
-                f'{path}: the model card does not agree with the graph: expected {kind} '
-                f'{wanted}, got {found}; export the model again')
 
 
 def _check_observed_pixels(path: Path | str, extrapolator: FovExtrapolator) -> None:

@@ -5,7 +5,8 @@ from typing import Literal
 
 from neo_ros.errors import ModelError
 from neo_ros.geometry import ViewExpansion
-from neo_ros.runtime.onnx_file import scan_onnx_file
+from neo_ros.runtime.onnx_file import OnnxFile, scan_onnx_file
+from neo_ros.runtime.scene_check import SceneReference
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 CARD_KEY = 'neo_ros.model_card'
@@ -53,12 +54,22 @@ class Parity(_Part):
     share_within_1: float = Field(ge=0, le=1)
 
 
+class MemoryFile(_Part):
+    """The scene memory that belongs to a model: a file beside it."""
+
+    file: str = Field(pattern=r'^[\w.-]+$')  # noqa: A003
+    sha256: str = Field(pattern=r'^[0-9a-f]{64}$')
+
+
 class ModelCard(_Part):
     """
     What a model file says of itself.
 
     `expansion` holds the source intrinsics (pixels, corner at (0, 0)) and the growth at each
-    side; `scores` are means over the held-out test views; `config_hash` names the experiment.
+    side; `scores` are means over the held-out test views; `config_hash` names the experiment;
+    `gflop` is the arithmetic of one image, None in files that do not say; `scene_reference`
+    tells images of other scenes apart, None: the model cannot. `memory` is None for a network
+    that works alone.
     """
 
     schema_version: Literal[1] = 1
@@ -73,7 +84,10 @@ class ModelCard(_Part):
     scores: dict[str, FiniteFloat] = {}
     parity: Parity
     trained_seconds: float = Field(ge=0)
+    gflop: FiniteFloat | None = None
     neo_ros_version: str
+    scene_reference: SceneReference | None = None
+    memory: MemoryFile | None = None
 
     @classmethod
     def from_json(cls, text: str) -> 'ModelCard':
@@ -109,7 +123,11 @@ def read_model_card(path: Path | str) -> ModelCard:
     Raises ModelError for a file that is missing, empty, truncated, not ONNX, keeps weights in
     other files, or has no card, a card of a newer schema or a wrong one.
     """
-    onnx_file = scan_onnx_file(path)
+    return card_of(path, scan_onnx_file(path))
+
+
+def card_of(path: Path | str, onnx_file: OnnxFile) -> ModelCard:
+    """Return the card in a scanned model file; raises ModelError as `read_model_card` does."""
     if onnx_file.external_tensors:
         raise ModelError(
             f'{path}: expected one self-contained file, but {len(onnx_file.external_tensors)} '

@@ -1,60 +1,102 @@
-"""What can be told of an ONNX file without a runtime: its metadata and where its weights lie."""
+"""What can be told of an ONNX file without a runtime: metadata, operators, inputs and outputs."""
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-import mmap
 import os
 from pathlib import Path
+import stat
 
 from neo_ros.errors import ModelError
 
 # The parts of onnx.proto3 on the way from a model to its tensors: message -> field -> message.
 _CHILDREN: dict[str, dict[int, str]] = {
     'model': {7: 'graph', 14: 'metadata', 20: 'training', 25: 'function'},
-    'graph': {1: 'node', 5: 'tensor', 15: 'sparse_tensor'},
+    'graph': {1: 'node', 5: 'tensor', 11: 'value', 12: 'value', 13: 'value', 15: 'sparse_tensor'},
     'training': {1: 'graph', 2: 'graph'},
-    'function': {7: 'node', 11: 'attribute'},
+    'function': {7: 'node', 11: 'attribute', 12: 'value'},
     'node': {5: 'attribute'},
     'attribute': {5: 'tensor', 6: 'graph', 10: 'tensor', 11: 'graph',
                   22: 'sparse_tensor', 23: 'sparse_tensor'},
     'sparse_tensor': {1: 'tensor', 2: 'tensor'},
 }
 _MODEL_IR_VERSION, _MODEL_GRAPH = 1, 7
+_GRAPH_INPUT, _GRAPH_OUTPUT = 11, 12
+_NODE_OPERATOR, _NODE_DOMAIN = 4, 7
+_VALUE_NAME, _VALUE_TYPE = 1, 2
 _TENSOR_NAME, _TENSOR_EXTERNAL_DATA, _TENSOR_DATA_LOCATION = 8, 13, 14
 _VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5
+# TensorProto.DataType of the images.
+_ELEMENT_TYPES = {1: 'float', 2: 'uint8', 3: 'int8', 6: 'int32', 7: 'int64', 10: 'float16'}
+
+# Far above any model of ours: what is larger would only fill a robot's memory.
+MAX_BYTES = 1 << 30
+# Small parts could keep the scan busy for hours; our models have some thousand.
+MAX_PARTS = 200_000
 
 
 @dataclass
 class OnnxFile:
-    """The metadata_props of a model and the names of its tensors kept in other files."""
+    """
+    What an ONNX file consists of.
 
+    content: the whole file, read once, so that what was checked is what runs. metadata: its
+    metadata_props. external_tensors: names of the tensors kept in other files. operators: of all
+    graphs, those outside the standard domain with their domain before them. inputs, outputs: of
+    the main graph, by name, such as 'tensor(uint8) [1, 128, 128, 3]'. graphs: how many there are
+    with branches and loop bodies; functions: how many operators it defines itself.
+    """
+
+    content: bytes = b''
     metadata: dict[str, str] = field(default_factory=dict)
     external_tensors: list[str] = field(default_factory=list)
+    operators: set[str] = field(default_factory=set)
+    inputs: dict[str, str] = field(default_factory=dict)
+    outputs: dict[str, str] = field(default_factory=dict)
+    graphs: int = 0
+    functions: int = 0
 
 
 def scan_onnx_file(path: Path | str) -> OnnxFile:
     """
-    Walk through the protobuf messages of an ONNX file.
+    Read an ONNX file and walk through its protobuf messages.
 
     ONNX Runtime would open whatever file an external tensor names while it builds the session,
     so this has to be known before; and the onnx package is no dependency of a robot.
-    Raises ModelError for files that are missing, empty, truncated or not ONNX.
+    Raises ModelError for files that are missing, empty, truncated, not ONNX, larger than
+    MAX_BYTES, or no regular files.
     """
     path = Path(path)
+    content = _read(path)
     try:
-        with path.open('rb') as file:
-            if os.fstat(file.fileno()).st_size == 0:
+        result = _scan_model(memoryview(content))
+    except ValueError as error:
+        raise ModelError(f'{path}: not an ONNX model, or a truncated one ({error})') from None
+    result.content = content
+    return result
+
+
+def _read(path: Path) -> bytes:
+    """Return the bytes of a regular file of sensible size; a pipe or device could never end."""
+    try:
+        # Without O_NONBLOCK, opening a pipe would wait for a writer.
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+        with os.fdopen(descriptor, 'rb') as file:
+            found = os.fstat(descriptor)
+            if not stat.S_ISREG(found.st_mode):
+                raise ModelError(f'{path}: cannot read the model: expected a regular file')
+            if found.st_size == 0:
                 raise ModelError(f'{path}: expected an ONNX model, the file is empty')
-            with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as mapped:
-                with memoryview(mapped) as data:
-                    return _scan_model(data)
+            if found.st_size > MAX_BYTES:
+                raise ModelError(f'{path}: expected a model of at most {MAX_BYTES >> 20} MB, '
+                                 f'got {found.st_size >> 20} MB')
+            return file.read(MAX_BYTES)
     except FileNotFoundError:
         raise ModelError(f'{path}: no such model file') from None
-    except OSError as error:
-        raise ModelError(f'{path}: cannot read the model: {error.strerror}') from error
     except ValueError as error:
         if isinstance(error, ModelError):
             raise
-        raise ModelError(f'{path}: not an ONNX model, or a truncated one ({error})') from None
+        raise ModelError(f'{path!s:.200}: cannot read the model: {error}') from None
+    except OSError as error:
+        raise ModelError(f'{path}: cannot read the model: {error.strerror}') from error
 
 
 def _scan_model(data: memoryview) -> OnnxFile:
@@ -63,18 +105,26 @@ def _scan_model(data: memoryview) -> OnnxFile:
     if not {_MODEL_IR_VERSION, _MODEL_GRAPH} <= seen:
         raise ValueError('no graph in it')
     pending = [('model', 0, len(data))]
+    parts = 0
     while pending:
         message, start, stop = pending.pop()
+        parts += 1
+        if parts + len(pending) > MAX_PARTS:
+            raise ValueError(f'more than {MAX_PARTS} parts')
         if message == 'metadata':
-            entry = {number: bytes(data[slice(*value)]).decode()
-                     for number, value in _fields(data, start, stop)
-                     if isinstance(value, tuple)}
+            entry = {number: _text(data, value) for number, value in _fields(data, start, stop)}
             result.metadata[entry.get(1, '')] = entry.get(2, '')
         elif message == 'tensor':
             name = _external_tensor(data, start, stop)
             if name is not None:
                 result.external_tensors.append(name)
-        else:
+        elif message != 'value':
+            result.graphs += message == 'graph'
+            result.functions += message == 'function'
+            if message == 'graph' and result.graphs == 1:
+                result.inputs, result.outputs = _inputs_and_outputs(data, start, stop)
+            if message == 'node':
+                result.operators.add(_operator(data, start, stop))
             children = _CHILDREN[message]
             for number, value in _fields(data, start, stop):
                 if number in children and isinstance(value, tuple):
@@ -82,12 +132,61 @@ def _scan_model(data: memoryview) -> OnnxFile:
     return result
 
 
+def _operator(data: memoryview, start: int, stop: int) -> str:
+    """Return the operator of a node, such as 'Conv' or 'com.microsoft.Gelu'."""
+    parts = {number: _text(data, value) for number, value in _fields(data, start, stop)
+             if number in (_NODE_OPERATOR, _NODE_DOMAIN)}
+    domain = parts.get(_NODE_DOMAIN, '')
+    # 'ai.onnx' is another spelling of the standard domain.
+    prefix = '' if domain in ('', 'ai.onnx') else f'{domain}.'
+    return prefix + parts.get(_NODE_OPERATOR, '')
+
+
+def _inputs_and_outputs(data: memoryview, start: int,
+                        stop: int) -> tuple[dict[str, str], dict[str, str]]:
+    found: dict[int, dict[str, str]] = {_GRAPH_INPUT: {}, _GRAPH_OUTPUT: {}}
+    for number, value in _fields(data, start, stop):
+        if number in found and isinstance(value, tuple):
+            name, kind = _describe_value(data, *value)
+            found[number][name] = kind
+    return found[_GRAPH_INPUT], found[_GRAPH_OUTPUT]
+
+
+def _describe_value(data: memoryview, start: int, stop: int) -> tuple[str, str]:
+    """Return name and type of a ValueInfoProto, such as 'tensor(uint8) [1, 4, 4, 3]'."""
+    value = dict(_fields(data, start, stop))
+    name = _text(data, value.get(_VALUE_NAME, 0))
+    tensor = _message(data, _message(data, value.get(_VALUE_TYPE)).get(1))
+    shape = tensor.get(2)
+    sizes = [_size(data, dim) for _, dim in _fields(data, *shape)] if isinstance(
+        shape, tuple) else '?'
+    element = tensor.get(1, 0)
+    kind = _ELEMENT_TYPES.get(element, str(element)) if isinstance(element, int) else '?'
+    return name, f'tensor({kind}) {sizes}'
+
+
+def _size(data: memoryview, value: int | tuple[int, int]) -> object:
+    """Return the number of a Dimension, or the name of one that is not fixed."""
+    dimension = _message(data, value)
+    return dimension.get(1, _text(data, dimension.get(2, 0)))
+
+
+def _message(data: memoryview, value: int | tuple[int, int] | None
+             ) -> dict[int, int | tuple[int, int]]:
+    """Return the fields of a part, the last of each number; nothing for no part."""
+    return dict(_fields(data, *value)) if isinstance(value, tuple) else {}
+
+
+def _text(data: memoryview, value: int | tuple[int, int]) -> str:
+    return bytes(data[slice(*value)]).decode() if isinstance(value, tuple) else ''
+
+
 def _external_tensor(data: memoryview, start: int, stop: int) -> str | None:
     """Return the name of a tensor whose values lie in another file, else None."""
     name, external = '', False
     for number, value in _fields(data, start, stop):
         if number == _TENSOR_NAME and isinstance(value, tuple):
-            name = bytes(data[slice(*value)]).decode()
+            name = _text(data, value)
         external |= number == _TENSOR_EXTERNAL_DATA or (
             number == _TENSOR_DATA_LOCATION and value == 1)
     return name if external else None

@@ -1,0 +1,74 @@
+"""
+The tables of topics, parameters and services in docs/node.md, from the code.
+
+python -m neo_ros.node.interface_tables docs/node.md    writes them into the file
+"""
+from collections.abc import Iterable
+from pathlib import Path
+import re
+import sys
+from typing import Any
+
+from neo_ros.node.interface import DIAGNOSTICS, Endpoint, INPUTS, OUTPUTS, SERVICES
+from neo_ros.node.parameters import declare_parameters
+from rcl_interfaces.msg import ParameterDescriptor
+
+MARKER = '<!-- {}: written by neo_ros.node.interface_tables -->'
+
+
+class _ParameterRows:
+    """Takes declarations of parameters as a node does, and makes table rows of them."""
+
+    def __init__(self) -> None:
+        self.rows: list[str] = []
+
+    def declare_parameter(self, name: str, default: Any, about: ParameterDescriptor) -> None:
+        """Add a row."""
+        words = [about.description, *_ranges(about), about.additional_constraints]
+        if about.read_only:
+            words.append('read-only')
+        shown = str(default).lower() if isinstance(default, bool) else repr(default)
+        self.rows.append(f'| `{name}` | {shown} | {"; ".join(filter(None, words))} |')
+
+
+def interface_tables() -> dict[str, str]:
+    """Return the tables in Markdown, by the name of their place in the file."""
+    parameters = _ParameterRows()
+    declare_parameters(parameters)  # type: ignore[arg-type]
+    topics = [*_rows('in, ', INPUTS), *_rows('out, ', OUTPUTS.values()),
+              *_rows('out, ', [DIAGNOSTICS])]
+    return {'topics': _table('| topic | type | |', topics),
+            'parameters': _table('| parameter | default | |', parameters.rows),
+            'services': _table('| service | type | |', _rows('', SERVICES))}
+
+
+def with_tables(text: str) -> str:
+    """Return the text of the file with its tables replaced by those of the code."""
+    for name, table in interface_tables().items():
+        marker = MARKER.format(name)
+        text = re.sub(rf'{re.escape(marker)}\n(\|.*\n)*', lambda _: marker + '\n' + table, text)
+    return text
+
+
+def _ranges(about: ParameterDescriptor) -> list[str]:
+    return [f'{found.from_value} to {found.to_value}'
+            for found in (*about.integer_range, *about.floating_point_range)]
+
+
+def _rows(direction: str, endpoints: Iterable[Endpoint]) -> list[str]:
+    return [f'| `{name}` | {direction}{_type_name(kind)} | {words} |'
+            for name, kind, words in endpoints]
+
+
+def _type_name(kind: type) -> str:
+    # sensor_msgs.msg._image.Image -> sensor_msgs/Image
+    return f'{kind.__module__.split(".")[0]}/{kind.__name__}'
+
+
+def _table(head: str, rows: list[str]) -> str:
+    return '\n'.join([head, '|---' * head.count(' |') + '|', *rows]) + '\n'
+
+
+if __name__ == '__main__':
+    path = Path(sys.argv[1])
+    path.write_text(with_tables(path.read_text()))

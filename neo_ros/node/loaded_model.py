@@ -1,0 +1,42 @@
+"""A model that has passed its checks, ready to take the place of another one."""
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from neo_ros.messages import FrameProcessor
+from neo_ros.messages.frame_processor import Extrapolator
+from neo_ros.node.parameters import NodeParameters
+from neo_ros.runtime import FovExtrapolator, ModelCard
+from neo_ros.runtime.providers import choose_providers
+
+# Makes an extrapolator of a path, a number of threads and ONNX Runtime's providers.
+Load = Callable[[str, int, list[str]], Any]
+
+
+@dataclass(frozen=True)
+class LoadedModel:
+    """The frame processor of a model, and lines for the log and the diagnostics."""
+
+    processor: FrameProcessor
+    description: dict[str, str]
+
+
+def load_model(values: NodeParameters, load: Load = FovExtrapolator.load) -> LoadedModel:
+    """Load, check and warm up the model that the parameters name; raises ModelError."""
+    chosen, missing = choose_providers(values.providers)
+    extrapolator = load(values.model, values.threads, chosen)
+    description = {'path': values.model, **_describe_card(extrapolator.card),
+                   **_describe_size(extrapolator), 'runs on': ', '.join(extrapolator.providers)}
+    if missing:
+        description['not here'] = ', '.join(missing)
+    return LoadedModel(FrameProcessor(extrapolator, values.rectify), description)
+
+
+def _describe_size(extrapolator: Extrapolator) -> dict[str, str]:
+    source, target = extrapolator.expansion.source, extrapolator.expansion.target
+    return {'widens': f'{source.width}x{source.height} to {target.width}x{target.height}'}
+
+
+def _describe_card(card: ModelCard) -> dict[str, str]:
+    return {'scene': card.scene_id, 'config': card.config_hash, 'network': card.network,
+            'knows its scene': 'yes' if card.scene_reference else 'no'}

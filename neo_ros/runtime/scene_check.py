@@ -1,0 +1,158 @@
+"""
+Does this image come from the scene that the model was trained on? A score without any truth.
+
+A Gaussian over a few measures of an image (its colours, its sharpness, how sure the network is),
+fitted to the training photos when the model is exported, says how unusual an image is. Another
+room, a covered lens, darkness and blur all are.
+"""
+import base64
+from collections.abc import Callable
+from typing import Any
+
+import cv2
+from neo_ros.geometry import ViewExpansion
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, field_validator, FiniteFloat
+
+# Steps per colour channel of the histogram: 4 x 4 x 4 colours.
+STEPS = 4
+HISTOGRAM = STEPS ** 3
+# The histogram, then brightness, contrast, two of sharpness, and the network's confidence.
+MEASURES = HISTOGRAM + 5
+# Colours are counted on about so many pixels a side: more change little but the time.
+SMALL_SIDE = 96
+# Added to the covariance, as a share of its mean variance: colours that no photo has would
+# otherwise have no variance at all.
+SHRINKAGE = 0.1
+# One photo in five sets the threshold instead of the Gaussian, whose own photos flatter it.
+CALIBRATION_EVERY = 5
+# Photos at random poses also look at bare walls from close by, which tell little of the scene.
+USUAL_SHARE = 0.9
+STEEPNESS = 4.0
+MOST_GAIN = 1.25
+LEAST_PHOTOS = 20
+
+
+class SceneReference(BaseModel):
+    """
+    What images of the trained scene look like; a part of the model card.
+
+    mean: of the measures. whitening: lower triangular, `|whitening @ (measures - mean)|` is how
+    unusual an image is. Both float32, little endian, base64. threshold: how unusual (squared) an
+    image may be; most training photos lie below.
+    """
+
+    model_config = ConfigDict(extra='forbid', frozen=True)
+
+    mean: str
+    whitening: str
+    threshold: FiniteFloat = Field(gt=0)
+
+    @field_validator('mean', 'whitening')
+    @classmethod
+    def _has_its_size(cls, text: str, info: Any) -> str:
+        count = MEASURES if info.field_name == 'mean' else MEASURES ** 2
+        values = _unpack(text)
+        if values.size != count or not np.isfinite(values).all():
+            raise ValueError(f'expected {count} finite float32 values in base64')
+        return text
+
+
+class SceneCheck:
+    """Scores images against the reference of one scene."""
+
+    def __init__(self, reference: SceneReference, expansion: ViewExpansion) -> None:
+        self._expansion = expansion
+        self._mean = _unpack(reference.mean)
+        self._whitening = _unpack(reference.whitening).reshape(MEASURES, MEASURES)
+        self._threshold = reference.threshold
+
+    def score(self, image: np.ndarray, confidence: np.ndarray) -> float:
+        """
+        Return how unlike the trained scene an image is: 0 = as trained, 1 = nothing like it.
+
+        `image` is the camera's, uint8 RGB (h, w, 3); `confidence` is what the network gave for
+        it, uint8 (H, W), 255 where the camera saw. 0.5 = as unusual as the most unusual tenth
+        of the training photos.
+        """
+        measures = measure_image(image, confidence, self._expansion)
+        unusual = float(_unusual(measures, self._mean, self._whitening))
+        return 1 / (1 + (self._threshold / max(unusual, 1e-9)) ** STEEPNESS)
+
+
+def fit_scene_reference(photos: np.ndarray,
+                        predict_confidence: Callable[[np.ndarray], np.ndarray],
+                        expansion: ViewExpansion) -> SceneReference | None:
+    """
+    Learn what the scene looks like from its photos, as they are and a little brighter or darker.
+
+    `photos`: uint8 RGB (N, h, w, 3). `predict_confidence` runs the network on one and returns
+    its confidence, uint8 (H, W). Returns None for fewer than 20 photos, which say too little.
+    """
+    if len(photos) < LEAST_PHOTOS:
+        return None
+    random = np.random.default_rng(0)
+    measures = []
+    for index, photo in enumerate(photos):
+        # A camera's exposure is not always the one of the training photos.
+        gain = np.exp(random.uniform(-1, 1) * np.log(MOST_GAIN)) if index % 2 else 1.0
+        image = np.minimum(np.rint(photo * gain), 255).astype(np.uint8)
+        measures.append(measure_image(image, predict_confidence(image), expansion))
+    return _fit(np.stack(measures))
+
+
+def _fit(measures: np.ndarray) -> SceneReference:
+    calibration = np.arange(len(measures)) % CALIBRATION_EVERY == CALIBRATION_EVERY // 2
+    fitted = measures[~calibration]
+    mean, spread = fitted.mean(0), fitted.std(0) + 1e-3
+    # All colours share one spread, or the rare ones would count as much as the common ones.
+    spread[:HISTOGRAM] = fitted[:, :HISTOGRAM].std() + 1e-3
+    covariance = np.cov(((fitted - mean) / spread).T)
+    covariance += SHRINKAGE * np.trace(covariance) / MEASURES * np.eye(MEASURES)
+    whitening = np.linalg.inv(np.linalg.cholesky(covariance)) / spread
+    unusual = _unusual(measures[calibration], mean, whitening)
+    return SceneReference(mean=_pack(mean), whitening=_pack(whitening),
+                          threshold=round(float(np.quantile(unusual, USUAL_SHARE)), 4))
+
+
+def measure_image(image: np.ndarray, confidence: np.ndarray,
+                  expansion: ViewExpansion) -> np.ndarray:
+    """Return the measures of one image, float64 (MEASURES,)."""
+    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    mean, deviation = cv2.meanStdDev(grey)
+    # What a pixel differs from its neighbour, and from the mean of its two: blur changes the
+    # second more than the first.
+    sharpness = [sum(cv2.norm(one, other, cv2.NORM_L1) for one, other in pairs)
+                 / grey.size / 255 for pairs in (
+        ((grey[1:], grey[:-1]), (grey[:, 1:], grey[:, :-1])),
+        ((grey[1:-1], _between(grey[2:], grey[:-2])),
+         (grey[:, 1:-1], _between(grey[:, 2:], grey[:, :-2]))))]
+    sure = (cv2.sumElems(confidence)[0] - 255 * grey.size) / (confidence.size - grey.size)
+    step = max(max(grey.shape) // SMALL_SIDE, 1)
+    steps = image[::step, ::step] // (256 // STEPS)
+    colours = (steps[..., 0] * STEPS + steps[..., 1]) * STEPS + steps[..., 2]
+    histogram = np.bincount(colours.reshape(-1), minlength=HISTOGRAM) / colours.size
+    return np.concatenate([np.sqrt(histogram), np.log([
+        mean[0, 0] / 255 + 0.01, deviation[0, 0] / 255 + 0.01, *np.add(sharpness, 1e-3),
+        max(sure, 0) + 1])])
+
+
+def _unusual(measures: np.ndarray, mean: np.ndarray, whitening: np.ndarray) -> np.ndarray:
+    """Return how far measures (..., MEASURES) are from the mean, squared."""
+    away = measures - mean
+    # To be surer than usual is nothing to worry about.
+    away[..., -1] = np.minimum(away[..., -1], 0)
+    return np.square(away @ whitening.T).sum(-1)
+
+
+def _between(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    return cv2.addWeighted(one, 0.5, other, 0.5, 0)
+
+
+def _pack(values: np.ndarray) -> str:
+    return base64.b64encode(np.ascontiguousarray(values, '<f4').tobytes()).decode()
+
+
+def _unpack(text: str) -> np.ndarray:
+    """Return float64 (N,); raises ValueError for what is not base64 of float32."""
+    return np.frombuffer(base64.b64decode(text, validate=True), '<f4').astype(np.float64)

@@ -1,0 +1,54 @@
+"""A short soak finds what a long one would: growth, silence, slowness; a hog makes no queue."""
+import json
+
+from neo_ros.cli.soak import soak as soak_command
+from neo_ros.evaluation import soak as soak_module
+from neo_ros.evaluation.soak import soak
+import numpy as np
+import pytest
+from tiny_model import write_tiny_model
+import typer
+from typer.testing import CliRunner
+
+APP = typer.Typer()
+APP.command()(soak_command)
+SECONDS, RATE = 60.0, 30.0
+
+
+def recorded(growth=0.0, slower=0.0, silent_s=0.0, lost=0):
+    """Return what the probe would print after a minute of these troubles."""
+    stamps = (np.arange(SECONDS * RATE) / RATE * 1e9).astype(np.int64)
+    share = stamps / stamps[-1]
+    times = stamps + (20e6 * (1 + slower * share)).astype(np.int64)
+    beats = np.arange(SECONDS)
+    beats[30:] += silent_s
+    return {'sent': len(stamps), 'cpu_percent': 50.0,
+            'arrivals': np.stack([stamps, times], 1)[lost:].tolist(),
+            'beats': np.stack([beats, 100 * (1 + growth * beats / SECONDS)], 1).tolist()}
+
+
+@pytest.mark.parametrize('trouble, steady', [
+    ({}, True), ({'lost': 5}, True), ({'growth': 0.01, 'slower': 0.05}, True),
+    ({'growth': 0.05}, False), ({'slower': 0.3}, False), ({'silent_s': 1.5}, False),
+], ids=['none', 'lost images', 'a little', 'grows', 'slows down', 'falls silent'])
+def test_trouble_is_found(tmp_path, monkeypatch, trouble, steady):
+    monkeypatch.setattr(soak_module, 'run_graph', lambda *_: recorded(**trouble))
+    result = soak(write_tiny_model(tmp_path / 'tiny.onnx'), SECONDS)
+    assert result['steady'] is steady
+    assert result['missed'] == trouble.get('lost', 0)
+    assert result['mean_rate_hz'] == pytest.approx(RATE, rel=0.01)
+    assert result['latency_ms']['first']['median'] == pytest.approx(20, rel=0.1)
+    json.dumps(result, allow_nan=False)
+
+
+def test_a_hog_beside_it_lets_nothing_queue(tmp_path):
+    out = tmp_path / 'results' / 'soak.json'
+    result = CliRunner().invoke(APP, [
+        '--minutes', '0.07', '--hogs', '3', '--out', str(out), '--model',
+        str(write_tiny_model(tmp_path / 'tiny.onnx'))])
+    assert result.exit_code in (0, 1), result.output
+    found = json.loads(out.read_text())
+    assert found['hogs'] == 3 and found['beats'] >= 3
+    assert 0 < found['mean_rate_hz'] <= 1.2 * RATE and found['missed'] < found['sent']
+    # A queue of one second would show in the last images; what is published stays fresh.
+    assert found['latency_ms']['last']['median'] < 500

@@ -1,0 +1,80 @@
+"""A model with a scene memory beside it: guided where the scene is known, and safe elsewhere."""
+from pathlib import Path
+
+from box_room import box_memory, EXPANSION, planar, view
+from neo_ros.errors import ModelError
+from neo_ros.runtime import FovExtrapolator
+from neo_ros.runtime.model_card import MemoryFile
+import numpy as np
+from pydantic import ValidationError
+import pytest
+from tiny_model import write_tiny_model
+
+RING = EXPANSION.extrapolated_mask
+
+
+@pytest.fixture(scope='module')
+def model(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp('guided')
+    sha256 = box_memory().write(folder / 'box.memory')
+    return write_tiny_model(folder / 'box.onnx', EXPANSION,
+                            memory=MemoryFile(file='box.memory', sha256=sha256))
+
+
+def walk(count: int) -> list[np.ndarray]:
+    """Return wide views along a walk through the box room."""
+    return [view(planar(1.4 + 0.1 * step, 1.5, 20 + 3 * step), EXPANSION.target)[0]
+            for step in range(count)]
+
+
+def test_the_ring_shows_the_scene(model: Path) -> None:
+    guided, alone = FovExtrapolator.load(model), FovExtrapolator.load(model, guided=False)
+    for wide in walk(3):
+        narrow = EXPANSION.crop(wide)
+        ours, floor = guided.expand(narrow), alone.expand(narrow)
+        assert ours.guided and not floor.guided
+        np.testing.assert_array_equal(EXPANSION.crop(ours.wide_image), narrow)
+        error, worse = (np.abs(result.wide_image.astype(int) - wide)[RING].mean()
+                        for result in (ours, floor))
+        assert error < 6 < worse
+        assert ours.confidence[RING].mean() > 128 and (ours.confidence[~RING] == 255).all()
+
+
+def test_images_of_elsewhere_get_what_the_network_makes_of_them(model: Path) -> None:
+    guided, alone = FovExtrapolator.load(model), FovExtrapolator.load(model, guided=False)
+    noise = np.random.default_rng(0).integers(0, 256, (64, 64, 3), np.uint8)
+    ours, floor = guided.expand(noise), alone.expand(noise)
+    assert not ours.guided
+    np.testing.assert_array_equal(ours.wide_image, floor.wide_image)
+    np.testing.assert_array_equal(ours.confidence, floor.confidence)
+
+
+def test_a_reset_repeats_every_bit(model: Path) -> None:
+    extrapolator = FovExtrapolator.load(model, threads=2)
+    frames = [EXPANSION.crop(wide) for wide in walk(3)]
+    runs = []
+    for _ in range(2):
+        extrapolator.reset()
+        runs.append([extrapolator.expand(frame) for frame in frames])
+    for one, other in zip(*runs):
+        np.testing.assert_array_equal(one.wide_image, other.wide_image)
+        np.testing.assert_array_equal(one.confidence, other.confidence)
+
+
+def test_a_missing_or_exchanged_memory_is_refused(model: Path, tmp_path: Path) -> None:
+    copy = tmp_path / 'box.onnx'
+    copy.write_bytes(model.read_bytes())
+    with pytest.raises(ModelError, match='box.memory.*keep it beside the model'):
+        FovExtrapolator.load(copy)
+    (tmp_path / 'box.memory').write_bytes(b'another')
+    with pytest.raises(ModelError, match='sha256'):
+        FovExtrapolator.load(copy)
+    assert not FovExtrapolator.load(copy, guided=False).expand(
+        np.zeros((64, 64, 3), np.uint8)).guided
+
+
+@pytest.mark.parametrize('name', ['../x.memory', '/etc/passwd', 'a/b', ''],
+                         ids=['above', 'absolute', 'below', 'empty'])
+def test_a_card_names_only_files_beside_the_model(name: str) -> None:
+    with pytest.raises(ValidationError):
+        MemoryFile(file=name, sha256='0' * 64)
