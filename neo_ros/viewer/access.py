@@ -1,0 +1,115 @@
+"""Who may look: the token, the session cookie, and where requests may come from."""
+from collections.abc import Awaitable, Callable
+import hashlib
+import hmac
+import time
+
+from aiohttp import web
+from neo_ros.viewer.settings import ViewerSettings
+from yarl import URL
+
+SESSION_S = 12 * 3600
+# The log-in page and what it needs.
+OPEN_TO_ALL = {'/login', '/viewer.css', '/icon.svg'}
+LOOPBACK_NAMES = {'localhost', '127.0.0.1', '::1'}
+Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
+
+HEADERS = {
+    'Content-Security-Policy': (
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; "
+        "connect-src 'self'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'"),
+    'Cache-Control': 'no-store',
+    'Cross-Origin-Opener-Policy': 'same-origin',
+    'Cross-Origin-Resource-Policy': 'same-origin',
+    # With 'no-referrer' browsers hide the origin of the log-in form from us.
+    'Referrer-Policy': 'same-origin',
+    'Server': 'neo_ros',
+    'X-Content-Type-Options': 'nosniff',
+    'X-Frame-Options': 'DENY',
+}
+
+
+class Access:
+    """
+    Lets in who knows the token.
+
+    The token is sent once, by the log-in form, and exchanged for a cookie that proves it was
+    known: an end time and its HMAC under the token. So sessions survive a restart of the server
+    with the same token, and nothing is stored.
+    """
+
+    def __init__(self, settings: ViewerSettings) -> None:
+        self._token = settings.token
+        self._secure = settings.cert is not None
+        self._hosts = LOOPBACK_NAMES | {settings.host}
+        self._key = hashlib.sha256(b'neo_ros viewer session ' + self._token.encode()).digest()
+
+    def is_token(self, candidate: str) -> bool:
+        """Compare in constant time, whatever the lengths."""
+        given, known = (hashlib.sha256(text.encode(errors='surrogatepass')).digest()
+                        for text in (candidate, self._token))
+        return hmac.compare_digest(given, known)
+
+    def has_session(self, request: web.Request) -> bool:
+        """Say whether the request comes from a viewer that logged in."""
+        if not self._token:
+            return True
+        end, _, proof = request.cookies.get(self._cookie(request), '').partition('.')
+        if not (end.isascii() and end.isdigit() and len(end) <= 12):
+            return False
+        return hmac.compare_digest(self._prove(end), proof.encode()) and int(end) > time.time()
+
+    def begin_session(self, request: web.Request, response: web.StreamResponse) -> None:
+        """Give the cookie: out of reach for scripts and for other sites."""
+        end = str(int(time.time()) + SESSION_S)
+        response.set_cookie(
+            self._cookie(request), f'{end}.{self._prove(end).decode()}', max_age=SESSION_S,
+            path='/', httponly=True, samesite='Strict', secure=self._secure)
+
+    @web.middleware
+    async def middleware(self, request: web.Request, handler: Handler) -> web.StreamResponse:
+        """Turn away who may not look, before anything else happens."""
+        self._check_host(request)
+        if request.path not in OPEN_TO_ALL and not self.has_session(request):
+            if request.path == '/':
+                raise web.HTTPSeeOther('/login')
+            raise web.HTTPUnauthorized(text='log in first')
+        return await handler(request)
+
+    def check_origin(self, request: web.Request) -> None:
+        """Raise 403 unless the request comes from a page of this server."""
+        origin = request.headers.get('Origin', '')
+        if not origin or _authority(origin) != _authority(f'{request.scheme}://{request.host}'):
+            raise web.HTTPForbidden(text='this request comes from another site')
+
+    def _check_host(self, request: web.Request) -> None:
+        """
+        Without a token, serve only who asks for this machine by a name of its own.
+
+        A foreign web page could otherwise point a name of its own to 127.0.0.1 and read along.
+        """
+        authority = _authority(f'{request.scheme}://{request.host}')
+        if authority is None or (not self._token and authority[0] not in self._hosts):
+            raise web.HTTPMisdirectedRequest(text='unknown host name')
+
+    def _cookie(self, request: web.Request) -> str:
+        # Cookies do not know ports: two viewers on one machine would log each other out.
+        authority = _authority(f'{request.scheme}://{request.host}')
+        return f'neo_viewer_{authority[1] if authority else 0}'
+
+    def _prove(self, end: str) -> bytes:
+        return hmac.new(self._key, end.encode(), 'sha256').hexdigest().encode()
+
+
+async def add_headers(request: web.Request, response: web.StreamResponse) -> None:
+    """Put the safety headers on every answer."""
+    response.headers.update(HEADERS)
+
+
+def _authority(url: str) -> tuple[str, int] | None:
+    """Return host and port of a URL, None for none."""
+    try:
+        parsed = URL(url)
+        return (parsed.host, parsed.port) if parsed.host and parsed.port else None
+    except ValueError:
+        return None

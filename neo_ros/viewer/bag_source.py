@@ -1,0 +1,131 @@
+"""Pictures from a bag, with the timing that it was recorded with, over and over."""
+from dataclasses import replace
+from pathlib import Path
+import threading
+import time
+from typing import Any
+
+from neo_ros.bags import BagReader, BagTopic
+from neo_ros.bags.camera_topics import COMPRESSED, find_camera, IMAGE
+from neo_ros.errors import BagError, ConfigError, ImageRejected
+from neo_ros.messages import FrameProcessor
+from neo_ros.runtime import FovExtrapolator
+from neo_ros.viewer.hub import Hub
+from neo_ros.viewer.pictures import SourcePicture, SourceState
+from neo_ros.viewer.wide_topics import (
+    read_diagnosis, read_grey, read_picture, seen_share, stamp_ns, WideTopics)
+
+WIDE = '/wide/image'
+# A picture that would come later than this after its time is left out for a newer one.
+LATE_S = 0.2
+# A camera that is now and then unlike the trained scene must not flip the sign every moment.
+UNLIKE_ABOVE, LIKE_BELOW, UNLIKE_WEIGHT = 0.5, 0.35, 0.1
+NS_PER_S = 1e9
+
+
+class BagSource:
+    """
+    Shows the wide pictures of a bag, or those that a model makes of its camera.
+
+    A bag with a topic .../wide/image, as `neo replay` and `neo record` write it, is shown as it
+    is; else the camera (`topic`, or the only one) is widened with the model of `model`. Raises
+    BagError for bags and topics that cannot be used, ModelError for the model.
+    """
+
+    def __init__(self, bag: Path, topic: str | None, model: Path, rate: float = 1.0) -> None:
+        if not rate > 0:
+            raise ConfigError(f'rate: expected a number > 0, got {rate}')
+        self._bag, self._rate = bag, rate
+        self._processor: FrameProcessor | None = None
+        with BagReader(bag) as reader:
+            wide = _find_wide(reader, topic)
+            if wide is not None:
+                self._image, self._info_topic = wide, ''
+                self._topics = WideTopics(wide.name)
+            else:
+                extrapolator = FovExtrapolator.load(model)
+                self._processor = FrameProcessor(extrapolator)
+                camera = find_camera(reader, extrapolator.expansion.source, topic)
+                self._image = camera.image
+                self._topics = WideTopics(f'{camera.wide}/image')
+                self._info_topic = camera.info.name if camera.info is not None else ''
+        self._read = {self._image.name, self._info_topic, '/diagnostics'}
+        if self._processor is None:
+            self._read |= {self._topics.mask, self._topics.confidence}
+        self._state = SourceState(f'{bag.name} {self._image.name}')
+
+    def run(self, hub: Hub, stop: threading.Event) -> None:
+        """Play the bag again and again until `stop` is set."""
+        while not stop.is_set():
+            # Pictures of the last round say nothing of those of the first.
+            self._camera_info: Any = None
+            self._confidence: Any = None
+            self._unlike = 0.0
+            self._seen: tuple[float, float, float, float] | None = None
+            hub.report(self._state)
+            if not self._play(hub, stop):
+                raise BagError(f'{self._bag}: no picture of {self._image.name} can be read')
+
+    def _play(self, hub: Hub, stop: threading.Event) -> bool:
+        """Play the bag once; return whether there was a picture in it."""
+        started, first_ns, pictures = time.monotonic(), None, 0
+        with BagReader(self._bag) as reader:
+            for message in reader.messages(self._read):
+                first_ns = message.stamp_ns if first_ns is None else first_ns
+                due = started + (message.stamp_ns - first_ns) / NS_PER_S / self._rate
+                if stop.wait(max(due - time.monotonic(), 0)):
+                    return True
+                pictures += message.topic.name == self._image.name
+                if not hub.wanted.image or time.monotonic() - due > LATE_S:
+                    continue
+                try:
+                    self._take(message.topic.name, message.read(), due, hub)
+                    hub.report(self._state)
+                except (ImageRejected, BagError) as error:
+                    hub.report(replace(self._state, level=1, message=str(error)))
+        return pictures > 0
+
+    def _take(self, name: str, content: Any, due: float, hub: Hub) -> None:
+        if name == '/diagnostics':
+            self._state = replace(self._state, **read_diagnosis(
+                content.status, self._topics.camera))
+        elif name == self._info_topic:
+            self._camera_info = content
+        elif name == self._topics.mask:
+            self._seen = self._seen or seen_share(read_grey(content))
+        elif name == self._topics.confidence:
+            self._confidence = content
+        elif self._processor is None:
+            self._show_recorded(content, due, hub)
+        else:
+            self._widen(self._processor, content, due, hub)
+
+    def _show_recorded(self, content: Any, due: float, hub: Hub) -> None:
+        confidence = None
+        # The node and the replay write the confidence before the image of the same stamp.
+        if (hub.wanted.confidence and self._confidence is not None
+                and stamp_ns(self._confidence) == stamp_ns(content)):
+            confidence = read_grey(self._confidence)
+        hub.publish(SourcePicture(read_picture(content), due, True, confidence, self._seen))
+
+    def _widen(self, processor: FrameProcessor, content: Any, due: float, hub: Hub) -> None:
+        frame = processor.process(content, self._camera_info)
+        assert frame.image is not None
+        if frame.out_of_scene is not None:
+            self._unlike += UNLIKE_WEIGHT * (frame.out_of_scene - self._unlike)
+            limit = LIKE_BELOW if self._state.out_of_scene else UNLIKE_ABOVE
+            self._state = replace(self._state, out_of_scene=self._unlike > limit)
+        self._seen = self._seen or seen_share(frame.extrapolated_mask)
+        hub.publish(SourcePicture(frame.image, due, True, frame.confidence, self._seen))
+
+
+def _find_wide(reader: BagReader, name: str | None) -> BagTopic | None:
+    """Return the wide images of this name, or the only ones; None where there are none."""
+    wide = [topic for topic in reader.topics if topic.msgtype in (IMAGE, COMPRESSED)
+            and topic.name.removesuffix('/compressed').endswith(WIDE) and topic.count
+            and name in (None, topic.name)]
+    raw = [topic for topic in wide if topic.msgtype == IMAGE]
+    if len(raw or wide) > 1:
+        raise BagError(f'{reader.path}: expected one topic *{WIDE}, the bag has '
+                       f'{", ".join(topic.name for topic in wide)}; name one with --topic')
+    return (raw or wide)[0] if wide else None

@@ -1,0 +1,135 @@
+// The connection to the server: pictures in, confirmations out, and the server's clock.
+const RETRY_MS = [250, 500, 1000, 2000, 5000];
+const PING_MS = 2000;
+// The server tells its state twice a second: silence means that the link is dead.
+const SILENCE_MS = 3000;
+const FULL = 4001;
+
+export class Link {
+  // `events`: onOpen(), onClosed(full), onHello(hello), onStatus(status), onPicture(picture).
+  constructor(events) {
+    this.events = events;
+    this.asked = { confidence: false, paused: document.hidden };
+    this.attempt = 0;
+    this.offset = null;
+    this.roundTrip = Infinity;
+    document.addEventListener('visibilitychange', () => this.ask({ paused: document.hidden }));
+    window.addEventListener('online', () => this.retryNow());
+    setInterval(() => this.watch(), 500);
+    setInterval(() => this.send({ ping: performance.now() }), PING_MS);
+    this.connect();
+  }
+
+  // The server's clock in ms; only differences to what the server sends mean anything.
+  now() {
+    return performance.now() + (this.offset ?? 0);
+  }
+
+  // Ask for other things than before: { confidence: bool } or { paused: bool }.
+  ask(wanted) {
+    Object.assign(this.asked, wanted);
+    this.send(this.asked);
+  }
+
+  connect() {
+    clearTimeout(this.retry);
+    const scheme = location.protocol === 'https:' ? 'wss' : 'ws';
+    const socket = new WebSocket(`${scheme}://${location.host}/stream`);
+    socket.binaryType = 'arraybuffer';
+    this.socket = socket;
+    this.heard = performance.now();
+    socket.onmessage = (event) => {
+      this.heard = performance.now();
+      if (typeof event.data === 'string') this.hear(JSON.parse(event.data));
+      else this.receive(event.data);
+    };
+    socket.onclose = (event) => {
+      if (this.socket === socket) this.lost(event.code === FULL);
+    };
+  }
+
+  hear(message) {
+    if (message.type === 'hello') {
+      this.attempt = 0;
+      this.roundTrip = Infinity;
+      this.offset = message.now - performance.now();
+      this.events.onOpen();
+      this.events.onHello(message);
+      this.send(this.asked);
+      this.send({ ping: performance.now() });
+    } else if (message.type === 'pong') {
+      this.setClock(message);
+    } else {
+      this.events.onStatus(message);
+    }
+  }
+
+  // The answer that took the shortest way tells the server's clock best; clocks drift, so that
+  // an old best answer slowly loses its worth.
+  setClock({ ping, now }) {
+    const roundTrip = performance.now() - ping;
+    this.roundTrip *= 1.1;
+    if (roundTrip > this.roundTrip) return;
+    this.roundTrip = roundTrip;
+    this.offset = now + roundTrip / 2 - performance.now();
+  }
+
+  async receive(buffer) {
+    const view = new DataView(buffer);
+    const [metaLength, imageLength] = [view.getUint32(0, true), view.getUint32(4, true)];
+    const imageStart = 8 + metaLength;
+    const meta = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 8, metaLength)));
+    const image = new Blob([new Uint8Array(buffer, imageStart, imageLength)]);
+    const confidence = buffer.byteLength > imageStart + imageLength
+      ? new Blob([new Uint8Array(buffer, imageStart + imageLength)]) : null;
+    try {
+      const [bitmap, sureness] = await Promise.all([
+        createImageBitmap(image), confidence && createImageBitmap(confidence)]);
+      this.events.onPicture({ ...meta, bitmap, sureness });
+    } catch {
+      // A picture that the browser cannot decode; without its confirmation no other would come.
+    }
+    this.send({ shown: meta.seq });
+  }
+
+  send(message) {
+    if (this.socket.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(message));
+  }
+
+  watch() {
+    const busy = this.socket.readyState <= WebSocket.OPEN;
+    if (busy && !document.hidden && performance.now() - this.heard > SILENCE_MS) {
+      const dead = this.socket;
+      this.lost(false);
+      dead.close();
+    }
+  }
+
+  lost(full) {
+    this.socket.onclose = this.socket.onmessage = null;
+    this.events.onClosed(full);
+    const wait = full ? RETRY_MS.at(-1) : RETRY_MS[Math.min(this.attempt, RETRY_MS.length - 1)];
+    this.attempt += 1;
+    this.retry = setTimeout(() => this.checkSession(), wait);
+  }
+
+  retryNow() {
+    if (this.socket.readyState > WebSocket.OPEN) this.checkSession();
+  }
+
+  // A WebSocket does not tell why it is refused; a request for the page does.
+  async checkSession() {
+    clearTimeout(this.retry);
+    try {
+      const answer = await fetch('/viewer.js', { method: 'HEAD', redirect: 'manual' });
+      if (answer.status === 401) {
+        location.assign('/login');
+        return;
+      }
+    } catch {
+      this.lost(false);
+      return;
+    }
+    this.connect();
+  }
+}

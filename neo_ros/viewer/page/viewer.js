@@ -1,0 +1,244 @@
+// The page: shows the pictures, and says plainly how much they can be trusted.
+import { Link } from './link.js';
+import { paint, snapshot, tintOf } from './picture.js';
+
+const RATE_WINDOW_MS = 2000;
+const TICK_MS = 100;
+const READINGS_EVERY_MS = 500;
+// A state that lasts shorter is not worth a screen reader's interruption.
+const ANNOUNCE_AFTER_MS = 1500;
+const EXPLANATIONS = {
+  outline: 'Inside the line: what the camera sees. Outside: what the model remembers of the room.',
+  dim: 'Bright: what the camera sees. Dark: what the model remembers of the room.',
+  confidence: 'Outside the line the model fills in; the stronger the colour, the less sure it is.',
+  camera: 'Only what the camera sees; what the model fills in is hidden.',
+};
+const UNKNOWN_FRAME = 'The camera\'s frame is not known yet: any part of the picture may be made up.';
+
+const find = (id) => document.getElementById(id);
+const stage = find('stage');
+const canvas = find('picture');
+const context = canvas.getContext('2d', { alpha: false });
+const state = {
+  picture: null, newest: 0, status: {}, connected: false, full: false, staleMs: 800,
+  way: 'outline', shown: [], latencies: [], nextReadings: 0, pending: '', since: 0, announced: '',
+};
+
+const link = new Link({
+  onOpen() { state.connected = true; state.full = false; },
+  onClosed(full) { state.connected = false; state.full = full; tick(); },
+  onHello(hello) { state.staleMs = hello.stale_ms; state.newest = 0; },
+  onStatus(status) { state.status = status; showStatus(); },
+  onPicture(picture) { showPicture(picture); },
+});
+
+function showPicture(picture) {
+  if (picture.seq < state.newest) return;  // Decoding may overtake.
+  state.newest = picture.seq;
+  state.picture?.bitmap.close();
+  state.picture = picture;
+  picture.tint = picture.sureness && tintOf(picture.sureness);
+  draw();
+  const now = performance.now();
+  state.shown.push(now);
+  state.latencies.push(link.now() - picture.captured);
+  if (state.latencies.length > 20) state.latencies.shift();
+  tick();
+}
+
+function draw() {
+  const { picture } = state;
+  if (!picture) return;
+  const { width, height } = picture.bitmap;
+  stage.style.setProperty('--ratio', `${width} / ${height}`);
+  // As many pixels as the screen shows, so that the lines are crisp.
+  const box = canvas.getBoundingClientRect();
+  const fit = Math.min(box.width / width, box.height / height) || 1;
+  const zoom = Math.max(1, fit * devicePixelRatio);
+  const [w, h] = [Math.round(width * zoom), Math.round(height * zoom)];
+  if (canvas.width !== w || canvas.height !== h) [canvas.width, canvas.height] = [w, h];
+  paint(context, picture, state.way, zoom / fit, state.status.out_of_scene);
+}
+
+// What the page says about the stream: a short title, and a sentence.
+function judge() {
+  const age = state.picture ? link.now() - state.picture.captured : null;
+  const old = age === null ? '' : ` This picture is ${seconds(age)} old.`;
+  if (!state.connected) {
+    return state.full
+      ? { name: 'full', title: 'No place left', text: 'As many viewers as allowed are watching.' }
+      : { name: 'lost', title: 'Disconnected', text: `Trying to reach the viewer.${old}` };
+  }
+  if (age !== null && age <= state.staleMs) return { name: 'live', title: 'Live', text: '' };
+  if (state.status.waiting) {
+    return { name: 'waiting', title: 'No pictures', text: `${state.status.waiting}.${old}` };
+  }
+  if (age === null) return { name: 'waiting', title: 'No pictures', text: 'None has come yet.' };
+  return { name: 'stale', title: 'Stale', text: old };
+}
+
+function tick() {
+  const verdict = judge();
+  const bad = verdict.name !== 'live';
+  stage.classList.toggle('old', bad);
+  set(find('stale-sign'), 'hidden', !bad);
+  write('stale-title', state.picture && verdict.name !== 'stale' ? `Stale · ${verdict.title}`
+    : verdict.title);
+  write('stale-text', verdict.text);
+  write('connection', verdict.title);
+  find('connection').dataset.state = verdict.name;
+  document.title = bad ? `${verdict.title} · Wide view` : 'Wide view';
+  showReadings(verdict);
+  announce(verdict);
+}
+
+function showReadings(verdict) {
+  const now = performance.now();
+  const age = state.picture ? link.now() - state.picture.captured : null;
+  if (now < state.nextReadings && verdict.name === 'live') return;
+  state.nextReadings = now + READINGS_EVERY_MS;
+  state.shown = state.shown.filter((time) => time > now - RATE_WINDOW_MS);
+  write('age', age === null ? '–' : seconds(Math.max(age, 0)));
+  const rate = state.shown.length / (RATE_WINDOW_MS / 1000);
+  const offered = state.status.rate ?? 0;
+  write('rate', offered > 1.25 * rate + 1 ? `${rate.toFixed(1)} of ${offered.toFixed(1)} /s`
+    : `${rate.toFixed(1)} /s`);
+  const sorted = [...state.latencies].sort((a, b) => a - b);
+  const median = sorted[sorted.length >> 1];
+  write('latency', median === undefined ? '–'
+    : `${Math.max(median, 0).toFixed(0)} ms${state.picture?.timed ? '' : ' (link)'}`);
+}
+
+function showStatus() {
+  const { status } = state;
+  write('source', status.name);
+  write('viewers', String(status.viewers));
+  write('node-latency', status.node_ms === null ? '–' : `${status.node_ms.toFixed(0)} ms`);
+  if (state.picture) {
+    write('size', `${state.picture.bitmap.width} × ${state.picture.bitmap.height}`);
+  }
+  set(find('scene-sign'), 'hidden', !status.out_of_scene);
+  stage.classList.toggle('alarm', status.out_of_scene);
+  const notice = find('notice');
+  set(notice, 'hidden', status.level === 0);
+  notice.dataset.level = status.level;
+  write('notice', status.level === 0 ? ''
+    : `${status.level === 1 ? 'Warning' : 'Error'} of the node: ${status.message}`);
+  explain();
+  tick();
+}
+
+function explain() {
+  const known = state.picture === null || state.picture.seen !== null;
+  write('explanation', known ? EXPLANATIONS[state.way] : UNKNOWN_FRAME);
+  set(find('scale'), 'hidden', state.way !== 'confidence');
+}
+
+// Tell a screen reader what changed, once it has lasted, and never the numbers.
+function announce(verdict) {
+  const scene = state.status.out_of_scene ? ' Not in the trained scene.' : '';
+  const words = `${verdict.title}.${verdict.name === 'waiting' ? ` ${state.status.waiting}.` : ''}${scene}`;
+  const now = performance.now();
+  if (words !== state.pending) [state.pending, state.since] = [words, now];
+  if (words !== state.announced && now - state.since > ANNOUNCE_AFTER_MS) {
+    state.announced = words;
+    write('announcer', words);
+  }
+}
+
+function readAloud() {
+  const verdict = judge();
+  const scene = state.status.out_of_scene ? 'Not in the trained scene. ' : '';
+  const words = `${verdict.title}. ${verdict.text} ${scene}Rate ${find('rate').textContent}, `
+    + `latency ${find('latency').textContent}. ${EXPLANATIONS[state.way]}`;
+  find('announcer').textContent = '';
+  setTimeout(() => { find('announcer').textContent = words; }, 50);
+}
+
+function choose(way) {
+  state.way = way;
+  document.querySelector(`input[name=way][value=${way}]`).checked = true;
+  remember('way', way);
+  link.ask({ confidence: way === 'confidence' });
+  explain();
+  draw();
+}
+
+async function saveSnapshot() {
+  const { picture } = state;
+  if (!picture) return;
+  const taken = new Date(Date.now() - (link.now() - picture.captured));
+  const verdict = judge();
+  const lines = [
+    `${state.status.name ?? ''}  ${taken.toLocaleString()}`
+      + (verdict.name === 'live' ? '' : `  (${verdict.title})`),
+    EXPLANATIONS[state.way] + (state.status.out_of_scene ? ' NOT IN THE TRAINED SCENE.' : ''),
+  ];
+  const url = URL.createObjectURL(await snapshot(picture, state.way, lines,
+    state.status.out_of_scene));
+  const anchor = document.createElement('a');
+  anchor.href = url;
+  anchor.download = `wide_${taken.toISOString().replace(/[:.]/g, '-')}.png`;
+  anchor.click();
+  setTimeout(() => URL.revokeObjectURL(url), 10000);
+  write('announcer', 'Snapshot saved.');
+}
+
+function toggleFullScreen() {
+  if (document.fullscreenElement) document.exitFullscreen();
+  else stage.requestFullscreen();
+}
+
+function write(id, text) {
+  const element = find(id);
+  if (element.textContent !== (text ?? '')) element.textContent = text ?? '';
+}
+
+function set(element, property, value) {
+  if (element[property] !== value) element[property] = value;
+}
+
+function seconds(ms) {
+  return `${(ms / 1000).toFixed(1)} s`;
+}
+
+function remember(name, value) {
+  try { localStorage.setItem(`viewer ${name}`, value); } catch { /* private window */ }
+}
+
+function recall(name) {
+  try { return localStorage.getItem(`viewer ${name}`); } catch { return null; }
+}
+
+const KEYS = {
+  1: () => choose('outline'), 2: () => choose('dim'), 3: () => choose('confidence'),
+  4: () => choose('camera'), s: saveSnapshot, f: toggleFullScreen, r: readAloud,
+  '?': () => find('keys').showModal(),
+};
+
+document.addEventListener('keydown', (event) => {
+  if (event.ctrlKey || event.altKey || event.metaKey || event.repeat || find('keys').open
+      || (!find('keys-on').checked && event.key !== '?')) return;
+  const action = KEYS[event.key.toLowerCase()];
+  if (action) {
+    event.preventDefault();
+    action();
+  }
+});
+for (const input of document.querySelectorAll('input[name=way]')) {
+  input.addEventListener('change', () => choose(input.value));
+}
+find('snapshot').addEventListener('click', saveSnapshot);
+find('help').addEventListener('click', () => find('keys').showModal());
+find('keys-on').addEventListener('change', () => remember('keys', find('keys-on').checked));
+find('full-screen').addEventListener('click', toggleFullScreen);
+find('full-screen').hidden = !stage.requestFullscreen;
+document.addEventListener('fullscreenchange', () => {
+  find('full-screen').setAttribute('aria-pressed', String(Boolean(document.fullscreenElement)));
+  draw();
+});
+new ResizeObserver(draw).observe(stage);
+
+find('keys-on').checked = recall('keys') !== 'false';
+choose(recall('way') in EXPLANATIONS ? recall('way') : 'outline');
+setInterval(tick, TICK_MS);

@@ -1,0 +1,105 @@
+"""One viewer's connection: the newest picture only, at the speed that this viewer can take."""
+import asyncio
+from collections.abc import Callable
+import json
+import time
+from typing import Any
+
+from aiohttp import web, WSMsgType
+from neo_ros.viewer.pictures import EncodedPicture
+
+# Two pictures may be on their way unconfirmed: with one, every picture would cost a round trip
+# of waiting; with more, a slow link would hold old pictures in its buffers.
+MAX_ON_THE_WAY = 2
+
+
+class ViewerLink:
+    """
+    Sends pictures to one viewer; holds one at most.
+
+    A picture that waits is replaced by a newer one: a slow viewer gets fewer pictures, never
+    older ones. `on_change` is called when the viewer asks for other things than before.
+    """
+
+    def __init__(self, socket: web.WebSocketResponse, max_mbit: float,
+                 on_change: Callable[[], None]) -> None:
+        self.confidence = False
+        self.paused = False
+        self.sent = 0
+        self._socket = socket
+        self._bytes_per_s = max_mbit * 1e6 / 8
+        self._on_change = on_change
+        self._picture: EncodedPicture | None = None
+        self._status: str | None = None
+        self._on_the_way: set[int] = set()
+        self._free_at = 0.0
+        self._work = asyncio.Event()
+
+    def offer(self, picture: EncodedPicture) -> None:
+        """Leave a picture for this viewer; one that still waits is dropped for it."""
+        self._picture = picture
+        self._work.set()
+
+    def tell(self, status: str) -> None:
+        """Leave a status, JSON text; one that still waits is dropped for it."""
+        self._status = status
+        self._work.set()
+
+    async def serve(self) -> None:
+        """Send and listen until the connection ends."""
+        sender = asyncio.create_task(self._send())
+        try:
+            await self._listen()
+        finally:
+            sender.cancel()
+            await asyncio.gather(sender, return_exceptions=True)
+
+    async def _send(self) -> None:
+        while True:
+            await self._work.wait()
+            self._work.clear()
+            if self._status is not None:
+                status, self._status = self._status, None
+                await self._socket.send_str(status)
+            if self._picture is None or self.paused:
+                continue
+            if len(self._on_the_way) >= MAX_ON_THE_WAY:
+                continue  # The next confirmation sets the event again.
+            wait = self._free_at - time.monotonic()
+            if wait > 0:
+                asyncio.get_running_loop().call_later(wait, self._work.set)
+                continue
+            picture, self._picture = self._picture, None
+            message = picture.message(self.confidence)
+            if self._bytes_per_s:
+                self._free_at = time.monotonic() + len(message) / self._bytes_per_s
+            self._on_the_way.add(picture.seq)
+            self.sent += 1
+            await self._socket.send_bytes(message)
+
+    async def _listen(self) -> None:
+        async for message in self._socket:
+            if message.type is not WSMsgType.TEXT:
+                await self._socket.close(code=1003, message=b'expected text')
+                return
+            try:
+                asked = json.loads(message.data)
+                if not isinstance(asked, dict):
+                    raise TypeError('expected an object')
+                await self._answer(asked)
+            except (ValueError, TypeError, OverflowError):
+                await self._socket.close(code=1007, message=b'not understood')
+                return
+
+    async def _answer(self, asked: dict[str, Any]) -> None:
+        if 'ping' in asked:
+            await self._socket.send_json({
+                'type': 'pong', 'ping': float(asked['ping']), 'now': 1e3 * time.monotonic()})
+        if 'shown' in asked:
+            self._on_the_way.discard(int(asked['shown']))
+            self._work.set()
+        if 'confidence' in asked or 'paused' in asked:
+            self.confidence = bool(asked.get('confidence', self.confidence))
+            self.paused = bool(asked.get('paused', self.paused))
+            self._on_change()
+            self._work.set()

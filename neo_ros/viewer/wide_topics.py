@@ -1,0 +1,103 @@
+"""Topics around a wide image, and what their messages tell a viewer; duck-typed."""
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from neo_ros.errors import ImageRejected
+from neo_ros.messages import compressed_image_size, read_image
+import numpy as np
+
+# Larger compressed pictures are refused instead of being passed on.
+MAX_COMPRESSED_BYTES = 16 * 1024 * 1024
+IN_SCENE, LATENCY = 'in the trained scene', 'latency total median/p95/max [ms]'
+
+
+@dataclass(frozen=True)
+class WideTopics:
+    """A wide image, raw or compressed, and what the node publishes beside it."""
+
+    image: str
+
+    @property
+    def confidence(self) -> str:
+        """How sure the model is."""
+        return f'{self._wide}/confidence'
+
+    @property
+    def mask(self) -> str:
+        """Which pixels the model made up."""
+        return f'{self._wide}/mask'
+
+    @property
+    def camera(self) -> str:
+        """The camera's namespace, where the node is."""
+        return self._wide.rpartition('/')[0]
+
+    @property
+    def _wide(self) -> str:
+        return self.image.removesuffix('/compressed').rpartition('/')[0]
+
+
+def read_picture(message: Any) -> np.ndarray | bytes:
+    """
+    Return RGB uint8 (H, W, 3) of an Image; of a CompressedImage its bytes as they are.
+
+    Raises ImageRejected for what cannot be shown.
+    """
+    if hasattr(message, 'encoding'):
+        return read_image(message)
+    data = bytes(message.data)
+    compressed_image_size(data)
+    if len(data) > MAX_COMPRESSED_BYTES:
+        raise ImageRejected('size', f'data: expected at most {MAX_COMPRESSED_BYTES} bytes, got '
+                            f'{len(data)}')
+    return data
+
+
+def read_grey(message: Any) -> np.ndarray:
+    """Return uint8 (H, W) of a mono8 Image; raises ImageRejected."""
+    return np.ascontiguousarray(read_image(message)[..., 0])
+
+
+def seen_share(mask: np.ndarray) -> tuple[float, float, float, float] | None:
+    """
+    Return the camera's frame of an extrapolated mask, uint8 (H, W), 0 = seen by the camera.
+
+    (left, top, width, height) in shares of the picture; None where no pixel was seen.
+    """
+    rows, columns = np.flatnonzero((mask == 0).any(1)), np.flatnonzero((mask == 0).any(0))
+    if not rows.size:
+        return None
+    height, width = mask.shape
+    return (float(columns[0] / width), float(rows[0] / height),
+            float((columns[-1] + 1 - columns[0]) / width),
+            float((rows[-1] + 1 - rows[0]) / height))
+
+
+def stamp_ns(message: Any) -> int:
+    """Return the stamp of a message's header, nanoseconds."""
+    stamp = message.header.stamp
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
+def read_diagnosis(statuses: Sequence[Any], camera: str) -> Mapping[str, Any]:
+    """
+    Return what a DiagnosticArray's `status` says of the node in a namespace.
+
+    The fields `level`, `message`, `out_of_scene` and `node_ms` of a SourceState; empty where no
+    status is of a fov_extrapolator.
+    """
+    ours = [status for status in statuses if status.name.endswith('fov_extrapolator')]
+    near = [status for status in ours if status.name == f'{camera}/fov_extrapolator']
+    if not ours:
+        return {}
+    status = (near or ours)[0]
+    values = {entry.key: entry.value for entry in status.values}
+    # rclpy gives a byte as bytes, rosbags as int.
+    level = status.level if isinstance(status.level, int) else int.from_bytes(status.level)
+    try:
+        node_ms = float(values[LATENCY].split('/')[0])
+    except (KeyError, ValueError):
+        node_ms = None
+    return {'level': level, 'message': status.message, 'node_ms': node_ms,
+            'out_of_scene': values.get(IN_SCENE) == 'false'}

@@ -1,0 +1,146 @@
+"""A bag as the viewer's source: as it is, or widened on the way; without any ROS."""
+import math
+from pathlib import Path
+import subprocess
+import sys
+import threading
+import time
+from typing import Any
+
+from bag_files import walk_frames, write_walk_bag
+from neo_ros.bags import BagReader, replay
+from neo_ros.errors import BagError, ConfigError
+from neo_ros.geometry import Intrinsics, ViewExpansion
+from neo_ros.messages import read_image
+from neo_ros.runtime import FovExtrapolator
+from neo_ros.viewer.bag_source import BagSource
+from neo_ros.viewer.hub import Wanted
+import numpy as np
+import pytest
+from tiny_model import write_tiny_model
+
+EXPANSION = ViewExpansion.to_size(Intrinsics.from_hfov(32, 24, math.pi / 2), 64, 48)
+FRAMES = 6
+SEEN = (0.25, 0.25, 0.5, 0.5)
+
+
+@pytest.fixture(scope='module')
+def model(tmp_path_factory) -> Path:
+    return write_tiny_model(tmp_path_factory.mktemp('model') / 'm.onnx', EXPANSION)
+
+
+@pytest.fixture(scope='module')
+def walk_bag(tmp_path_factory) -> Path:
+    return write_walk_bag(tmp_path_factory.mktemp('bag') / 'walk', EXPANSION, FRAMES)
+
+
+@pytest.fixture(scope='module')
+def wide_bag(walk_bag, model, tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp('bag') / 'wide'
+    replay(walk_bag, FovExtrapolator.load(model), path)
+    return path
+
+
+class Collector:
+    """Stands for the hub: keeps what it gets, and ends the source after some pictures."""
+
+    def __init__(self, count: int, confidence: bool = True) -> None:
+        self.wanted = Wanted(True, confidence)
+        self.pictures: list = []
+        self.times: list[float] = []
+        self.states: list = []
+        self.stop = threading.Event()
+        self._count = count
+
+    def publish(self, picture) -> None:
+        self.pictures.append(picture)
+        self.times.append(time.monotonic())
+        if len(self.pictures) >= self._count:
+            self.stop.set()
+
+    def report(self, state) -> None:
+        self.states.append(state)
+
+
+def collect(source: BagSource, count: int, confidence: bool = True) -> Collector:
+    hub: Any = Collector(count, confidence)
+    source.run(hub, hub.stop)
+    return hub
+
+
+def test_a_replayed_bag_is_shown_as_it_is(wide_bag, model):
+    hub = collect(BagSource(wide_bag, None, Path('no model is needed')), FRAMES)
+    with BagReader(wide_bag) as reader:
+        for name, attribute in (('image', 'image'), ('confidence', 'confidence')):
+            recorded = [read_image(message.read()) for message in
+                        reader.messages([f'/camera/wide/{name}'])]
+            for picture, image in zip(hub.pictures, recorded, strict=True):
+                shown = getattr(picture, attribute)
+                assert np.array_equal(shown, image if name == 'image' else image[..., 0])
+    assert {picture.seen for picture in hub.pictures} == {SEEN}
+    assert hub.states[0].name == 'wide /camera/wide/image'
+
+
+def test_a_camera_is_widened_as_the_replay_does(walk_bag, wide_bag, model):
+    widened = collect(BagSource(walk_bag, None, model), FRAMES)
+    recorded = collect(BagSource(wide_bag, None, model), FRAMES)
+    for one, other in zip(widened.pictures, recorded.pictures, strict=True):
+        assert np.array_equal(one.image, other.image) and one.seen == other.seen == SEEN
+        assert np.array_equal(one.confidence, other.confidence)
+    for picture, (_, truth, _) in zip(widened.pictures, walk_frames(EXPANSION, FRAMES)):
+        assert np.array_equal(EXPANSION.crop(picture.image), EXPANSION.crop(truth))
+
+
+def test_timing_and_rounds(wide_bag, model):
+    hub = collect(BagSource(wide_bag, None, model, rate=2.0), 2 * FRAMES, confidence=False)
+    gaps = np.diff(hub.times)
+    # 10 Hz twice as fast; the next round begins at once.
+    assert 0.03 < np.median(gaps) < 0.07 and len(hub.pictures) == 2 * FRAMES
+    assert all(picture.confidence is None and picture.timed for picture in hub.pictures)
+    assert all(0 <= shown - picture.captured < 0.3
+               for shown, picture in zip(hub.times, hub.pictures))
+
+
+def test_nothing_is_widened_while_nobody_watches(walk_bag, model, monkeypatch):
+    source = BagSource(walk_bag, None, model, rate=20.0)
+    monkeypatch.setattr(FovExtrapolator, 'expand', lambda *_: pytest.fail('was widened'))
+    hub = Collector(1)
+    hub.wanted = Wanted()
+    threading.Timer(0.3, hub.stop.set).start()
+    source.run(hub, hub.stop)
+    assert hub.pictures == []
+
+
+def test_what_cannot_be_shown_is_named(walk_bag, model, tmp_path):
+    with pytest.raises(BagError, match='no such bag'):
+        BagSource(tmp_path / 'missing', None, model)
+    with pytest.raises(BagError, match='/front'):
+        BagSource(walk_bag, '/front', model)
+    with pytest.raises(ConfigError, match='rate'):
+        BagSource(walk_bag, None, model, rate=0)
+
+
+def test_a_bag_is_shown_without_ros():
+    code = ('import sys, neo_ros.viewer.bag_source, neo_ros.viewer.server, neo_ros.cli.view; '
+            'print(*[name for name in ("rclpy", "torch", "sensor_msgs") if name in sys.modules])')
+    root = Path(sys.modules['neo_ros'].__file__).parents[1]
+    result = subprocess.run([sys.executable, '-c', code], cwd=root, text=True,
+                            capture_output=True, check=True)
+    assert result.stdout.split() == []
+
+
+def test_the_command_prints_its_address_and_ends_cleanly(walk_bag, model):
+    root = Path(sys.modules['neo_ros'].__file__).parents[1]
+    process = subprocess.Popen(
+        [sys.executable, '-m', 'neo_ros.cli.main', 'view', '--bag', walk_bag, '--model', model,
+         '--port', '0'], cwd=root, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    assert process.stdout is not None
+    line = process.stdout.readline()
+    assert line.startswith('Viewer: http://127.0.0.1:')
+    port = line.strip().rstrip('/').rpartition(':')[-1]
+    taken = subprocess.run(
+        [sys.executable, '-m', 'neo_ros.cli.main', 'view', '--bag', walk_bag, '--model', model,
+         '--port', port], cwd=root, text=True, capture_output=True, timeout=60)
+    assert taken.returncode == 2 and 'cannot listen on 127.0.0.1' in taken.stderr
+    process.terminate()
+    assert process.wait(10) == 0 and process.stderr.read() == ''

@@ -1,0 +1,211 @@
+"""Many viewers, one encode, and the newest picture for each at its own speed."""
+import asyncio
+import json
+import time
+from types import SimpleNamespace
+
+from hypothesis import given, strategies as st
+from neo_ros.errors import ImageRejected
+from neo_ros.viewer.pictures import encode_jpeg, EncodedPicture, SourcePicture, SourceState
+from neo_ros.viewer.viewer_link import MAX_ON_THE_WAY
+from neo_ros.viewer.wide_topics import (
+    IN_SCENE, LATENCY, MAX_COMPRESSED_BYTES, read_diagnosis, read_picture, seen_share, WideTopics)
+import numpy as np
+import pytest
+from viewer_server import IMAGE, picture, receive_picture, run, running, until, watching
+
+
+async def feed(hub, seconds, rate):
+    """Publish pictures at a rate; return how many."""
+    count, begin = 0, time.monotonic()
+    while time.monotonic() < begin + seconds:
+        hub.publish(picture())
+        count += 1
+        await asyncio.sleep(max(begin + count / rate - time.monotonic(), 0))
+    return count
+
+
+async def collect(socket, into, pause=0.0):
+    """Receive pictures for ever: (seq, age in ms, bytes) each."""
+    while True:
+        meta, image, _ = await receive_picture(socket, confirm=False, timeout=30)
+        into.append((meta['seq'], 1e3 * time.monotonic() - meta['captured'], len(image)))
+        await asyncio.sleep(pause)
+        await socket.send_json({'shown': meta['seq']})
+
+
+def test_twenty_viewers_share_one_encode(monkeypatch):
+    encoded = []
+    encode = EncodedPicture.__init__
+    monkeypatch.setattr(EncodedPicture, '__init__', lambda *arguments: (
+        encoded.append(arguments[1]), encode(*arguments))[1])
+
+    async def test():
+        async with running() as (client, hub):
+            received = [[] for _ in range(20)]
+            async with asyncio.timeout(20):
+                stack = [watching(client) for _ in received]
+                sockets = [await entered.__aenter__() for entered in stack]
+                tasks = [asyncio.create_task(collect(*pair)) for pair in zip(sockets, received)]
+                count = await feed(hub, 1.0, 30)
+                await until(lambda: all(got and got[-1][0] == count for got in received))
+            assert len(encoded) == hub.encoded == count
+            # No viewer misses much, none gets a picture twice or out of order.
+            for got in received:
+                assert len(got) >= 0.8 * count
+                assert [seq for seq, _, _ in got] == sorted({seq for seq, _, _ in got})
+            for task in tasks:
+                task.cancel()
+            for entered in stack:
+                await entered.__aexit__(None, None, None)
+    run(test)
+
+
+def test_a_slow_viewer_gets_fewer_pictures_never_older_ones():
+    async def test():
+        async with running() as (client, hub):
+            async with watching(client) as slow, watching(client) as fast:
+                few, many = [], []
+                tasks = [asyncio.create_task(collect(slow, few, pause=0.2)),
+                         asyncio.create_task(collect(fast, many))]
+                count = await feed(hub, 2.0, 50)
+                await until(lambda: few[-1][0] == many[-1][0] == count)
+                assert len(many) >= 0.8 * count and 6 <= len(few) <= 14
+                # At most what is on the way at once may be older than the newest.
+                assert max(age for _, age, _ in few) < 200 * MAX_ON_THE_WAY + 100
+                assert [seq for seq, _, _ in few] == sorted(seq for seq, _, _ in few)
+                for task in tasks:
+                    task.cancel()
+    run(test)
+
+
+def test_a_viewer_that_confirms_nothing_costs_nothing():
+    async def test():
+        async with running() as (client, hub):
+            async with watching(client) as dead, watching(client) as good:
+                got = []
+                task = asyncio.create_task(collect(good, got))
+                count = await feed(hub, 0.5, 40)
+                await until(lambda: got[-1][0] == count)
+                for seq in (1, 2):
+                    assert (await receive_picture(dead, confirm=False))[0]['seq'] == seq
+                with pytest.raises(TimeoutError):
+                    while True:
+                        await receive_picture(dead, confirm=False, timeout=0.7)
+                task.cancel()
+    run(test)
+
+
+def test_bandwidth_limit_holds():
+    async def test():
+        async with running(max_mbit=0.4) as (client, hub):
+            async with watching(client) as socket:
+                got = []
+                task = asyncio.create_task(collect(socket, got))
+                await feed(hub, 2.0, 60)
+                size = got[0][2]
+                # The first one goes out at once, the others at 50 kB/s.
+                assert 0.6 * 100_000 / size <= len(got) <= 100_000 / size + 2
+                assert max(age for _, age, _ in got[1:]) < 100, 'what is sent is the newest'
+                task.cancel()
+    run(test)
+
+
+def test_nothing_is_encoded_while_nobody_watches():
+    async def test():
+        async with running() as (client, hub):
+            hub.publish(picture())
+            assert hub.encoded == 0 and not hub.wanted.image
+            async with watching(client) as socket:
+                assert hub.wanted == (True, False)
+                await socket.send_json({'paused': True})
+                await until(lambda: not hub.wanted.image)
+                hub.publish(picture())
+                assert hub.encoded == 0
+                await socket.send_json({'paused': False, 'confidence': True})
+                await until(lambda: hub.wanted == (True, True))
+            await until(lambda: hub.wanted == (False, False))
+    run(test)
+
+
+def test_status_and_clock():
+    async def test():
+        async with running() as (client, hub):
+            async with watching(client) as socket:
+                hub.report(SourceState('/wide/image', 'waiting', 2, 'lens covered', True, 12.5))
+                status = await socket.receive_json()
+                assert status == {
+                    'type': 'status', 'name': '/wide/image', 'waiting': 'waiting', 'level': 2,
+                    'message': 'lens covered', 'out_of_scene': True, 'node_ms': 12.5,
+                    'viewers': 1, 'rate': 0.0}
+                before = 1e3 * time.monotonic()
+                await socket.send_json({'ping': 17.5})
+                pong = await socket.receive_json()
+                assert (pong['type'], pong['ping']) == ('pong', 17.5)
+                assert before <= pong['now'] <= 1e3 * time.monotonic()
+    run(test)
+
+
+@given(st.integers(1, 40), st.integers(1, 30), st.data())
+def test_seen_share_is_the_window_of_the_mask(width, height, data):
+    left, top = data.draw(st.integers(0, width - 1)), data.draw(st.integers(0, height - 1))
+    right = data.draw(st.integers(left + 1, width))
+    bottom = data.draw(st.integers(top + 1, height))
+    mask = np.full((height, width), 255, np.uint8)
+    assert seen_share(mask) is None
+    mask[top:bottom, left:right] = 0
+    share = np.multiply(seen_share(mask), [width, height, width, height])
+    assert np.allclose(share, [left, top, right - left, bottom - top])
+
+
+@pytest.mark.parametrize('topic', [
+    '/robot/camera/wide/image', '/robot/camera/wide/image/compressed'])
+def test_topics_beside_the_image(topic):
+    topics = WideTopics(topic)
+    assert (topics.confidence, topics.mask, topics.camera) == (
+        '/robot/camera/wide/confidence', '/robot/camera/wide/mask', '/robot/camera')
+
+
+@pytest.mark.parametrize('data, reason', [
+    (b'GIF89a', 'encoding'), (b'', 'empty'), (b'<svg onload=x>', 'encoding'),
+    (encode_jpeg(IMAGE, 80) + bytes(MAX_COMPRESSED_BYTES), 'size')],
+    ids=['gif', 'nothing', 'svg', 'huge'])
+def test_compressed_pictures_that_are_not_passed_on(data, reason):
+    with pytest.raises(ImageRejected) as rejected:
+        read_picture(SimpleNamespace(data=data, format='jpeg'))
+    assert rejected.value.reason == reason
+
+
+def status(name, level, message, values=()):
+    """Return a DiagnosticStatus as rosbags (int level) or rclpy (bytes) give it."""
+    return SimpleNamespace(name=name, level=level, message=message, values=[
+        SimpleNamespace(key=key, value=value) for key, value in dict(values).items()])
+
+
+def test_compressed_pictures_are_passed_on_as_they_are():
+    jpeg = encode_jpeg(IMAGE, 80)
+    assert read_picture(SimpleNamespace(data=np.frombuffer(jpeg, np.uint8), format='jpeg')) == jpeg
+
+
+def test_diagnosis_of_the_node_beside_the_topic():
+    ours = status('/cam/fov_extrapolator', b'\x01', 'not in the scene',
+                  {IN_SCENE: 'false', LATENCY: '12.5/20/30'})
+    other = status('/rear/fov_extrapolator', 0, 'widening')
+    assert read_diagnosis([other, ours], '/cam') == {
+        'level': 1, 'message': 'not in the scene', 'node_ms': 12.5, 'out_of_scene': True}
+    assert read_diagnosis([other], '/cam') == {
+        'level': 0, 'message': 'widening', 'node_ms': None, 'out_of_scene': False}
+    assert read_diagnosis([status('/lidar', 2, 'off')], '/cam') == {}
+
+
+def test_message_layout():
+    encoded = EncodedPicture(7, SourcePicture(b'JPEG', 1.5, False, np.zeros((600, 300), np.uint8)),
+                             80, with_confidence=True)
+    plain, full = encoded.message(False), encoded.message(True)
+    length = int.from_bytes(plain[:4], 'little')
+    assert int.from_bytes(plain[4:8], 'little') == 4 and plain[8 + length:] == b'JPEG'
+    assert json.loads(plain[8:8 + length]) == {
+        'seq': 7, 'captured': 1500.0, 'timed': False, 'seen': None}
+    assert full.startswith(plain) and full[len(plain):].startswith(b'\xff\xd8\xff')
+    without = EncodedPicture(7, SourcePicture(b'JPEG', 1.5, False), 80, with_confidence=True)
+    assert without.message(True) == without.message(False)

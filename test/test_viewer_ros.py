@@ -1,0 +1,163 @@
+"""The viewer on a real ROS graph: behind the real node, and at a bare topic."""
+from array import array
+import asyncio
+import json
+import struct
+import time
+
+import aiohttp
+from camera_messages import noise_image
+import cv2
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from neo_ros.messages import image_fields
+import numpy as np
+import pytest
+from ros_graph import ros_graph
+from sensor_msgs.msg import CompressedImage, Image
+from tiny_model import TINY_EXPANSION, write_tiny_model
+
+SOURCE, TARGET = TINY_EXPANSION.source, TINY_EXPANSION.target
+PORT_ARGUMENTS = ('--ros-args', '-r', '__ns:=/robot', '-p', 'port:=0')
+
+
+@pytest.fixture
+def graph():
+    with ros_graph() as graph:
+        yield graph
+
+
+class Watcher:
+    """A viewer without a browser, run in turns with the graph."""
+
+    def __init__(self, graph, url):
+        self.graph, self.url = graph, url.rstrip('/')
+        self.pictures, self.status = [], {}
+        self.loop = asyncio.new_event_loop()
+
+    def __enter__(self):
+        self.session = self.loop.run_until_complete(self._open())
+        self.task = self.loop.create_task(self._listen())
+        return self
+
+    def __exit__(self, *_):
+        self.task.cancel()
+        self.loop.run_until_complete(asyncio.gather(self.task, return_exceptions=True))
+        self.loop.run_until_complete(self.session.close())
+        self.loop.close()
+
+    async def _open(self):
+        session = aiohttp.ClientSession()
+        self.socket = await session.ws_connect(
+            f'{self.url}/stream', origin=self.url, max_msg_size=0)
+        return session
+
+    async def _listen(self):
+        async for message in self.socket:
+            if message.type is aiohttp.WSMsgType.TEXT:
+                content = json.loads(message.data)
+                self.status = content if content['type'] == 'status' else self.status
+                continue
+            first, second = struct.unpack_from('<II', message.data)
+            meta = json.loads(message.data[8:8 + first])
+            meta['age_ms'] = 1e3 * time.monotonic() - meta['captured']
+            body = message.data[8 + first:]
+            self.pictures.append((meta, body[:second], body[second:]))
+            await self.socket.send_str(json.dumps({'shown': meta['seq']}))
+
+    def send(self, message):
+        self.loop.run_until_complete(self.socket.send_str(json.dumps(message)))
+
+    def until(self, condition, each=lambda: None, timeout=20.0):
+        """Call `each` at 20 Hz until the condition holds."""
+        deadline = time.monotonic() + timeout
+        while not condition():
+            assert time.monotonic() < deadline, (self.status, len(self.pictures))
+            each()
+            self.graph.spin_for(0.02)
+            self.loop.run_until_complete(asyncio.sleep(0.03))
+
+
+def start_viewer(graph, *arguments):
+    """Start the executable; return the process and its address."""
+    process = graph.start('-m', 'neo_ros.viewer.main', *PORT_ARGUMENTS, *arguments)
+    line = process.stdout.readline()
+    assert line.startswith('Viewer: http://127.0.0.1:'), line
+    return process, line.split()[-1]
+
+
+def stamped(graph, message):
+    message.header.stamp = graph.node.get_clock().now().to_msg()
+    return message
+
+
+def test_behind_the_real_node(graph, tmp_path):
+    model = write_tiny_model(tmp_path / 'tiny.onnx')
+    graph.start('-m', 'neo_ros.node.main', '--ros-args', '-r', '__ns:=/robot',
+                '-p', f'model:={model}')
+    camera = graph.node.create_publisher(Image, '/robot/image', 10)
+    process, url = start_viewer(graph)
+    graph.spin_until(lambda: camera.get_subscription_count())
+    graph.spin_for(0.5)
+    # Nobody watches yet: the node has no reason to widen for the viewer.
+    assert graph.node.count_subscribers('/robot/wide/image') == 0
+
+    fields = image_fields(noise_image(SOURCE, 0))
+    fields['data'] = array('B', fields['data'].tobytes())
+
+    def send():
+        camera.publish(stamped(graph, Image(**fields)))
+
+    with Watcher(graph, url) as watcher:
+        watcher.until(lambda: watcher.pictures and watcher.pictures[-1][0]['seen'], send)
+        meta, image, confidence = watcher.pictures[-1]
+        shares = [TINY_EXPANSION.left / TARGET.width, TINY_EXPANSION.top / TARGET.height,
+                  SOURCE.width / TARGET.width, SOURCE.height / TARGET.height]
+        assert np.allclose(meta['seen'], shares) and meta['timed'] and confidence == b''
+        assert 0 <= meta['age_ms'] < 2000
+        shape = cv2.imdecode(np.frombuffer(image, np.uint8), cv2.IMREAD_COLOR).shape
+        assert shape == (TARGET.height, TARGET.width, 3)
+        watcher.send({'confidence': True})
+        watcher.until(lambda: watcher.pictures[-1][2], send)
+        grey = cv2.imdecode(np.frombuffer(watcher.pictures[-1][2], np.uint8),
+                            cv2.IMREAD_UNCHANGED)
+        assert grey.shape == (TARGET.height, TARGET.width) and abs(int(grey[0, 0]) - 64) < 6
+        watcher.until(lambda: watcher.status['node_ms'] is not None
+                      and watcher.status['rate'] > 1, send)
+        assert watcher.status['name'] == '/robot/wide/image'
+        sequence = [meta['seq'] for meta, _, _ in watcher.pictures]
+        assert sequence == sorted(set(sequence))
+    graph.spin_until(lambda: graph.node.count_subscribers('/robot/wide/image') == 0)
+    started = time.monotonic()
+    process.terminate()
+    assert process.wait(10) == 0 and time.monotonic() - started < 3
+
+
+def test_compressed_pictures_and_warnings_of_the_node(graph):
+    _, url = start_viewer(graph, '-r', 'wide/image:=wide/image/compressed')
+    data = cv2.imencode('.jpg', np.zeros((48, 64, 3), np.uint8))[1].tobytes()
+    diagnosis = DiagnosticArray(status=[DiagnosticStatus(
+        level=DiagnosticStatus.WARN, name='/robot/fov_extrapolator', message='unlike the scene',
+        values=[KeyValue(key='in the trained scene', value='false')])])
+    with Watcher(graph, url) as watcher:
+        watcher.until(lambda: 'publishers: 0' in watcher.status.get('waiting', ''))
+        pictures = graph.node.create_publisher(CompressedImage, '/robot/wide/image/compressed', 1)
+        diagnostics = graph.node.create_publisher(DiagnosticArray, '/diagnostics', 1)
+
+        def send():
+            pictures.publish(CompressedImage(format='rgb8; jpeg compressed bgr8', data=data))
+            diagnostics.publish(diagnosis)
+
+        watcher.until(lambda: watcher.pictures and watcher.status['out_of_scene'], send)
+        meta, image, _ = watcher.pictures[-1]
+        # Passed on as they came; the stamp 0 is of no clock of this machine.
+        assert image == data and meta['timed'] is False and meta['seen'] is None
+        assert (watcher.status['level'], watcher.status['message']) == (1, 'unlike the scene')
+        assert watcher.status['waiting'] == ''
+        watcher.until(lambda: 'cannot show' in watcher.status['waiting'], lambda: (
+            pictures.publish(CompressedImage(format='jpeg', data=b'no picture'))))
+
+
+def test_settings_that_cannot_be(graph):
+    process = graph.start('-m', 'neo_ros.viewer.main', *PORT_ARGUMENTS, '-p', 'quality:=500')
+    assert 'quality: expected 1 to 100, got 500' in process.communicate(timeout=20)[0]
+    assert process.returncode == 1

@@ -1,0 +1,79 @@
+"""The viewer's server in the test's own event loop, and a viewer without a browser."""
+import asyncio
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+import json
+import struct
+import time
+from typing import Any
+
+from aiohttp import ClientWebSocketResponse, WSMsgType
+from aiohttp.test_utils import TestClient, TestServer
+from neo_ros.viewer.hub import Hub
+from neo_ros.viewer.pictures import SourcePicture
+from neo_ros.viewer.server import Server
+from neo_ros.viewer.settings import ViewerSettings
+import numpy as np
+
+IMAGE = np.random.default_rng(0).integers(0, 256, (48, 64, 3), np.uint8)
+CONFIDENCE = np.full((48, 64), 64, np.uint8)
+
+
+def picture(image: np.ndarray | bytes = IMAGE) -> SourcePicture:
+    """Return a picture that was taken now."""
+    return SourcePicture(image, time.monotonic(), True, CONFIDENCE, (0.25, 0.25, 0.5, 0.5))
+
+
+@asynccontextmanager
+async def running(**settings: Any) -> AsyncIterator[tuple[TestClient, Hub]]:
+    """Serve a hub of its own on a free port."""
+    values = ViewerSettings(**settings)
+    hub = Hub(values.quality)
+    async with TestClient(TestServer(Server(values, hub).app)) as client:
+        yield client, hub
+
+
+def origin(client: TestClient) -> dict[str, str]:
+    """Return the header that a page of the server itself would send."""
+    return {'Origin': str(client.make_url('/')).rstrip('/')}
+
+
+@asynccontextmanager
+async def watching(client: TestClient) -> AsyncIterator[ClientWebSocketResponse]:
+    """Open the stream and read the greeting and the first status."""
+    async with client.ws_connect('/stream', headers=origin(client)) as socket:
+        kinds = {(await socket.receive_json())['type'] for _ in range(2)}
+        assert kinds == {'hello', 'status'}
+        yield socket
+
+
+async def receive_picture(socket: ClientWebSocketResponse, confirm: bool = True,
+                          timeout: float = 5.0) -> tuple[dict[str, Any], bytes, bytes]:
+    """Return meta, image and confidence of the next picture."""
+    while True:
+        message = await asyncio.wait_for(socket.receive(), timeout)
+        assert message.type in (WSMsgType.TEXT, WSMsgType.BINARY), message
+        if message.type is WSMsgType.BINARY:
+            break
+    data = message.data
+    first, second = struct.unpack_from('<II', data)
+    meta = json.loads(data[8:8 + first])
+    if confirm:
+        await socket.send_json({'shown': meta['seq']})
+    return meta, data[8 + first:8 + first + second], data[8 + first + second:]
+
+
+async def until(condition: Callable[[], Any], timeout: float = 5.0) -> None:
+    """Let the server work until the condition holds."""
+    deadline = time.monotonic() + timeout
+    while not condition():
+        assert time.monotonic() < deadline, 'waited in vain'
+        await asyncio.sleep(0.01)
+
+
+def run(test: Callable[[], Awaitable[None]]) -> None:
+    """Run an asynchronous test."""
+    async def limited() -> None:
+        await asyncio.wait_for(test(), 30)
+
+    asyncio.run(limited())
