@@ -6,11 +6,12 @@ from pathlib import Path
 from capture_files import write_image
 import cv2
 from neo_ros.evaluation.capture_map import draw_map
-from neo_ros.evaluation.capture_measures import blur_threshold, measure_capture
+from neo_ros.evaluation.capture_measures import measure_capture
 from neo_ros.evaluation.capture_report import describe, write_capture_report
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.scene import Scene
+from neo_ros.scenes.sharpness import blur_threshold
 from neo_ros.scenes.walkable import WalkableMap
 import numpy as np
 import pytest

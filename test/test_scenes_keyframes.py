@@ -1,15 +1,21 @@
 """Sharp frames per step of the camera, and worlds with z up."""
 import math
+from pathlib import Path
 
 from capture_files import demo_photos
 import cv2
 from hypothesis import given, strategies as st
 from neo_ros.errors import ConfigError
-from neo_ros.geometry import CameraPose
+from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.geometry.camera_pose import rotation_from_vector
 from neo_ros.scenes.capture import Capture, CapturedFrame
-from neo_ros.scenes.keyframes import keyframes, sharpness, split_steps
-from neo_ros.scenes.levelling import estimate_up, level, rotation_between, tilt
+from neo_ros.scenes.keyframes import keyframes, split_steps
+from neo_ros.scenes.levelling import (
+    estimate_up, level, rotation_between, stood_up, tilt)
+from neo_ros.scenes.posed_images import PosedImages
+from neo_ros.scenes.scene import Scene
+from neo_ros.scenes.sharpness import sharpness
+from neo_ros.scenes.walkable import WalkableMap
 import numpy as np
 import pytest
 
@@ -93,3 +99,36 @@ def test_levelling_finds_up_whatever_the_world_was(vector: tuple[float, ...],
 def test_cameras_that_hardly_turn_give_their_own_up() -> None:
     up = estimate_up(walk(5, 0.1, 0.001))
     np.testing.assert_allclose(up, [0, 0, 1], atol=1e-9)
+
+
+def hand_held(R_world: np.ndarray, count: int = 40) -> PosedImages:
+    """Return photos held upright, in a world that is turned by R_world."""
+    T = np.eye(4)
+    T[:3, :3] = R_world
+    poses = tuple(CameraPose(T @ CameraPose.from_planar(i % 5, i % 3, 1.5, 0.7 * i).T_world_cam)
+                  for i in range(count))
+    return PosedImages(Intrinsics(4, 4, 4, 4, 2, 2), (Path('none.png'),) * count, poses,
+                       (0,) * count)
+
+
+@pytest.mark.parametrize('up', [
+    (0, 0, 1), (0, 1, 0), (1, 0, 0), (0, 0, -1), (0, -1, 0), (-1, 0, 0)], ids=str)
+def test_any_axis_may_point_up(up: tuple[int, int, int]) -> None:
+    R = rotation_between(np.array([0.0, 0.0, 1.0]), np.array(up, float))
+    photos = hand_held(R)
+    scene = stood_up(Scene('room', photos, photos.subset([3, 4]), None, None))
+    np.testing.assert_allclose(scene.train.T_world_cam[:, 2, 3], 1.5, atol=1e-9)
+    assert tilt(list(scene.train.poses)) < 1e-6
+    assert scene.test is not None
+    np.testing.assert_allclose(scene.test.T_world_cam, scene.train.T_world_cam[3:5])
+    # Only turned: cameras see one another as before.
+    np.testing.assert_allclose(
+        np.linalg.inv(photos.T_world_cam[0]) @ photos.T_world_cam[7],
+        np.linalg.inv(scene.train.T_world_cam[0]) @ scene.train.T_world_cam[7], atol=1e-9)
+
+
+def test_a_floor_map_says_which_way_is_up() -> None:
+    photos = hand_held(rotation_between(np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0])))
+    floor = WalkableMap(0.5, (0.0, 0.0), np.ones((2, 2), bool), 1.0)
+    scene = Scene('room', photos, None, None, floor)
+    assert stood_up(scene) is scene

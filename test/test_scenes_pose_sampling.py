@@ -1,5 +1,6 @@
 import math
 from pathlib import Path
+from typing import Any
 
 from hypothesis import given, strategies as st
 from neo_ros.errors import ConfigError
@@ -84,6 +85,30 @@ def test_planar_cameras_stand_level_and_look_everywhere() -> None:
     assert counts.min() > 0.8 * 500 and counts.max() < 1.2 * 500
 
 
+def test_every_place_has_so_many_headings_and_all_places_all_headings() -> None:
+    sampler = PoseSampler.for_walkable(FLOOR, SamplingConfig(yaws=6))
+    random = np.random.default_rng(0)
+    at_one = {round(yaw_pitch_roll(sampler.draw_rotation(random, 3))[0] % (2 * math.pi), 6)
+              for _ in range(200)}
+    assert len(at_one) == 6
+    np.testing.assert_allclose(np.diff(sorted(at_one)), math.pi / 3, atol=1e-5)
+    everywhere = np.sort([yaw_pitch_roll(sampler.draw_rotation(random, place))[0]
+                          for place in range(400)])
+    assert np.diff(everywhere).max() < 0.2
+    assert SamplingConfig().yaws == 72 and SamplingConfig().interval == 0.05
+
+
+def test_the_camera_stands_as_high_as_the_experiment_says() -> None:
+    sampler = PoseSampler.for_walkable(FLOOR, SamplingConfig(camera_height=0.4))
+    assert sampler.draw_position(np.random.default_rng(0))[2] == 0.4
+
+
+def test_a_wide_robot_keeps_off_the_walls() -> None:
+    sampler = PoseSampler.for_walkable(FLOOR, SamplingConfig(robot_radius=0.5))
+    # The floor keeps 0.25 m off already.
+    np.testing.assert_allclose(sampler.positions_xy.min(0), (-0.725, 2.275))
+
+
 @pytest.mark.parametrize('yaws, low, width', [
     ([0.1, 0.5, 0.3], 0.1, 0.4),
     ([-3.0, 3.0, math.pi], 3.0, 2 * math.pi - 6.0),
@@ -139,6 +164,17 @@ def test_a_seed_fixes_the_poses() -> None:
 def test_sampling_settings_out_of_range(changes: dict[str, float]) -> None:
     with pytest.raises(ConfigError, match='sampling: expected interval, radius and positions'):
         SamplingConfig(**changes)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize('changes, message', [
+    ({'area': 'garden'}, 'sampling.area: expected auto, walkable, free_space or photos, got'),
+    ({'yaws': -1}, 'expected yaws and robot_radius >= 0, got -1'),
+    ({'robot_radius': -0.1}, 'robot_radius >= 0'),
+    ({'camera_height': math.inf}, 'sampling.camera_height: expected metres, got inf'),
+], ids=str)
+def test_places_out_of_range(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        SamplingConfig(**changes)
 
 
 def test_a_grid_that_misses_every_place_is_an_error() -> None:

@@ -5,9 +5,9 @@ from typing import Optional
 import cv2
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.scenes.capture import no_progress, Progress
-from neo_ros.scenes.keyframes import sharpness
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.scene import Scene
+from neo_ros.scenes.sharpness import blur_threshold, relative_sharpness
 import numpy as np
 
 # Nobody knows the depth before the field is fitted: walls and furniture of a room are about so
@@ -17,8 +17,6 @@ MOST_PHOTOS, MOST_VIEWS = 1000, 150
 MOST_ALIKE, MOST_NEAR = 50, 300
 RAYS = (12, 16)  # rows and columns of the grid of rays that stand for a view
 GOOD_OVERLAP = 0.6
-BLUR_DEVIATIONS = 3.0
-SHARPNESS_FLOOR = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,8 +94,7 @@ def measure_capture(scene: Scene, progress: Progress = no_progress) -> CaptureMe
     for place, index in enumerate(measured):
         image = photos.read_image(int(index))
         grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-        # Over the contrast, so that neither dusk nor a bare wall counts as blur.
-        sharp[place] = sharpness(image) / max(float(grey.var()), 1.0)
+        sharp[place] = relative_sharpness(image)
         bright[place] = grey.mean() / 255
         progress(done := done + 1, steps)
     overlap = np.zeros(len(photos))
@@ -116,22 +113,6 @@ def measure_capture(scene: Scene, progress: Progress = no_progress) -> CaptureMe
     return CaptureMeasures(
         photos, expansion, overlap, measured, sharp, blur_threshold(sharp), bright, viewed,
         wide_seen, _walkable_near(scene))
-
-
-def blur_threshold(values: np.ndarray) -> float:
-    """
-    Return the sharpness below which a photo is an outlier among its own kind.
-
-    Three robust standard deviations (median absolute deviation) below the median of the
-    logarithms: a textureless room is not blurred as a whole.
-    """
-    logarithms = np.log(np.maximum(values, SHARPNESS_FLOOR))
-    median = np.median(logarithms)
-    if median <= np.log(SHARPNESS_FLOOR):
-        return 0.0  # photos of nothing
-    deviation = 1.4826 * np.median(np.abs(logarithms - median))
-    # Photos that are nearly alike would otherwise turn tiny differences into outliers.
-    return float(np.exp(median - BLUR_DEVIATIONS * max(deviation, 0.2)))
 
 
 def _evenly(count: int, most: int) -> np.ndarray:

@@ -5,6 +5,7 @@ import math
 
 from neo_ros.evaluation.speed_host import Machine
 from neo_ros.evaluation.speed_record import Effort, Record, time_calls, Work
+from neo_ros.evaluation.speed_stream import measure_stream
 from neo_ros.field.fitting import FieldConfig, FieldTrainer
 from neo_ros.field.panorama import render_panorama, SUPERSAMPLE, view_band
 from neo_ros.field.rendering import render_view, to_uint8
@@ -56,6 +57,7 @@ def measure_field(machine: Machine, effort: Effort) -> Iterator[Record]:
             'field', f'wide view 128x128, rays: {supersample ** 2} per pixel', times), rays
         ).with_floor(work(rays), machine, 0)
     yield from _measure_panorama(field, work, machine, effort)
+    yield from measure_stream(field, poses, WIDE, work, machine, effort)
 
 
 def _measure_panorama(field: RadianceField, work: Callable[[int], Work],

@@ -5,10 +5,13 @@ from typing import Any
 
 from neo_ros.errors import ConfigError, SceneError
 from neo_ros.field import fitting_kernels, kernels
+from neo_ros.field.compiled import get_num_threads
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import Intrinsics
-from numba import get_num_threads
 import numpy as np
+
+
+DEVICES = ('auto', 'cpu', 'cuda', 'torch')
 
 
 @dataclass(frozen=True)
@@ -31,8 +34,12 @@ class FieldConfig:
     smooth_density: float = 0.0     # total variation of raw density
     smooth_colour: float = 0.0      # total variation of colour
     exposure: bool = False          # one gain per photo and channel
+    # cpu: compiled kernels; cuda; auto: cuda where there is one; torch: what cuda does, on the CPU
+    device: str = 'auto'
 
     def __post_init__(self) -> None:
+        if self.device not in DEVICES:
+            raise ConfigError(f'field.device: expected {", ".join(DEVICES)}, got {self.device!r}')
         if self.sh_degree not in (0, 1, 2):
             raise ConfigError(f'field.sh_degree: expected 0, 1 or 2, got {self.sh_degree}')
         if self.steps < 10 or self.voxels < 1000 or self.pixels_per_step < 1:
@@ -217,8 +224,11 @@ class FieldTrainer:
         for rotation, origin in zip(self.rotations, self.origins):
             rays_d = directions @ rotation.T
             rays_d /= np.linalg.norm(rays_d, axis=-1, keepdims=True)
-            kernels.mark_seen(
-                np.broadcast_to(origin, rays_d.shape).copy(), rays_d, field.grid,
-                np.array(field.shape), field.skip, field.box, field.step, field.near,
-                field.shift, field.sample_limit, field.seen)
+            self._mark_seen(np.broadcast_to(origin, rays_d.shape).copy(), rays_d)
         return field
+
+    def _mark_seen(self, rays_o: np.ndarray, rays_d: np.ndarray) -> None:
+        field = self.field
+        kernels.mark_seen(
+            rays_o, rays_d, field.grid, np.array(field.shape), field.skip, field.box, field.step,
+            field.near, field.shift, field.sample_limit, field.seen)

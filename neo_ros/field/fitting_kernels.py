@@ -6,8 +6,8 @@ its voxel, in ray order, so results do not depend on the number of threads or th
 """
 import math
 
+from neo_ros.field.compiled import njit, prange
 from neo_ros.field.kernels import FAST, march, MIN_WEIGHT, sample_colour, sh_basis
-from numba import njit, prange
 import numpy as np
 
 

@@ -1,10 +1,11 @@
-"""Render rays, views and panoramas from a radiance field on the CPU."""
+"""Render rays and views from a radiance field."""
 from typing import NamedTuple
 
 from neo_ros.field import kernels
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import CameraPose, Intrinsics
 import numpy as np
+import torch
 
 # What is left of a ray that meets nothing.
 BACKGROUND = 0.5
@@ -33,10 +34,17 @@ def render_rays(field: RadianceField, rays_o: np.ndarray, rays_d: np.ndarray) ->
                                    np.float32)
     directions = np.ascontiguousarray(rays_d.reshape(-1, 3), np.float32)
     out = np.empty((len(origins), 6), np.float32)
-    kernels.render_rays(
-        origins, directions, field.grid, np.array(field.shape), field.skip, field.seen,
-        field.box, field.step, field.near, field.shift, field.terms, field.sample_limit,
-        BACKGROUND, out)
+    if field.device == 'cpu':
+        kernels.render_rays(
+            origins, directions, field.grid, np.array(field.shape), field.skip, field.seen,
+            field.box, field.step, field.near, field.shift, field.terms, field.sample_limit,
+            BACKGROUND, out)
+    else:
+        from neo_ros.field.torch_field import on_device
+        mirror = on_device(field, half=field.device == 'cuda')
+        rendered = mirror.render(torch.tensor(origins, device=mirror.device),
+                                 torch.tensor(directions, device=mirror.device), BACKGROUND)
+        np.copyto(out, rendered.cpu().numpy())
     return Rendering(out[:, :3].reshape(*lead, 3), out[:, 3].reshape(lead),
                      out[:, 4].reshape(lead), out[:, 5].reshape(lead))
 

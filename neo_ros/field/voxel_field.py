@@ -15,7 +15,6 @@ from zipfile import BadZipFile
 from neo_ros.errors import SceneError
 from neo_ros.field import kernels
 import numpy as np
-from scipy.ndimage import distance_transform_cdt
 import torch
 
 # A cell whose corners all have less opacity a step counts as empty air.
@@ -33,6 +32,7 @@ class RadianceField:
     shell   thickness of the contracted outside, relative to the half extent; 0 = none
     step    ray step in voxels
     near    metres in front of a camera that are taken for empty
+    device  what computes: cpu (compiled kernels), cuda, or torch (what cuda does, on the CPU)
     """
 
     grid: np.ndarray
@@ -45,6 +45,8 @@ class RadianceField:
     initial_alpha: float = 1e-4
     skip: np.ndarray = field(init=False)
     seen: np.ndarray = field(init=False)
+    device: str = field(init=False, default='cpu')
+    mirror: Any = field(init=False, default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         self.skip = np.zeros(len(self.grid), np.uint8)
@@ -93,6 +95,8 @@ class RadianceField:
         result = RadianceField.empty(
             voxels, centre, half_extent, self.shell, math.isqrt(self.terms) - 1,
             step=self.step, near=self.near, initial_alpha=self.initial_alpha)
+        result.device = self.device
+        self.pull()
         where = self.grid_position(result.world_points()).astype(np.float32)
         volume = torch.from_numpy(self.grid).T.reshape(1, -1, *self.shape)
         # grid_sample names the last axis first.
@@ -119,12 +123,27 @@ class RadianceField:
         squeezed = position / norm * (1 + self.shell - self.shell / norm)
         return np.where(norm > 1, squeezed, position) / (1 + self.shell)
 
+    def is_matter(self, points: np.ndarray) -> np.ndarray:
+        """Tell which world points (..., 3) lie in cells that are not empty air: bool (...)."""
+        size = np.array(self.shape)
+        place = (self.grid_position(np.asarray(points)) + 1) / 2 * (size - 1)
+        x, y, z = np.moveaxis(np.clip(place.astype(int), 0, size - 2), -1, 0)
+        return self.skip[(x * size[1] + y) * size[2] + z] == 0
+
     def update_occupancy(self) -> float:
         """
         Recompute the empty-space distances; returns the occupied share of all cells.
 
         A field that is empty still, early in a fit, is searched everywhere.
         """
+        if self.device != 'cpu':
+            from neo_ros.field.torch_field import on_device
+            mirror = on_device(self)
+            share = mirror.update_occupancy()
+            self.skip = mirror.skip.cpu().numpy()
+            mirror.source = (self.grid, self.skip, self.seen)
+            return share
+        from scipy.ndimage import distance_transform_cdt
         occupied = np.zeros(len(self.grid), np.bool_)
         kernels.mark_occupied(self.grid, np.array(self.shape), self.step, self.shift,
                               OCCUPIED_ALPHA, occupied)
@@ -134,6 +153,11 @@ class RadianceField:
         distance = distance_transform_cdt(~occupied.reshape(self.shape), 'chessboard')
         self.skip = np.minimum(distance, 255).astype(np.uint8).ravel()
         return float(occupied.mean())
+
+    def pull(self) -> None:
+        """Bring home what a fit on the device has changed."""
+        if self.mirror is not None:
+            np.copyto(self.grid, self.mirror.grid.cpu().numpy())
 
     def save(self, path: Path) -> None:
         """Write the field as .npz; a kill or a full disk in between leaves the old file whole."""

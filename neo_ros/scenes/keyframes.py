@@ -2,18 +2,12 @@
 import math
 from typing import Optional
 
-import cv2
 from neo_ros.errors import ConfigError
 from neo_ros.geometry import CameraPose
 from neo_ros.geometry.camera_pose import rotation_vector
 from neo_ros.scenes.capture import Capture, no_progress, Progress
+from neo_ros.scenes.sharpness import sharpness
 import numpy as np
-
-
-def sharpness(image: np.ndarray) -> float:
-    """Return the variance of the Laplacian of an RGB uint8 (H, W, 3) image's brightness."""
-    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-    return float(cv2.Laplacian(grey, cv2.CV_32F).var())
 
 
 def keyframes(capture: Capture, distance: Optional[float], angle: Optional[float],

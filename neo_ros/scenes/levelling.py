@@ -5,6 +5,8 @@ import math
 from neo_ros.geometry import CameraPose
 from neo_ros.geometry.camera_pose import rotation_from_vector
 from neo_ros.scenes.capture import Capture
+from neo_ros.scenes.posed_images import PosedImages
+from neo_ros.scenes.scene import Scene
 import numpy as np
 
 # A world whose estimated up is farther from +z than this was not levelled by anyone.
@@ -51,6 +53,28 @@ def level(capture: Capture, scale: float = 1.0) -> Capture:
         levelled.append(CameraPose(T_world_cam))
     return replace(capture, frames=tuple(
         replace(frame, pose=pose) for frame, pose in zip(capture.frames, levelled)))
+
+
+def stood_up(scene: Scene) -> Scene:
+    """
+    Turn a scene whose world has another axis up so that z is up; by quarter turns only.
+
+    The axis nearest to the estimated up is taken. A scene with a floor map has z up by
+    definition and stays as it is.
+    """
+    up = estimate_up(list(scene.train.poses))
+    axis = np.eye(3)[np.abs(up).argmax()] * np.sign(up[np.abs(up).argmax()])
+    if scene.walkable is not None or axis[2] == 1:
+        return scene
+    T = np.eye(4)
+    T[:3, :3] = rotation_between(axis, np.array([0.0, 0.0, 1.0])).round()
+
+    def turned(images: PosedImages) -> PosedImages:
+        return replace(images, poses=tuple(
+            CameraPose(T @ pose.T_world_cam) for pose in images.poses))
+
+    return replace(scene, train=turned(scene.train),
+                   test=None if scene.test is None else turned(scene.test))
 
 
 def rotation_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -1,6 +1,7 @@
 """Step 2 of the paper: poses where the robot can be, in groups that share one position."""
 from dataclasses import dataclass
 import math
+from typing import Literal, Optional
 
 from neo_ros.errors import ConfigError
 from neo_ros.geometry import CameraPose
@@ -14,15 +15,31 @@ class SamplingConfig:
     """Where wide training views are rendered."""
 
     __pydantic_config__ = {'extra': 'forbid'}
+    # walkable: the scene's floor map; free_space: floor that the photos saw free; photos: as a
+    # hand holds a camera, around the photos; auto: walkable where there is a map, else photos
+    area: Literal['auto', 'walkable', 'free_space', 'photos'] = 'auto'
     interval: float = 0.05   # metres between grid positions (paper: 0.05 to 1.0, best 0.05)
+    yaws: int = 72           # headings at a position on the floor, evenly spaced; 0 = any
+    robot_radius: float = 0.2  # metres that the camera keeps off the edge of free floor
+    camera_height: Optional[float] = None  # z of the camera; default: the map's or the photos'
     radius: float = 0.3      # metres around the photos that a hand-held camera can be
     positions: int = 1000    # positions to render, drawn from the grid
+    sharp_only: Optional[bool] = None  # draw blurred views again; default: for `photos` only
 
     def __post_init__(self) -> None:
         if not (self.interval > 0 and self.radius > 0 and self.positions > 0):
             raise ConfigError(
                 'sampling: expected interval, radius and positions > 0, got '
                 f'{self.interval}, {self.radius}, {self.positions}')
+        if self.area not in ('auto', 'walkable', 'free_space', 'photos'):
+            raise ConfigError('sampling.area: expected auto, walkable, free_space or photos, got '
+                              f'{self.area!r}')
+        if not (self.yaws >= 0 and self.robot_radius >= 0):
+            raise ConfigError('sampling: expected yaws and robot_radius >= 0, got '
+                              f'{self.yaws}, {self.robot_radius}')
+        if self.camera_height is not None and not math.isfinite(self.camera_height):
+            raise ConfigError('sampling.camera_height: expected metres, got '
+                              f'{self.camera_height}')
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,12 +51,14 @@ class PoseSampler:
     yaw_range      (low, width) radians: yaw is uniform in low ... low + width
     pitch_roll     means and standard deviations ((pitch, roll), (pitch, roll)), radians
     height         mean and standard deviation of z, metres
+    yaws           headings at one position, evenly spaced over the range; 0 = any
     """
 
     positions_xy: np.ndarray
     yaw_range: tuple[float, float]
     pitch_roll: tuple[tuple[float, float], tuple[float, float]]
     height: tuple[float, float]
+    yaws: int = 0
 
     def __post_init__(self) -> None:
         if not len(self.positions_xy):
@@ -48,12 +67,15 @@ class PoseSampler:
 
     @classmethod
     def for_walkable(cls, walkable: WalkableMap, config: SamplingConfig) -> 'PoseSampler':
-        """3-DoF (section 4.1): a grid over the free floor, fixed height, every yaw."""
-        centres = walkable.centres()
-        every = max(1, round(config.interval / walkable.resolution))
-        index = np.round((centres - centres.min(0)) / walkable.resolution).astype(int)
+        """3-DoF (section 4.1): a grid over the free floor, fixed height, yaws all around."""
+        floor = walkable.kept_off(config.robot_radius)
+        centres = floor.centres()
+        every = max(1, round(config.interval / floor.resolution))
+        index = np.round((centres - centres.min(0)) / floor.resolution).astype(int)
+        height = (floor.camera_height if config.camera_height is None
+                  else config.camera_height)
         return cls(centres[(index % every == 0).all(1)], (-math.pi, 2 * math.pi),
-                   ((0.0, 0.0), (0.0, 0.0)), (walkable.camera_height, 0.0))
+                   ((0.0, 0.0), (0.0, 0.0)), (height, 0.0), config.yaws)
 
     @classmethod
     def around_photos(cls, photos: PosedImages, config: SamplingConfig) -> 'PoseSampler':
@@ -82,9 +104,13 @@ class PoseSampler:
         x, y = self.positions_xy[random.integers(len(self.positions_xy))]
         return np.array([x, y, random.normal(*self.height)])
 
-    def draw_rotation(self, random: np.random.Generator) -> np.ndarray:
-        """Draw one camera-to-world rotation (3, 3), OpenCV camera axes."""
-        yaw = self.yaw_range[0] + self.yaw_range[1] * random.random()
+    def draw_rotation(self, random: np.random.Generator, place: int = 0) -> np.ndarray:
+        """Draw one camera-to-world rotation (3, 3) at place number `place`, OpenCV axes."""
+        share = random.random()
+        if self.yaws:
+            # Each place is turned against the last (golden ratio): together they look everywhere.
+            share = (math.floor(share * self.yaws) + 0.618034 * place % 1) / self.yaws
+        yaw = self.yaw_range[0] + self.yaw_range[1] * share
         pitch, roll = random.normal(*self.pitch_roll)
         return rotation_from_angles(yaw, pitch, roll)
 

@@ -6,7 +6,7 @@ from typing import Optional
 import cv2
 from neo_ros.errors import SceneError
 from neo_ros.scenes.capture import Capture, CapturedFrame, origin_of
-from neo_ros.scenes.keyframes import sharpness
+from neo_ros.scenes.sharpness import sharpness
 import numpy as np
 
 VIDEO_SUFFIXES = ('.mp4', '.mov', '.avi', '.mkv', '.webm', '.m4v')

@@ -5,6 +5,7 @@ import math
 import os
 from pathlib import Path
 
+import cv2
 from neo_ros.errors import SceneError
 import numpy as np
 
@@ -58,6 +59,26 @@ class WalkableMap:
         result = np.zeros(len(index), bool)
         result[inside] = self.cells[j[inside].astype(int), i[inside].astype(int)]
         return result
+
+    def kept_off(self, radius: float) -> 'WalkableMap':
+        """
+        Return the cells whose centres keep `radius` metres off everything that is not free.
+
+        What the map keeps off already, its clearance, counts. Raises SceneError when nothing is
+        left.
+        """
+        missing = radius - self.clearance
+        if missing <= 0:
+            return self
+        # From a cell's centre to the nearest edge of a cell that is not free.
+        distance = cv2.distanceTransform(np.pad(self.cells, 1).astype(np.uint8), cv2.DIST_L2,
+                                         cv2.DIST_MASK_PRECISE)[1:-1, 1:-1] - 0.5
+        free = self.cells & (distance * self.resolution >= missing - 1e-6)
+        if not free.any():
+            raise SceneError(f'sampling.robot_radius: expected free floor for a robot of '
+                             f'{radius} m, got none on a map of {self.area:.1f} m2; '
+                             'choose a smaller radius')
+        return WalkableMap(self.resolution, self.origin, free, self.camera_height, radius)
 
     def sample(self, rng: np.random.Generator, n: int) -> np.ndarray:
         """Draw n points uniformly from the free floor: (n, 2) metres."""

@@ -1,0 +1,61 @@
+"""What the radiance field shows at a pose, as a widened view; the oracle is the true pose's."""
+from neo_ros.errors import SceneError
+from neo_ros.field.rendering import render_view, to_uint8
+from neo_ros.field.voxel_field import RadianceField
+from neo_ros.geometry import CameraPose, ViewExpansion
+import numpy as np
+
+# A camera's exposure may differ from the photos' by this factor and not more.
+MOST_GAIN = 1.6
+
+
+class FieldView:
+    """Render wide views from a field and fit them to the camera's image."""
+
+    def __init__(self, field: RadianceField, expansion: ViewExpansion,
+                 supersample: int = 2) -> None:
+        self.field, self.expansion, self.supersample = field, expansion, supersample
+
+    def widen(self, narrow_image: np.ndarray, pose: CameraPose) -> np.ndarray:
+        """
+        Return the field's wide view (H, W, 3) uint8 at a pose, with the observed pixels pasted.
+
+        One gain per channel, from the window that both show, takes out differences of exposure.
+        """
+        image = render_view(self.field, self.expansion.target, pose, self.supersample).image
+        gain = colour_gain(self.expansion.crop(image) * 255, narrow_image)
+        return self.expansion.paste(narrow_image, to_uint8(image * gain))
+
+
+def colour_gain(shown: np.ndarray, observed: np.ndarray) -> np.ndarray:
+    """
+    Return the gain per channel (3,) that takes `shown` to `observed`, both (h, w, 3) in 0..255.
+
+    The median ratio over well exposed pixels: misplaced edges do not move it.
+    """
+    shown, observed = shown.astype(np.float32), observed.astype(np.float32)
+    usable = ((shown > 16) & (shown < 240) & (observed > 16) & (observed < 240)).all(axis=2)
+    if usable.mean() < 0.05:
+        return np.ones(3, np.float32)
+    ratio = np.median(observed[usable] / shown[usable], axis=0)
+    return np.clip(ratio, 1 / MOST_GAIN, MOST_GAIN).astype(np.float32)
+
+
+class Oracle:
+    """The upper bound: the field at the true pose, which no robot knows."""
+
+    name = 'oracle'
+    observed_pasted = True
+
+    def __init__(self, view: FieldView, train_minutes: float | None,
+                 model_mb: float | None) -> None:
+        self.view = view
+        self.train_minutes, self.model_mb = train_minutes, model_mb
+
+    def expand_at(self, narrow_image: np.ndarray, true_pose: CameraPose) -> np.ndarray:
+        """Widen (h, w, 3) RGB uint8 to (H, W, 3) RGB uint8."""
+        return self.view.widen(narrow_image, true_pose)
+
+    def expand(self, narrow_image: np.ndarray) -> np.ndarray:
+        """Refuse: without the pose there is no oracle."""
+        raise SceneError('oracle: needs the true pose of the frame; call expand_at')

@@ -1,0 +1,95 @@
+"""Speed of the stream of training views, alone and while a network is trained on it."""
+from collections.abc import Callable, Iterator
+import itertools
+import math
+import time
+
+from neo_ros.evaluation.metrics import psnr
+from neo_ros.evaluation.speed_host import Machine
+from neo_ros.evaluation.speed_record import Effort, Record, time_calls, Work
+from neo_ros.field.panorama import SUPERSAMPLE
+from neo_ros.field.rendering import render_view, to_uint8
+from neo_ros.field.voxel_field import RadianceField
+from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
+from neo_ros.outpaint.fitting import OutpaintConfig, OutpaintTrainer
+from neo_ros.outpaint.networks import NetworkConfig
+from neo_ros.outpaint.pair_stream import FIRST, PairStream
+from neo_ros.scenes.pose_sampling import PoseSampler
+import numpy as np
+
+BATCH = 16
+LEVEL = ((0.0, 0.0), (0.0, 0.0))
+
+
+def measure_stream(field: RadianceField, poses: list[CameraPose], wide: Intrinsics,
+                   work: Callable[[int], Work], machine: Machine,
+                   effort: Effort) -> Iterator[Record]:
+    """
+    Time batches of views: each with a new panorama, from panoramas there are, in a training.
+
+    `work` tells what rendering so many rays takes at least.
+    """
+    sampler = PoseSampler(np.stack([pose.position[:2] for pose in poses]),
+                          (-math.pi, 2 * math.pi), LEVEL, (float(poses[0].position[2]), 0.0), 72)
+    stream = PairStream(field, sampler, wide, 10_000, seed=0)
+    stream.pool.fill(FIRST)
+    steps = itertools.count(1)
+    image = stream.pool.panoramas[0].image
+    rays = image.shape[0] * image.shape[1]
+    cuts = 4 * BATCH * wide.width * wide.height * (SUPERSAMPLE ** 2 + 1)
+    render = work(rays)
+    assert render.flops is not None
+
+    def with_views(record: Record, rendered: bool) -> Record:
+        assert record.mean_ms is not None
+        record.details['views_per_s'] = 1e3 * BATCH / record.mean_ms
+        floor = Work(render.flops, render.bytes + cuts, render.footprint) if rendered else (
+            Work(None, cuts))
+        return record.with_floor(floor, machine, 0)
+
+    fresh = with_views(Record.of(
+        'field', f'{BATCH} views of the stream, with a new panorama',
+        time_calls(lambda: stream.batch(next(steps), BATCH), effort.seconds)), True)
+    fresh.details['psnr_against_rendered'] = _faithfulness(stream, wide)
+    yield fresh
+    stream.pool.positions = len(stream.pool.panoramas)
+    yield with_views(Record.of(
+        'field', f'{BATCH} views of the stream, panoramas there',
+        time_calls(lambda: stream.batch(next(steps), BATCH), effort.seconds)), False)
+    yield with_views(_while_training(stream, wide, steps, effort), True)
+
+
+def _faithfulness(stream: PairStream, wide: Intrinsics) -> float:
+    """Return the mean PSNR of cut views against rendered ones, dB."""
+    scores = []
+    random = np.random.default_rng(0)
+    for panorama in stream.pool.panoramas[:4]:
+        T = np.eye(4)
+        T[:3, :3] = stream.pool.sampler.draw_rotation(random)
+        T[:3, 3] = panorama.position
+        rendered = to_uint8(render_view(stream.pool.field, wide, CameraPose(T)).image)
+        scores.append(psnr(rendered, panorama.cut_view(wide, T[:3, :3])[..., :3]))
+    return float(np.mean(scores))
+
+
+def _while_training(stream: PairStream, wide: Intrinsics, steps: Iterator[int],
+                    effort: Effort) -> Record:
+    """Time the stream's batches, each with a new panorama, between steps of a training."""
+    stream.pool.positions = 10_000
+    narrow = wide.cropped(wide.width // 4, wide.height // 4, wide.width // 2, wide.height // 2)
+    trainer = OutpaintTrainer(ViewExpansion.to_size(narrow, wide.width, wide.height),
+                              NetworkConfig(), OutpaintConfig(batch=BATCH), seed=0)
+    batches: list[float] = []
+    whole: list[float] = []
+    deadline = time.perf_counter() + effort.seconds
+    while len(whole) < 4 or time.perf_counter() < deadline:
+        started = time.perf_counter()
+        batch = stream.batch(next(steps), BATCH)
+        batches.append(1e3 * (time.perf_counter() - started))
+        trainer.train_step(batch)
+        whole.append(1e3 * (time.perf_counter() - started))
+    # The first step sets things up.
+    record = Record.of('field', f'{BATCH} views of the stream, while training', batches[1:])
+    record.details |= {'training_views_per_s': 1e3 * BATCH / float(np.mean(whole[1:])),
+                       'share_of_stream': float(np.sum(batches[1:]) / np.sum(whole[1:]))}
+    return record

@@ -1,0 +1,23 @@
+"""Numba where it is installed; a machine that computes on its GPU does without."""
+from typing import Any
+
+from neo_ros.errors import ConfigError
+
+__all__ = ['get_num_threads', 'njit', 'prange']
+
+try:
+    from numba import get_num_threads, njit, prange
+except ModuleNotFoundError:
+    prange = range  # type: ignore[misc]
+
+    def get_num_threads() -> int:
+        """Return 1: nothing is compiled here."""
+        return 1
+
+    def njit(**options: Any) -> Any:  # type: ignore[no-redef]
+        """Replace a kernel by a function that says what is missing when it is called."""
+        def missing(*arguments: Any) -> None:
+            raise ConfigError('field.device: cpu needs numba: pip install numba, or choose '
+                              'cuda')
+
+        return lambda kernel: missing

@@ -1,0 +1,26 @@
+"""Which machine part fits and renders the field: compiled kernels, or torch on a GPU."""
+from neo_ros.errors import ConfigError
+from neo_ros.field.fitting import FieldConfig, FieldTrainer
+from neo_ros.geometry import Intrinsics
+import numpy as np
+import torch
+
+
+def chosen_device(name: str) -> str:
+    """Return cpu, cuda or torch for `field.device`; raises ConfigError where it is not there."""
+    if name == 'cuda' and not torch.cuda.is_available():
+        raise ConfigError('field.device: cuda needs a GPU that torch can use, there is none; '
+                          'choose auto or cpu')
+    if name == 'auto':
+        return 'cuda' if torch.cuda.is_available() else 'cpu'
+    return name
+
+
+def field_trainer(images: np.ndarray, intrinsics: Intrinsics, T_world_cam: np.ndarray,
+                  config: FieldConfig, seed: int) -> FieldTrainer:
+    """Make the trainer for the device that `config` names; see `FieldTrainer`."""
+    device = chosen_device(config.device)
+    if device == 'cpu':
+        return FieldTrainer(images, intrinsics, T_world_cam, config, seed)
+    from neo_ros.field.torch_fitting import TorchFieldTrainer
+    return TorchFieldTrainer(images, intrinsics, T_world_cam, config, seed, device)

@@ -1,0 +1,85 @@
+"""Where a robot could go without a floor map: what the photos looked through, and were at."""
+import cv2
+from neo_ros.field.rendering import render_rays, world_rays
+from neo_ros.field.voxel_field import RadianceField
+from neo_ros.scenes.pose_sampling import SamplingConfig
+from neo_ros.scenes.posed_images import PosedImages
+from neo_ros.scenes.walkable import WalkableMap
+import numpy as np
+
+RESOLUTION = 0.05   # metres, edge of a cell
+REACH = 3.0         # metres around the photos that the map covers
+MOST_PHOTOS = 300   # photos that are looked through, evenly chosen
+RAYS_ACROSS = 48    # of each of them
+SLAB = 0.15         # metres above and below the camera's height that were looked through
+STEP_M = 0.15       # metres above the floor that a robot passes over
+
+
+def find_free_floor(field: RadianceField, photos: PosedImages,
+                    config: SamplingConfig) -> WalkableMap:
+    """
+    Map the floor over which a camera at one height would be in free space.
+
+    A cell is free if the photos looked through it at that height and the field has no matter in
+    it, from a step above the floor to a little above the camera; or if a photo was taken there.
+    It must hang together with such a place. The floor is what lies below the photos.
+    """
+    positions = photos.T_world_cam[:, :3, 3]
+    height = (float(np.median(positions[:, 2])) if config.camera_height is None
+              else config.camera_height)
+    low = positions[:, :2].min(0) - REACH
+    size = np.ceil((positions[:, :2].max(0) + REACH - low) / RESOLUTION).astype(int)
+    stood = np.zeros(size[::-1], bool)
+    index = ((positions[:, :2] - low) / RESOLUTION).astype(int)
+    stood[index[:, 1], index[:, 0]] = True
+    bottom = min(_floor_height(field, positions) + STEP_M, height - SLAB)
+    free = _looked_through(field, photos, low, size, height) & ~_matter(
+        field, low, size, bottom, height + SLAB)
+    near = cv2.distanceTransform((~stood).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    free |= near * RESOLUTION <= config.robot_radius + RESOLUTION
+    _, labels = cv2.connectedComponents(free.astype(np.uint8), connectivity=4)
+    reached = np.isin(labels, np.unique(labels[stood & free])) & free
+    return WalkableMap(RESOLUTION, (float(low[0]), float(low[1])), reached, height, clearance=0.0)
+
+
+def _looked_through(field: RadianceField, photos: PosedImages, low: np.ndarray,
+                    size: np.ndarray, height: float) -> np.ndarray:
+    """Tell which cells a ray of a photo passed at this height: bool (rows, columns)."""
+    passed = np.zeros(size[::-1], bool)
+    camera = photos.intrinsics.scaled(RAYS_ACROSS / photos.intrinsics.width)
+    chosen = np.linspace(0, len(photos) - 1, min(len(photos), MOST_PHOTOS)).round().astype(int)
+    for pose in (photos.poses[index] for index in chosen):
+        origin, directions = world_rays(camera, pose)
+        directions = directions.reshape(-1, 3)
+        rendering = render_rays(field, origin, directions)
+        # Up to a little before the surface; rays that met none say nothing of where air ends.
+        reach = np.where(rendering.opacity > 0.5, rendering.depth - 2 * RESOLUTION, 0)
+        steps = np.arange(0, max(reach.max(), RESOLUTION), RESOLUTION)
+        rise = origin[2] + steps * directions[:, 2:] - height
+        ray, step = np.nonzero((steps < reach[:, None]) & (np.abs(rise) < SLAB))
+        points = origin[:2] + steps[step, None] * directions[ray, :2]
+        index = np.floor((points - low) / RESOLUTION).astype(int)
+        index = index[((index >= 0) & (index < size)).all(-1)]
+        passed[index[:, 1], index[:, 0]] = True
+    return passed
+
+
+def _floor_height(field: RadianceField, positions: np.ndarray) -> float:
+    """Return z of what lies below the photos, median; the photos' own z where nothing does."""
+    down = np.broadcast_to(np.array([0, 0, -1], np.float32), positions.shape)
+    rendering = render_rays(field, positions, down)
+    met = rendering.opacity > 0.5
+    return float(np.median((positions[:, 2] - rendering.depth)[met])) if met.any() else float(
+        np.median(positions[:, 2]))
+
+
+def _matter(field: RadianceField, low: np.ndarray, size: np.ndarray, bottom: float,
+            top: float) -> np.ndarray:
+    """Tell over which cells the field has matter between two heights: bool (rows, columns)."""
+    i, j = np.meshgrid(np.arange(size[0]), np.arange(size[1]))
+    found = np.zeros(size[::-1], bool)
+    for z in np.arange(bottom, top + RESOLUTION, RESOLUTION):
+        points = np.stack([low[0] + (i + 0.5) * RESOLUTION, low[1] + (j + 0.5) * RESOLUTION,
+                           np.full(i.shape, z)], axis=-1)
+        found |= field.is_matter(points)
+    return found

@@ -1,0 +1,182 @@
+"""
+The same fit on a torch device, for CUDA: the losses and steps of `fitting`, with autograd.
+
+Draws what `FieldTrainer` draws, so both follow the same path up to rounding. Several processes
+(`torch.distributed`) share the pixels of a step and add their gradients. Nothing here is a
+matrix product, so bf16 autocast would change nothing; rendering reads the grid as float16.
+"""
+import math
+from typing import Any
+
+from neo_ros.field.fitting import FieldConfig, FieldTrainer
+from neo_ros.field.kernels import MIN_WEIGHT
+from neo_ros.field.torch_field import (
+    colours, corner_weights, Samples, sh_basis, torch_device, TorchField)
+from neo_ros.field.voxel_field import RadianceField
+from neo_ros.geometry import Intrinsics
+import numpy as np
+import torch
+from torch import distributed, Tensor
+from torch.nn.functional import softplus
+
+
+class TorchFieldTrainer(FieldTrainer):
+    """`FieldTrainer` whose grid, gradients and moments live on a device, 'cuda' or 'torch'."""
+
+    def __init__(self, images: np.ndarray, intrinsics: Intrinsics, T_world_cam: np.ndarray,
+                 config: FieldConfig, seed: int, device: str) -> None:
+        self.device = device
+        super().__init__(images, intrinsics, T_world_cam, config, seed)
+
+    def _allocate(self) -> None:
+        self.field.device = self.device
+        self.arrays = TorchField(self.field, torch_device(self.device))
+        self.field.mirror = self.arrays
+        grid = self.arrays.grid
+        self.slope = torch.zeros_like(grid)
+        self.moments = torch.zeros_like(grid), torch.zeros_like(grid)
+        self.hit = torch.zeros(len(grid), dtype=torch.uint8, device=grid.device)
+        self.counts = torch.zeros(len(grid), dtype=torch.int32, device=grid.device)
+
+    def train_step(self) -> None:
+        """Take one optimiser step, as `FieldTrainer.train_step`."""
+        self.random = np.random.default_rng([self.seed, self.step])
+        self._refine_when_due()
+        config = self.config
+        photo, target, rays_o, rays_d = self.sample_rays()
+        pixels = len(target)
+        gain = np.exp(self.log_gain[photo])
+        jitter = self.random.random(len(rays_o), np.float32).reshape(pixels, -1)
+        background = self.random.random((pixels, 3), np.float32)
+        rank, processes = (distributed.get_rank(), distributed.get_world_size()) if (
+            distributed.is_initialized()) else (0, 1)
+        mine = slice(rank, None, processes)
+        own = (torch.from_numpy(np.ascontiguousarray(array[mine])).to(self.arrays.device)
+               for array in (rays_o.reshape(pixels, -1, 3), rays_d.reshape(pixels, -1, 3),
+                             jitter, target, gain, background))
+        error, d_gain = self._differentiate(*own)
+        totals = torch.zeros(pixels, 4, device=self.arrays.device)
+        totals[mine, 0], totals[mine, 1:] = error, d_gain
+        if processes > 1:
+            distributed.all_reduce(self.slope)
+            distributed.all_reduce(self.hit, distributed.ReduceOp.MAX)
+            distributed.all_reduce(totals)
+        if config.smooth_density or config.smooth_colour:
+            self._add_total_variation(pixels)
+        self._adam(config.learning_rate * 0.1 ** (self.step / config.steps))
+        found = totals.cpu().numpy()
+        if config.exposure:
+            self._update_exposure(photo, found[:, 1:] * gain)
+        smoothing = 0.98 if self.step else 0.0
+        psnr = -10 * math.log10(max(float(found[:, 0].mean()) / 3, 1e-10))
+        self.psnr = smoothing * self.psnr + (1 - smoothing) * psnr
+        self.step += 1
+
+    def _differentiate(self, rays_o: Tensor, rays_d: Tensor, jitter: Tensor, target: Tensor,
+                       gain: Tensor, background: Tensor) -> tuple[Tensor, Tensor]:
+        """
+        Add the loss's gradient to `slope` and mark rows in `hit`.
+
+        Per pixel P with S rays each: rays (P, S, 3), jitter (P, S), the others (P, 3). The loss
+        is that of `fitting_kernels.differentiate_rays`. Returns error (P,) and d_gain (P, 3).
+        """
+        config, arrays, subrays = self.config, self.arrays, jitter.shape[1]
+        directions = rays_d.flatten(0, 1)
+        samples = arrays.march(rays_o.flatten(0, 1), directions, jitter.flatten())
+        ray, pixel = samples.ray, samples.ray // subrays
+        values = arrays.interpolated(samples, torch.arange(len(ray), device=arrays.device))
+        values.requires_grad_()
+        weight, light, alpha, distortion = self._weights(samples, values, len(directions))
+        shown = colours(values[:, 1:], sh_basis(directions[ray], arrays.terms))
+        coloured = torch.where(weight.detach() >= MIN_WEIGHT, weight, 0.0)[:, None]
+        seen = torch.zeros_like(directions).index_add(0, ray, coloured * shown)
+        seen = seen + light[:, None] * background.repeat_interleave(subrays, 0)
+        colour = seen.unflatten(0, (-1, subrays)).mean(1)
+        difference = gain * colour - target
+        error = (difference ** 2).sum(1)
+        own = gain[pixel] * shown - target[pixel]
+        rest = (config.distortion * distortion + config.sparsity * alpha.sum()
+                + config.pointwise * (coloured * own ** 2).sum())
+        slope = torch.autograd.grad(error.sum() + rest / subrays, values)[0]
+        rows = arrays.rows(samples.base)
+        spread = corner_weights(samples.frac)[..., None] * slope[:, None]
+        self.slope.index_add_(0, rows.flatten(), spread.flatten(0, 1))
+        self.hit[rows.flatten()] = 1
+        return error.detach(), (2 * difference * colour).detach()
+
+    def _weights(self, samples: Samples, values: Tensor, rays: int
+                 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Return weight (N,), light left behind rays (R,), alpha (N,), the distortion sum."""
+        at = (samples.ray, samples.slot)
+        longest = int(samples.slot.max()) + 1 if len(samples.slot) else 1
+        thickness = softplus(values[:, 0] + self.arrays.shift) * self.arrays.step
+        # (R, S): of one ray in a row; light falls by exp(-thickness) from sample to sample.
+        table = torch.zeros(rays, longest, device=values.device).index_put(at, thickness)
+        before = table.cumsum(1) - table
+        alpha = 1 - torch.exp(-table)
+        weight = torch.exp(-before) * alpha
+        depth = torch.zeros_like(table).index_put(at, samples.t / (samples.t + 1))
+        first, moment = weight.cumsum(1) - weight, (weight * depth).cumsum(1) - weight * depth
+        distortion = 2 * (weight * (depth * first - moment)).sum()
+        return weight[at], torch.exp(-table.sum(1)), alpha[at], distortion
+
+    @torch.no_grad()
+    def _add_total_variation(self, pixels: int) -> None:
+        """As `fitting_kernels.add_total_variation`."""
+        grid = self.arrays.grid.unflatten(0, self.arrays.shape)
+        pull = torch.zeros_like(grid)
+        for axis in range(3):
+            difference = grid.diff(dim=axis)
+            difference[..., 0].clamp_(-1, 1)
+            low, high = [slice(None)] * 3, [slice(None)] * 3
+            low[axis], high[axis] = slice(None, -1), slice(1, None)
+            pull[tuple(high)] += difference
+            pull[tuple(low)] -= difference
+        pull[..., 0] *= self.config.smooth_density * pixels
+        pull[..., 1:] *= self.config.smooth_colour * pixels
+        self.slope += pull.flatten(0, 2) * self.hit[:, None]
+
+    @torch.no_grad()
+    def _adam(self, rate: float) -> None:
+        """Step on the rows that were hit only, as `fitting_kernels.adam_step`."""
+        rows = self.hit.nonzero()[:, 0]
+        slope = self.slope[rows]
+        self.counts[rows] += 1
+        count = self.counts[rows][:, None].float()
+        first, second = self.moments
+        first[rows] = 0.9 * first[rows] + 0.1 * slope
+        second[rows] = 0.99 * second[rows] + 0.01 * slope ** 2
+        self.arrays.grid[rows] -= (
+            rate * first[rows] / (1 - 0.9 ** count)
+            / ((second[rows] / (1 - 0.99 ** count)).sqrt() + 1e-8))
+        self.slope[rows] = 0
+        self.hit[rows] = 0
+
+    def state(self) -> dict[str, Any]:
+        """Return everything a later `restore` needs, as `FieldTrainer.state`."""
+        self.field.pull()
+        self.first, self.second = (moment.cpu().numpy() for moment in self.moments)
+        self.updates = self.counts.cpu().numpy()
+        return super().state()
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from `state`, of this trainer or of the compiled one."""
+        super().restore(state)
+        for mine, saved in zip((*self.moments, self.counts),
+                               (self.first, self.second, self.updates)):
+            mine.copy_(torch.from_numpy(saved))
+
+    def finished(self) -> RadianceField:
+        """Return the fitted field with its coverage marked."""
+        field = super().finished()
+        field.pull()
+        field.seen, field.mirror = self.arrays.seen.cpu().numpy(), None
+        return field
+
+    def _mark_seen(self, rays_o: np.ndarray, rays_d: np.ndarray) -> None:
+        if self.field.seen is not self.arrays.source[2]:
+            # Nothing is seen yet: the fit begins with everything taken for seen.
+            self.arrays.seen.zero_()
+            self.arrays.source = (self.field.grid, self.field.skip, self.field.seen)
+        self.arrays.mark_seen(*(torch.from_numpy(rays).to(self.arrays.device)
+                                for rays in (rays_o, rays_d)))

@@ -1,0 +1,65 @@
+from pathlib import Path
+
+from neo_ros.field.free_space import find_free_floor
+from neo_ros.field.voxel_field import RadianceField
+from neo_ros.geometry import Intrinsics
+from neo_ros.scenes.pose_sampling import PoseSampler, SamplingConfig
+from neo_ros.scenes.posed_images import PosedImages
+import numpy as np
+from plain_field import CENTRE, room_field, standing, WALLS
+import pytest
+
+CAMERA = Intrinsics.from_hfov(32, 32, 1.6)
+
+
+def photos(*places: tuple[float, float]) -> PosedImages:
+    poses = tuple(standing(x, y, yaw) for x, y in places
+                  for yaw in np.linspace(0, 2 * np.pi, 8, endpoint=False))
+    return PosedImages(CAMERA, (Path('none.png'),) * len(poses), poses, (0,) * len(poses))
+
+
+def furnished(low: tuple[float, float, float], high: tuple[float, float, float]
+              ) -> RadianceField:
+    """Put a block between two corners, relative to the room's centre, into the room."""
+    field = room_field(80_000)
+    points = field.world_points().reshape(-1, 3) - CENTRE
+    field.grid[((points > low) & (points < high)).all(1), 0] = 30
+    field.update_occupancy()
+    return field
+
+
+def test_the_floor_of_an_empty_room_is_free_up_to_the_walls() -> None:
+    field = room_field(80_000)
+    field.update_occupancy()
+    floor = find_free_floor(field, photos((0, 0), (1, 0.8), (-1, -0.8)), SamplingConfig())
+    assert floor.camera_height == pytest.approx(CENTRE[2]) and floor.clearance == 0
+    assert floor.area == pytest.approx(4 * WALLS[0] * WALLS[1], rel=0.15)
+    offset = np.abs(floor.centres() - CENTRE[:2])
+    assert (offset < WALLS[:2] + field.voxel).all()
+    positions = PoseSampler.for_walkable(floor, SamplingConfig(robot_radius=0.4)).positions_xy
+    assert (np.abs(positions - CENTRE[:2]) < WALLS[:2] - 0.2).all() and len(positions) > 300
+
+
+def test_a_table_below_the_camera_is_in_the_way() -> None:
+    # 0.6 m high on the floor; the camera is 1.1 m above it and looks over the table.
+    field = furnished((0.2, -0.4, -1.2), (1.0, 0.4, -0.5))
+    floor = find_free_floor(field, photos((-0.8, 0), (1.5, 0)), SamplingConfig())
+    table = CENTRE[:2] + np.array([[0.6, 0.0], [0.4, 0.2], [0.8, -0.2]])
+    assert not floor.contains(table).any()
+    assert floor.contains(CENTRE[:2] + np.array([[-1.0, 1.0], [1.6, 0.0]])).all()
+
+
+def test_what_no_photo_looked_into_is_not_free() -> None:
+    # A wall from side to side; all photos are on its one side.
+    field = furnished((0.4, -3, -3), (0.8, 3, 3))
+    floor = find_free_floor(field, photos((-0.8, 0.5), (-1, -0.5)), SamplingConfig())
+    assert (floor.centres()[:, 0] < CENTRE[0] + 0.5).all()
+    both = find_free_floor(field, photos((-0.8, 0.5), (1.4, 0.0)), SamplingConfig())
+    assert both.contains(CENTRE[:2] + np.array([[1.4, 0.8], [-1.0, 0.8]])).all()
+
+
+def test_the_height_may_be_another() -> None:
+    field = room_field(80_000)
+    field.update_occupancy()
+    config = SamplingConfig(camera_height=float(CENTRE[2]) + 0.3)
+    assert find_free_floor(field, photos((0, 0)), config).camera_height == config.camera_height
