@@ -5,6 +5,7 @@ from typing import Any, Iterator
 from hypothesis import given, settings, strategies as st
 from neo_ros.errors import ConfigError
 from neo_ros.geometry import Intrinsics, ViewExpansion
+from neo_ros.outpaint import fitting
 from neo_ros.outpaint.fitting import outpaint_loss, OutpaintConfig, OutpaintTrainer
 from neo_ros.outpaint.network import NetworkConfig
 import numpy as np
@@ -18,14 +19,17 @@ NETWORK = NetworkConfig(patch=4, width=8, depth=2, memory=16)
 @pytest.fixture(scope='module', autouse=True)
 def one_thread() -> Iterator[None]:
     """Small tensors on a shared machine: threads would only wait for one another."""
-    before = torch.get_num_threads()
+    before = torch.get_num_threads(), fitting.THREADS
     torch.set_num_threads(1)
+    fitting.THREADS = 1
     yield
-    torch.set_num_threads(before)
+    torch.set_num_threads(before[0])
+    fitting.THREADS = before[1]
 
 
 def trainer(seed: int = 0, **changes: Any) -> OutpaintTrainer:
-    settings: dict[str, Any] = {'steps': 40, 'batch': 4, 'precision': 'fp32', **changes}
+    settings: dict[str, Any] = {'steps': 40, 'batch': 4, 'precision': 'fp32', 'device': 'cpu',
+                                **changes}
     return OutpaintTrainer(EXPANSION, NETWORK, OutpaintConfig(**settings), seed)
 
 
@@ -38,6 +42,14 @@ def wide_views(step: int, size: int = 4) -> np.ndarray:
     views = (127 + 120 * np.sin(waves[None] + phase)).astype(np.uint8)
     views[..., 3] = 255
     return views
+
+
+def state_of(learning: OutpaintTrainer) -> dict[str, Any]:
+    """Return a trainer's state as it comes back from a file."""
+    file = BytesIO()
+    torch.save(learning.state(), file)
+    file.seek(0)
+    return torch.load(file, weights_only=True)
 
 
 def weights(network: torch.nn.Module) -> dict[str, torch.Tensor]:
@@ -154,11 +166,8 @@ def test_a_broken_training_goes_on_to_the_same_bits(precision: str) -> None:
         unbroken.train_step(wide_views(step))
     for step in range(5):
         broken.train_step(wide_views(step))
-    file = BytesIO()
-    torch.save(broken.state(), file)
-    file.seek(0)
     resumed = trainer(seed=9, precision=precision)
-    resumed.restore(torch.load(file, weights_only=True))
+    resumed.restore(state_of(broken))
     assert resumed.step == 5 and resumed.loss == broken.loss
     for step in range(5, 12):
         resumed.train_step(wide_views(step))
@@ -172,10 +181,149 @@ def test_a_seed_decides_the_weights() -> None:
     assert not same(weights(trainer(3).network), weights(trainer(4).network))
 
 
+def test_a_training_by_time_ends_when_its_minutes_are_over(
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = [100.0]
+    monkeypatch.setattr(fitting.time, 'monotonic', lambda: clock[0])
+    learning, rates = trainer(minutes=0.5, learning_rate=1.0), []
+    monkeypatch.setattr(learning, '_parallel', _seconds_pass(learning.network, clock, 2.0))
+    while learning.done[0] < learning.done[1]:
+        rates.append(learning.rate())
+        learning.train_step(wide_views(learning.step))
+        clock[0] += 1.0  # making the next batch
+        if learning.step == 5:
+            before, learning = learning, trainer(minutes=0.5, learning_rate=1.0)
+            learning.restore(state_of(before))
+            clock[0] += 1000.0  # what happens while the training is broken off does not count
+            monkeypatch.setattr(
+                learning, '_parallel', _seconds_pass(learning.network, clock, 2.0))
+    # The first step of each part has no batch before it on its clock.
+    assert learning.seconds == pytest.approx(2 + 4 * 3 + 2 + 5 * 3, abs=3)
+    assert learning.done[1] == 30 and learning.share == 1 and learning.rate() == 0
+    warm = [rate / min((step + 1) / 100, 1) for step, rate in enumerate(rates)]
+    assert warm[0] == pytest.approx(1) and all(np.diff(warm) < 0) and warm[-1] < 0.1
+
+
+def _seconds_pass(network: torch.nn.Module, clock: list[float], seconds: float) -> Any:
+    def run(narrow: torch.Tensor) -> Any:
+        clock[0] += seconds
+        return network(narrow)
+
+    return run
+
+
+def test_faults_are_put_into_the_input_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    learning = trainer(photometric=1, occluders=1)
+    batch = wide_views(0)
+    narrow, truth, weight = learning._tensors(batch, np.random.default_rng(0))
+    clean, same_truth, _ = trainer(photometric=0, occluders=0)._tensors(
+        batch, np.random.default_rng(0))
+    assert (narrow - clean).abs().mean() > 0.02 and torch.equal(truth, same_truth)
+    np.testing.assert_allclose(
+        clean.permute(0, 2, 3, 1).numpy() * 255, batch[:, 8:24, 8:24, :3], atol=1e-3)
+    np.testing.assert_allclose(truth.permute(0, 2, 3, 1).numpy() * 255, batch[..., :3], atol=1e-3)
+    assert weight.sum() == 4 * (32 * 32 - 16 * 16)
+
+
+def test_validation_is_the_ring_psnr_on_held_out_views() -> None:
+    views = wide_views(77)
+    views[0, :5, :, 3] = 0  # nobody saw it
+    learning = OutpaintTrainer(EXPANSION, NETWORK, OutpaintConfig(
+        steps=20, batch=4, precision='fp32', validations=4, device='cpu'), 0, views)
+    for step in range(20):
+        learning.train_step(wide_views(step))
+    assert [row[0] for row in learning.validation] == [5, 10, 15, 20]
+    rows, columns = EXPANSION.observed
+    expected = []
+    for view in views:
+        ring = EXPANSION.extrapolated_mask & (view[..., 3] > 127)
+        with torch.no_grad():
+            colour = learning.averaged(torch.from_numpy(
+                view[rows, columns, :3]).permute(2, 0, 1)[None] / 255)[0][0].permute(1, 2, 0)
+        error = colour.clamp(0, 1).numpy()[ring] - view[..., :3][ring] / 255
+        expected.append(-10 * np.log10((error ** 2).mean()))
+    assert learning.validation[-1][2] == pytest.approx(np.mean(expected), abs=1e-3)
+    assert learning.note().endswith('dB on held-out photos')
+    resumed = trainer()
+    resumed.restore(state_of(learning))
+    assert resumed.validation == learning.validation
+
+
+def test_a_checkpoint_from_before_the_clock_goes_on() -> None:
+    old = trainer().state()
+    for key in ('seed', 'seconds', 'validation'):
+        del old[key]
+    resumed = trainer(seed=5)
+    resumed.restore(old)
+    assert (resumed.seed, resumed.seconds, resumed.validation) == (5, 0, [])
+
+
+def test_batch_statistics_are_averaged_too() -> None:
+    learning = OutpaintTrainer(
+        EXPANSION, NetworkConfig(name='lama', width=8, depth=1, blocks=1),
+        OutpaintConfig(steps=5, batch=4, precision='fp32', device='cpu'), 0)
+    learning.train_step(wide_views(0))
+    means = [(name, buffer) for name, buffer in learning.averaged.named_buffers()
+             if name.endswith('running_mean')]
+    assert means and all(buffer.any() for _, buffer in means)
+
+
+class PlainDistance(torch.nn.Module):
+    """Stand in for LPIPS: the squared difference, in two layers; remembers what it saw."""
+
+    def __init__(self, backbone: str) -> None:
+        super().__init__()
+        self.seen: list[tuple[torch.Tensor, torch.Tensor]] = []
+
+    def distances_BCHW(self, x: torch.Tensor, y: torch.Tensor) -> list[torch.Tensor]:
+        """Return two maps."""
+        self.seen.append((x.detach(), y.detach()))
+        return [(x - y).square().mean(1, keepdim=True)] * 2
+
+
+def test_the_perceptual_term_sees_windows_whose_centre_is_the_truth(
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fitting, 'PerceptualDistance', PlainDistance)
+    learning = OutpaintTrainer(
+        ViewExpansion.to_size(Intrinsics(32, 32, 16, 16, 16, 16), 64, 64), NETWORK,
+        OutpaintConfig(steps=40, batch=2, precision='fp32', perceptual=2.0, device='cpu',
+                       perceptual_window=48), 0)
+    assert trainer(perceptual=0).perceptual is None
+    batch = wide_views(0, 2).repeat(2, 1).repeat(2, 2)
+    first = learning.train_step(batch)
+    assert isinstance(learning.perceptual, PlainDistance)
+    (painted, truth), = learning.perceptual.seen
+    assert painted.shape == (2, 3, 48, 48) and painted.min() >= -1.5 and truth.min() >= -1
+    equal = (painted == truth).all(1).all(0)
+    # Any window of 48 of 64 pixels holds most of the 32 observed ones in its middle.
+    assert 16 * 16 <= equal.sum() <= 32 * 32 + 20 and not equal.all()
+    without = OutpaintTrainer(learning.expansion, NETWORK, OutpaintConfig(
+        steps=40, batch=2, precision='fp32', device='cpu'), 0)
+    difference = 2.0 * 2 * float((painted - truth).square().mean())
+    assert first == pytest.approx(without.train_step(batch) + difference, rel=1e-4)
+    assert not same(weights(learning.network), weights(without.network))
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason='there is a CUDA device')
+def test_a_device_that_is_not_there_is_an_error() -> None:
+    assert trainer(device='auto').device.type == 'cpu'
+    with pytest.raises(ConfigError, match='outpaint.device: expected a CUDA device'):
+        trainer(device='cuda')
+
+
 @pytest.mark.parametrize('changes, message', [
     ({'precision': 'fp16'}, "outpaint.precision: expected bf16 or fp32, got 'fp16'"),
     ({'steps': 0}, 'outpaint: expected steps >= 1'),
     ({'batch': 0}, 'batch >= 1'),
+    ({'minutes': 0.0}, 'outpaint.minutes: expected a number > 0, got 0.0'),
+    ({'device': 'gpu'}, "outpaint.device: expected auto or cpu or cuda, got 'gpu'"),
+    ({'training_view': 'narrow'}, 'outpaint.training_view: expected wide or source'),
+    ({'training_view': 'source'}, 'set outpaint.real_centre to 0'),
+    ({'real_centre': 1.5}, 'outpaint.real_centre: expected 0 ... 1, got 1.5'),
+    ({'occluders': -0.1}, 'outpaint.occluders: expected 0 ... 1'),
+    ({'photometric': -1}, 'outpaint.photometric: expected 0 ... inf'),
+    ({'perceptual': -1}, 'outpaint.perceptual: expected 0'),
+    ({'perceptual_window': 16}, 'outpaint.perceptual_window: expected at least 32'),
 ], ids=str)
 def test_settings_out_of_range(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message):

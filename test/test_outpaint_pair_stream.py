@@ -4,7 +4,8 @@ from neo_ros.errors import SceneError
 from neo_ros.field.rendering import render_view, to_uint8
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import CameraPose, Intrinsics
-from neo_ros.outpaint.pair_stream import covered, FIRST, PairStream
+from neo_ros.outpaint.pair_stream import FIRST, PairStream
+from neo_ros.outpaint.panorama_pool import covered
 from neo_ros.scenes.pose_sampling import PoseSampler
 import numpy as np
 from plain_field import CENTRE, room_field, WALLS
@@ -49,22 +50,22 @@ def test_batches_are_wide_views_with_their_coverage(field: RadianceField) -> Non
 
 def test_positions_come_as_training_goes_on(field: RadianceField) -> None:
     stream = PairStream(field, sampler(), VIEW, FIRST + 4, seed=0)
-    assert not stream.panoramas
+    assert not stream.pool.panoramas
     counts = []
     for step in (0, 1, 3, 40):
         stream.batch(step, 1)
-        counts.append(len(stream.panoramas))
+        counts.append(len(stream.pool.panoramas))
     assert counts == [FIRST, FIRST + 1, FIRST + 3, FIRST + 4]
     few = PairStream(field, sampler(), VIEW, 3, seed=0)
     few.batch(0, 2)
-    assert len(few.panoramas) == 3
+    assert len(few.pool.panoramas) == 3
 
 
 def test_views_look_where_the_sampler_says(field: RadianceField) -> None:
     stream = PairStream(field, sampler((0.3, 0.1), yaw_range=(1.0, 0.0)), VIEW, 1, seed=0)
     found = stream.batch(0, 1)[0]
     pose = np.eye(4)
-    pose[:3, :3] = stream.sampler.draw_rotation(np.random.default_rng(0))
+    pose[:3, :3] = stream.pool.sampler.draw_rotation(np.random.default_rng(0))
     pose[:3, 3] = CENTRE + [0.3, 0.1, 0]
     expected = to_uint8(render_view(field, VIEW, CameraPose(pose)).image)
     assert np.abs(found[..., :3].astype(int) - expected).mean() < 3
@@ -83,8 +84,8 @@ def test_positions_inside_matter_are_passed_over(field: RadianceField) -> None:
     inside_wall = (float(WALLS[0]) + 0.9, 0.0)
     stream = PairStream(field, sampler((0, 0), inside_wall), VIEW, 12, seed=0)
     stream.batch(0, 1)
-    assert stream.refused > 0 and len(stream.panoramas) == 12
-    assert {tuple(panorama.position[:2]) for panorama in stream.panoramas} == {
+    assert stream.pool.refused['in matter'] > 0 and len(stream.pool.panoramas) == 12
+    assert {tuple(panorama.position[:2]) for panorama in stream.pool.panoramas} == {
         tuple(CENTRE[:2])}
 
 

@@ -1,5 +1,5 @@
 """
-The outpainter: a deterministic, scene-specific network from the narrow to the wide view.
+`neo_fast`: a deterministic, scene-specific network from the narrow to the wide view.
 
 Most weights sit in a fully connected middle that sees the whole image at once: it has to
 remember the place (where am I, which way do I look). Convolutions carry the observed detail
@@ -16,17 +16,31 @@ import torch.nn.functional as F
 
 @dataclass(frozen=True)
 class NetworkConfig:
-    """Size of the outpainter."""
+    """
+    Which outpainter, and its size.
+
+    Every network reads patch, width and depth in its own way: see `Outpainter` (neo_fast), `Mat`
+    and `Lama`.
+    """
 
     __pydantic_config__ = {'extra': 'forbid'}
+    name: str = 'neo_fast'  # neo_fast, mat or lama
     patch: int = 4          # pixels a side of the finest grid's cells
-    width: int = 64         # channels on the finest grid; doubled at every coarser one
+    width: int = 64         # channels on the finest grid; neo_fast and lama double them downwards
     depth: int = 3          # number of grids, each half as fine as the one before
-    memory: int = 1024      # units of the fully connected middle
+    memory: int = 1024      # neo_fast: units of the fully connected middle
+    recall: int = 0         # neo_fast: channels that the middle gives each cell; 0 = all of them
+    blocks: int = 2         # mat, lama: blocks in a stage
+    window: int = 8         # mat: cells a side of an attention window
 
     def __post_init__(self) -> None:
-        if min(self.patch, self.width, self.depth, self.memory) < 1:
+        if self.name not in ('neo_fast', 'mat', 'lama'):
+            raise ConfigError(
+                f'network.name: expected neo_fast, mat or lama, got {self.name!r}')
+        if min(self.patch, self.width, self.depth, self.memory, self.blocks, self.window) < 1:
             raise ConfigError(f'network: expected sizes >= 1, got {self}')
+        if self.recall < 0:
+            raise ConfigError(f'network.recall: expected channels >= 0, got {self.recall}')
 
 
 def check_fits(expansion: ViewExpansion, config: NetworkConfig) -> int:
@@ -85,14 +99,15 @@ class Outpainter(nn.Module):
         coarse = channels[-1]
         self.wide_grid = (target.height // cell, target.width // cell)
         inputs = coarse // 4 * (source.height // cell) * (source.width // cell)
-        outputs = coarse // 2 * self.wide_grid[0] * self.wide_grid[1]
+        recalled = config.recall or coarse // 2
+        outputs = recalled * self.wide_grid[0] * self.wide_grid[1]
         self.squeeze = nn.Conv2d(coarse, coarse // 4, 1)
         self.recall = nn.Sequential(
             nn.Linear(inputs, config.memory), nn.SiLU(),
             nn.Linear(config.memory, config.memory), nn.SiLU(),
             nn.Linear(config.memory, outputs))
         self.join = nn.ModuleList(
-            nn.Conv2d(c + 1 + (coarse // 2 if level == config.depth - 1 else c),
+            nn.Conv2d(c + 1 + (recalled if level == config.depth - 1 else c),
                       c, 3, padding=1)
             for level, c in enumerate(channels))
         self.decode = nn.ModuleList(

@@ -1,0 +1,163 @@
+"""Several experiments on one scene, side by side: networks at equal time, ablations."""
+from dataclasses import asdict, dataclass, replace
+import json
+import os
+from pathlib import Path
+import statistics
+import time
+from typing import Any, Optional, Sequence
+
+from neo_ros.errors import ConfigError
+from neo_ros.evaluation.output import make_output_folder, write_bytes
+from neo_ros.evaluation.report import Plot, Section, Series, Table, Text, write_report
+from neo_ros.evaluation.speed_runtime import noise_image
+from neo_ros.experiment import Experiment, read_experiment
+from neo_ros.pipeline import claim, Progress, train
+from neo_ros.runtime import FovExtrapolator
+from neo_ros.scenes.scene import read_scene
+
+# What of an experiment decides its field: those that agree in it share one.
+FIELD_SETTINGS = ('seed', 'scale', 'field')
+TIMED_RUNS = 30
+
+
+@dataclass(frozen=True)
+class Row:
+    """
+    What came of one experiment.
+
+    samples         wide views that the outpainter saw; minutes: what it took to train it
+    validation_psnr ring, photos held out of the training (dB); ring_psnr: test frames, if any
+    on_front        no other is both better and cheaper in arithmetic
+    """
+
+    name: str
+    network: str
+    gflop: float
+    megabytes: float
+    milliseconds: float
+    samples: int
+    minutes: float
+    validation_psnr: Optional[float]
+    ring_psnr: Optional[float]
+    on_front: bool = False
+
+
+def compare(scene_folder: Path, configs: Sequence[Path], out: Path,
+            minutes: Optional[float] = None, steps: Optional[int] = None,
+            progress: Progress = lambda stage, done, total, note: None) -> list[Row]:
+    """
+    Train every experiment in its own folder of `out`, and write comparison.html and .json.
+
+    minutes or steps, where given, replace those of all experiments; none has a scene memory.
+    Experiments whose fields agree share the first one's. What is finished is not done again: a
+    run that was broken off goes on. Raises ConfigError for files of one name.
+    """
+    names = [path.stem for path in configs]
+    if len(set(names)) != len(names):
+        raise ConfigError(f'configs: expected files of different names, got {names}')
+    experiments = {path.stem: _prepared(read_experiment(path), minutes, steps) for path in configs}
+    make_output_folder(out)
+    rows: list[Row] = []
+    fields: dict[str, Path] = {}
+    for name, experiment in experiments.items():
+        folder = out / name
+        rows.append(_finished_row(folder) or _trained_row(
+            scene_folder, name, experiment, folder, fields, progress))
+        fields.setdefault(_field_key(experiment), folder)
+        written = marked_front(rows)
+        write_bytes(out / 'comparison.json', json.dumps(
+            [asdict(row) for row in written], indent=1).encode())
+        write_report(out / 'comparison.html', f'Experiments on {read_scene(scene_folder).name}',
+                     _sections(written))
+    return marked_front(rows)
+
+
+def marked_front(rows: Sequence[Row]) -> list[Row]:
+    """Mark the rows that no other beats in quality and arithmetic at once."""
+    def beaten(row: Row) -> bool:
+        return any(_quality(other) >= _quality(row) and other.gflop <= row.gflop
+                   and (_quality(other), other.gflop) != (_quality(row), row.gflop)
+                   for other in rows)
+
+    return [replace(row, on_front=not beaten(row)) for row in rows]
+
+
+def _prepared(experiment: Experiment, minutes: Optional[float],
+              steps: Optional[int]) -> Experiment:
+    changes: dict[str, Any] = {}
+    if minutes is not None:
+        changes['minutes'] = minutes
+    if steps is not None:
+        changes.update(steps=steps, minutes=None)
+    # The networks by themselves: a scene memory would hide how good each of them is.
+    return replace(experiment, memory=None, outpaint=replace(experiment.outpaint, **changes))
+
+
+def _trained_row(scene_folder: Path, name: str, experiment: Experiment, folder: Path,
+                 fields: dict[str, Path], progress: Progress) -> Row:
+    make_output_folder(folder)
+    claim(folder, read_scene(scene_folder), experiment)
+    shared = fields.get(_field_key(experiment))
+    if shared is not None and not (folder / 'field.npz').exists():
+        # The field last: where it is, its notes are.
+        for file in ('field.json', 'field.npz'):
+            (folder / file).unlink(missing_ok=True)
+            os.link(shared / file, folder / file)
+
+    run = train(scene_folder, experiment, folder,
+                lambda stage, *rest: progress(f'{name}: {stage}', *rest))
+    model = FovExtrapolator.load(run.model_path, guided=False)
+    validation = run.log['validation']
+    row = Row(name, experiment.network.name, model.card.gflop or 0.0,
+              run.model_path.stat().st_size / 1e6, _milliseconds(model), run.samples,
+              run.outpaint_seconds / 60, validation[-1][2] if validation else None,
+              run.figures.get('ring_psnr'))
+    write_bytes(folder / 'row.json', json.dumps(asdict(row)).encode())
+    return row
+
+
+def _finished_row(folder: Path) -> Optional[Row]:
+    try:
+        return Row(**json.loads((folder / 'row.json').read_text()))
+    except FileNotFoundError:
+        return None
+
+
+def _milliseconds(model: FovExtrapolator) -> float:
+    image, times = noise_image(model.expansion.source), []
+    for _ in range(TIMED_RUNS):
+        started = time.perf_counter()
+        model.expand(image)
+        times.append(1e3 * (time.perf_counter() - started))
+    return statistics.median(times)
+
+
+def _field_key(experiment: Experiment) -> str:
+    settings = asdict(experiment)
+    return json.dumps({name: settings[name] for name in FIELD_SETTINGS})
+
+
+def _quality(row: Row) -> float:
+    """Return the score to choose by: held-out photos, so that the test frames stay unseen."""
+    for score in (row.validation_psnr, row.ring_psnr):
+        if score is not None:
+            return score
+    return 0.0
+
+
+def _sections(rows: Sequence[Row]) -> list[Section]:
+    def decibels(value: Optional[float]) -> str:
+        return '' if value is None else f'{value:.2f}'
+
+    table = Table(
+        ('experiment', 'network', 'GFLOP', 'MB', 'ms', 'samples', 'minutes', 'held out, ring dB',
+         'test, ring dB', 'front'),
+        [(row.name, row.network, f'{row.gflop:.2f}', f'{row.megabytes:.1f}',
+          f'{row.milliseconds:.1f}', str(row.samples), f'{row.minutes:.1f}',
+          decibels(row.validation_psnr), decibels(row.ring_psnr),
+          'yes' if row.on_front else '') for row in rows])
+    plot = Plot('Arithmetic and quality', 'GFLOP per image', 'ring PSNR, held-out photos, dB',
+                [Series(row.name, [row.gflop], [_quality(row)]) for row in rows], 'points')
+    return [Text('Front: no other experiment is better and cheaper at once. Time is the median '
+                 'of one image on all cores of this machine.'), table, plot]

@@ -1,0 +1,131 @@
+"""
+Is the confidence true? Reliability and sparsification of it over the ring of test frames.
+
+Expected calibration error: pixels in bins of predicted error; the mean distance of a bin's
+prediction to its mean error. Sparsification: the error that is left when the least sure pixels
+are dropped, against an oracle that drops the worst ones; the area between the two (AUSE, Ilg et
+al., Uncertainty Estimates and Multi-Hypotheses Networks for Optical Flow, 2018) is 0 at best.
+"""
+from dataclasses import dataclass, field
+from typing import Callable, Iterable
+
+from neo_ros.evaluation.metrics import check_pair
+from neo_ros.evaluation.report import Plot, Section, Series, Table
+from neo_ros.geometry import ViewExpansion
+from neo_ros.runtime import WideView
+from neo_ros.runtime.confidence import expected_error
+import numpy as np
+
+BINS = 10
+DROPPED = np.linspace(0, 0.95, 20)
+# Errors are kept exactly: the sum over three channels of uint8 differences.
+_LARGEST = 3 * 255
+
+
+@dataclass
+class Calibration:
+    """
+    Errors of ring pixels by the confidence they came with.
+
+    counts  int64 (256, 766): pixels of a confidence with a sum of absolute differences
+    """
+
+    counts: np.ndarray = field(
+        default_factory=lambda: np.zeros((256, _LARGEST + 1), np.int64))
+
+    def add(self, truth: np.ndarray, wide_image: np.ndarray, confidence: np.ndarray,
+            expansion: ViewExpansion) -> None:
+        """Count a frame: two RGB uint8 (H, W, 3) and confidence uint8 (H, W)."""
+        check_pair(truth, wide_image, expansion)
+        ring = expansion.extrapolated_mask
+        error = np.abs(truth.astype(np.int64) - wide_image)[ring].sum(-1)
+        index = confidence[ring].astype(np.int64) * (_LARGEST + 1) + error
+        self.counts += np.bincount(index, minlength=self.counts.size).reshape(self.counts.shape)
+
+    def reliability(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """
+        Return mean predicted error, mean error (both of 255) and pixels of each bin.
+
+        Bins hold as nearly the same number of pixels as whole confidence values allow; empty
+        ones are left out.
+        """
+        pixels = self.counts.sum(1)[::-1]  # surest first
+        errors = (self.counts @ _per_pixel())[::-1]
+        predicted = 255 * expected_error(np.arange(255, -1, -1, dtype=np.uint8)) * pixels
+        # A value of the confidence goes where the middle of its pixels lies.
+        middle = (np.cumsum(pixels) - pixels / 2) / max(pixels.sum(), 1)
+        bins = np.minimum((middle * BINS).astype(int), BINS - 1)
+        count, prediction, error = (np.bincount(bins, values, BINS)
+                                    for values in (pixels, predicted, errors))
+        some = count > 0
+        return prediction[some] / count[some], error[some] / count[some], count[some]
+
+    def calibration_error(self) -> float:
+        """Return the expected calibration error in steps of 1/255."""
+        predicted, actual, count = self.reliability()
+        return float(np.average(np.abs(predicted - actual), weights=count))
+
+    def sparsification(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the mean error (of 255) left after dropping DROPPED: by confidence, by truth."""
+        surest = self.counts[::-1]
+        by_confidence = _left(surest.sum(1), surest @ _per_pixel())
+        totals = self.counts.sum(0)
+        return by_confidence, _left(totals, totals * _per_pixel())
+
+    def sparsification_error(self) -> float:
+        """Return the AUSE, a share of the mean error: 0 perfect, order of the errors known."""
+        model, oracle = self.sparsification()
+        return float(np.trapezoid((model - oracle) / model[0], DROPPED))
+
+    def summary(self) -> dict[str, float]:
+        """Return the figures for a file of results, errors in steps of 1/255."""
+        return {'mean_error': float(self.sparsification()[0][0]),
+                'expected_calibration_error': self.calibration_error(),
+                'sparsification_error': self.sparsification_error()}
+
+    def sections(self) -> list[Section]:
+        """Return a report's part on the confidence: figures and both curves."""
+        summary = self.summary()
+        rows = [('Mean absolute error of the ring', f'{summary["mean_error"]:.2f} / 255'),
+                ('Expected calibration error',
+                 f'{summary["expected_calibration_error"]:.2f} / 255'),
+                ('Area between sparsification and its oracle (AUSE)',
+                 f'{summary["sparsification_error"]:.3f}')]
+        predicted, actual, _ = self.reliability()
+        model, oracle = self.sparsification()
+        dropped = (100 * DROPPED).tolist()
+        return [
+            Table(('confidence', 'value'), rows, 'Is the confidence true?',
+                  'Of the network by itself, where no scene memory guides it.'),
+            Plot('Error that the confidence promises and error there is, each of 255',
+                 'predicted', 'found', [Series('model', predicted.tolist(), actual.tolist()),
+                                        Series('perfect', predicted.tolist(),
+                                               predicted.tolist())]),
+            Plot('Error left after dropping the least sure pixels, of 255', 'dropped, %',
+                 'mean error', [Series('by confidence', dropped, model.tolist()),
+                                Series('by the true error', dropped, oracle.tolist())])]
+
+
+def calibrate(expand: Callable[[np.ndarray], WideView], expansion: ViewExpansion,
+              frames: Iterable[tuple[np.ndarray, np.ndarray]]) -> Calibration:
+    """Run a model on pairs of narrow image (h, w, 3) and wide truth (H, W, 3), RGB uint8."""
+    result = Calibration()
+    for narrow_image, truth in frames:
+        view = expand(narrow_image)
+        result.add(truth, view.wide_image, view.confidence, expansion)
+    return result
+
+
+def _per_pixel() -> np.ndarray:
+    return np.arange(_LARGEST + 1) / 3
+
+
+def _left(pixels: np.ndarray, errors: np.ndarray) -> np.ndarray:
+    """Return the mean error of what is kept; groups of pixels come surest first."""
+    total = pixels.sum()
+    kept = (1 - DROPPED) * total
+    # Within a group all pixels are alike: its error grows evenly with its pixels.
+    some = pixels > 0
+    pixel_steps = np.concatenate([[0], np.cumsum(pixels[some])])
+    error_steps = np.concatenate([[0], np.cumsum(errors[some])])
+    return np.interp(kept, pixel_steps, error_steps) / np.maximum(kept, 1e-9)

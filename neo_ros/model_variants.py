@@ -1,0 +1,94 @@
+"""A trained model in other number formats, with what each costs in size, time and quality."""
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+import statistics
+import time
+
+from neo_ros.checkpoint import read_checkpoint
+from neo_ros.errors import ConfigError
+from neo_ros.evaluation.metrics import psnr
+from neo_ros.field.voxel_field import RadianceField
+from neo_ros.outpaint.export import calibration_factor, check_parity, ExportedFunction
+from neo_ros.outpaint.networks import build_network
+from neo_ros.outpaint.variants import export_variant, Format, FORMATS
+from neo_ros.pipeline import claim, real_frames, TrainingRun
+from neo_ros.runtime import FovExtrapolator, read_model_card, write_model_card
+from neo_ros.runtime.model_card import Parity
+from neo_ros.training_views import held_out_views
+import numpy as np
+
+# Camera images from which int8 takes its ranges, and those on which torch is compared.
+RANGE_FRAMES, PARITY_FRAMES = 64, 8
+ROUNDS = 30
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A model file; milliseconds is a median, ring_psnr (dB) is over held-out photos."""
+
+    name: str
+    path: Path
+    megabytes: float
+    milliseconds: float
+    ring_psnr: float
+
+
+def export_variants(run: TrainingRun, formats: Sequence[Format] = FORMATS,
+                    threads: int = 0) -> list[Variant]:
+    """
+    Write a finished run's model as SCENE.<format>.onnx beside it, and measure all of them.
+
+    Quality is measured on photos that nothing was trained on, against the field around them,
+    so the test frames stay unseen. Raises ConfigError for a run that is not finished.
+    """
+    checkpoint = run.out / 'outpainter.ckpt'
+    if not checkpoint.exists() or not run.model_path.exists():
+        raise ConfigError(f'{run.out}: expected a finished run; give neo train the same arguments')
+    claim(run.out, run.scene, run.experiment)
+    network = build_network(run.expansion, run.experiment.network)
+    network.load_state_dict(read_checkpoint(checkpoint)['trainer']['averaged'])
+    network.eval()
+    views = held_out_views(run, RadianceField.load(run.out / 'field.npz'))
+    if views is None:
+        raise ConfigError(f'{run.out}: expected photos held out of the training to measure on, '
+                          'there are too few')
+    factor = calibration_factor(network, run.expansion, views)
+    function = ExportedFunction(network, run.expansion, factor).eval()
+    card = read_model_card(run.model_path)
+    models = {'as trained': run.model_path}
+    for number_format in formats:
+        path = run.model_path.with_suffix(f'.{number_format}.onnx')
+        export_variant(network, run.expansion, path, number_format,
+                       real_frames(run, RANGE_FRAMES, run.fitted), factor)
+        write_model_card(path, card)
+        model = FovExtrapolator.load(path, threads, guided=False)
+        worst, share = check_parity(function, lambda image: model.expand(image).wide_image,
+                                    real_frames(run, PARITY_FRAMES))
+        write_model_card(path, card.model_copy(update={
+            'parity': Parity(max_abs_error=worst, share_within_1=share)}))
+        models[number_format] = path
+    return _measured(models, run, views, threads)
+
+
+def _measured(models: dict[str, Path], run: TrainingRun, views: np.ndarray,
+              threads: int) -> list[Variant]:
+    loaded = {name: FovExtrapolator.load(path, threads, guided=False)
+              for name, path in models.items()}
+    scores: dict[str, list[float]] = {name: [] for name in models}
+    milliseconds: dict[str, list[float]] = {name: [] for name in models}
+    for view in views:
+        seen = run.expansion.extrapolated_mask & (view[..., 3] > 127)
+        narrow = np.ascontiguousarray(run.expansion.crop(view)[..., :3])
+        if seen.any():
+            for name, model in loaded.items():
+                wide_image = model.expand(narrow).wide_image
+                scores[name].append(psnr(view[..., :3][seen], wide_image[seen]))
+    # In turns, so that what else the machine does meets all of them.
+    for _ in range(ROUNDS):
+        for name, model in loaded.items():
+            started = time.perf_counter()
+            model.expand(narrow)
+            milliseconds[name].append(1e3 * (time.perf_counter() - started))
+    return [Variant(name, path, path.stat().st_size / 1e6, statistics.median(milliseconds[name]),
+                    float(np.mean(scores[name]))) for name, path in models.items()]

@@ -1,0 +1,145 @@
+"""Panoramas at places where the robot can be, and the views that are worth learning from."""
+from collections import Counter
+from typing import Any, Optional
+
+from neo_ros.errors import SceneError
+from neo_ros.field.panorama import Panorama, render_panorama, view_band
+from neo_ros.field.voxel_field import RadianceField
+from neo_ros.geometry import Intrinsics
+from neo_ros.scenes.pose_sampling import PoseSampler
+from neo_ros.scenes.posed_images import PosedImages
+from neo_ros.scenes.sharpness import blur_threshold, relative_sharpness
+import numpy as np
+
+# A view of which no photo saw even half teaches little. A position with hardly any other view
+# lies inside matter or outside the scene.
+LEAST_COVERAGE = 0.5
+LEAST_GOOD_VIEWS = 0.2
+# Where half of all rays meet nothing, or end right in front of the lens, there is no room.
+LEAST_OPACITY = 0.5
+MOST_BLOCKED = 0.5
+TRIES = 200
+AUDITED_VIEWS = 300
+# Photos whose sharpness is measured, and of these those whose surroundings are rendered for it.
+MEASURED_PHOTOS, RENDERED_PHOTOS = 200, 16
+
+
+class PanoramaPool:
+    """
+    Up to `positions` panoramas, rendered one after the other at positions that the sampler draws.
+
+    Positions inside matter, where there is nothing, and where photos saw too little are drawn
+    again; so are views of which photos saw too little, and after `require_sharpness` the blurred
+    ones. `refused` counts positions by reason.
+    """
+
+    def __init__(self, field: RadianceField, sampler: PoseSampler, view: Intrinsics,
+                 positions: int, seed: int) -> None:
+        self.field, self.sampler, self.view = field, sampler, view
+        self.positions, self.seed = positions, seed
+        self.least_sharpness = 0.0
+        self.panoramas: list[Panorama] = []
+        self.refused: Counter[str] = Counter()
+        self.refused_positions: list[np.ndarray] = []
+        random = np.random.default_rng([seed, 0])
+        self.band = view_band(
+            view, np.stack([sampler.draw_rotation(random) for _ in range(500)]),
+            sampler.yaw_range)
+        self.position_random = np.random.default_rng([seed, 1])
+        self.glance_rotations = [sampler.draw_rotation(random) for _ in range(20)]
+
+    def require_sharpness(self, photos: PosedImages, scale: float) -> None:
+        """
+        Refuse blurred views from now on, by the photos' own measure.
+
+        The threshold is that at which a photo is an outlier among the photos, times how sharp a
+        wide view at the place of a photo is, compared with the photo (median): a field is softer
+        than photos everywhere, and only what is blurred beyond that says nothing.
+        """
+        chosen = _evenly(len(photos), MEASURED_PHOTOS)
+        sharp = np.array([relative_sharpness(photos.read_image(i, scale)) for i in chosen])
+        kept = []
+        for place in _evenly(len(chosen), RENDERED_PHOTOS):
+            pose = photos.poses[chosen[place]]
+            panorama = render_panorama(self.field, pose.position, self.view, self.band)
+            view = panorama.cut_view(self.view, pose.T_world_cam[:3, :3])
+            kept.append(relative_sharpness(view[..., :3]) / max(sharp[place], 1e-9))
+        self.least_sharpness = blur_threshold(sharp) * float(np.median(kept))
+
+    def fill(self, count: int) -> int:
+        """Render until there are `count` panoramas or all; returns how many are to be used."""
+        ready = min(count, self.positions)
+        while len(self.panoramas) < ready:
+            self._add_position()
+        return ready
+
+    def draw_view(self, index: int, random: np.random.Generator) -> np.ndarray:
+        """Cut a view in a new orientation out of panorama `index`, RGBA uint8 (H, W, 4)."""
+        for _ in range(TRIES):
+            view = self._cut(index, random)
+            if self._view_refusal(view) is None:
+                break
+        return view
+
+    def summary(self) -> dict[str, Any]:
+        """
+        Tell what was drawn and refused, by reason; of views by drawing some hundred once more.
+
+        The same after a training that ran through and one that was broken off.
+        """
+        random = np.random.default_rng([self.seed, 3])
+        refused: Counter[str] = Counter()
+        for index in random.integers(len(self.panoramas), size=AUDITED_VIEWS):
+            reason = self._view_refusal(self._cut(int(index), random))
+            refused.update([] if reason is None else [reason])
+        return {
+            'grid_positions': len(self.sampler.positions_xy), 'yaws': self.sampler.yaws,
+            'drawn_positions': len(self.panoramas) + self.refused.total(),
+            'positions': len(self.panoramas), 'refused_positions': dict(self.refused),
+            'drawn_views': AUDITED_VIEWS, 'refused_views': dict(refused),
+            'least_sharpness': self.least_sharpness}
+
+    def _add_position(self) -> None:
+        for _ in range(TRIES):
+            position = self.sampler.draw_position(self.position_random)
+            panorama = render_panorama(self.field, position, self.view, self.band)
+            reason = self._refusal(panorama)
+            if reason is None:
+                self.panoramas.append(panorama)
+                return
+            self.refused[reason] += 1
+            self.refused_positions.append(position)
+        raise SceneError(
+            f'pair stream: {TRIES} positions in a row show nothing that a photo saw; '
+            'does the floor map belong to this scene?')
+
+    def _refusal(self, panorama: Panorama) -> Optional[str]:
+        """Say why a position is of no use, None if it is of use."""
+        if panorama.blocked > MOST_BLOCKED:
+            return 'in matter'
+        if panorama.opacity < LEAST_OPACITY:
+            return 'nothing there'
+        glance = self.view.scaled(16 / self.view.width)
+        good = [covered(panorama.cut_view(glance, rotation))
+                for rotation in self.glance_rotations]
+        return None if np.mean(good) >= LEAST_GOOD_VIEWS else 'not seen by photos'
+
+    def _cut(self, index: int, random: np.random.Generator) -> np.ndarray:
+        return self.panoramas[index].cut_view(
+            self.view, self.sampler.draw_rotation(random, index))
+
+    def _view_refusal(self, view: np.ndarray) -> Optional[str]:
+        if not covered(view):
+            return 'not seen by photos'
+        if self.least_sharpness and relative_sharpness(view[..., :3]) < self.least_sharpness:
+            return 'blurred'
+        return None
+
+
+def covered(view: np.ndarray) -> bool:
+    """Tell whether photos saw enough of an RGBA view (H, W, 4) to learn from it."""
+    return bool(view[..., 3].mean() > 255 * LEAST_COVERAGE)
+
+
+def _evenly(count: int, most: int) -> list[int]:
+    return [int(i) for i in np.linspace(0, count - 1, min(count, most)).round()]

@@ -1,0 +1,92 @@
+"""Experiments side by side, on a scene that trains in seconds."""
+from dataclasses import replace
+import json
+from pathlib import Path
+import shutil
+
+from neo_ros.cli.main import app
+from neo_ros.comparison import compare, marked_front, Row
+from neo_ros.errors import ConfigError
+from neo_ros.model_variants import export_variants
+from neo_ros.pipeline import TrainingRun
+from neo_ros.runtime import read_model_card
+import numpy as np
+import pytest
+from tiny_training import TINY
+from typer.testing import CliRunner
+
+SHORT = """
+seed: 3
+field: {voxels: 20_000, steps: 400, pixels_per_step: 512}
+sampling: {positions: 4}
+network: %s
+outpaint: {steps: 4, batch: 2, real_centre: 0, validations: 2}
+"""
+
+
+def row(name: str, gflop: float, psnr: float) -> Row:
+    return Row(name, 'neo_fast', gflop, 1.0, 1.0, 1, 1.0, psnr, None)
+
+
+def test_the_front_holds_what_nothing_beats() -> None:
+    rows = [row('cheap', 1, 18), row('good', 10, 22), row('beaten', 10, 20), row('mid', 3, 20),
+            row('dear', 11, 22), row('twin', 1, 18)]
+    marked = {found.name for found in marked_front(rows) if found.on_front}
+    assert marked == {'cheap', 'twin', 'good', 'mid'}
+
+
+def test_experiments_share_a_field_and_are_not_trained_twice(
+        tiny_run: TrainingRun, tmp_path: Path) -> None:
+    scene, configs = tiny_run.out.parent / 'scene', tmp_path / 'configs'
+    configs.mkdir()
+    (configs / 'fast.yaml').write_text(SHORT % '{width: 8, memory: 32}')
+    (configs / 'lama.yaml').write_text(SHORT % '{name: lama, width: 8, depth: 2, blocks: 1}')
+    arguments = ['compare', str(scene), str(configs / 'fast.yaml'), str(configs / 'lama.yaml'),
+                 '--out', str(tmp_path / 'out'), '--steps', '2']
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 0, result.output
+    assert 'fast' in result.output and 'lama' in result.output
+    rows = json.loads((tmp_path / 'out' / 'comparison.json').read_text())
+    assert [(found['name'], found['network'], found['samples']) for found in rows] == [
+        ('fast', 'neo_fast', 4), ('lama', 'lama', 4)]
+    for found in rows:
+        assert found['gflop'] > 0 and found['milliseconds'] > 0 and found['megabytes'] > 0
+        assert 3 < found['validation_psnr'] < 30 and 3 < found['ring_psnr'] < 30
+    fields = [(tmp_path / 'out' / name / 'field.npz').stat().st_ino for name in ('fast', 'lama')]
+    assert fields[0] == fields[1], 'one field, fitted once'
+    assert 'Arithmetic and quality' in (tmp_path / 'out' / 'comparison.html').read_text()
+    stages: list[str] = []
+    again = compare(scene, [configs / 'fast.yaml', configs / 'lama.yaml'], tmp_path / 'out',
+                    steps=2, progress=lambda stage, *rest: stages.append(stage))
+    assert not stages and [found.name for found in again] == ['fast', 'lama']
+
+
+def test_files_of_one_name_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match='expected files of different names'):
+        compare(tmp_path, [tmp_path / 'a' / 'x.yaml', tmp_path / 'b' / 'x.yaml'], tmp_path / 'o')
+
+
+def test_a_finished_run_is_exported_in_other_formats(
+        tiny_run: TrainingRun, tmp_path: Path) -> None:
+    shutil.copytree(tiny_run.out, tmp_path / 'out')
+    run = TrainingRun(tiny_run.scene, TINY, tmp_path / 'out', tiny_run.progress)
+    variants = {found.name: found for found in export_variants(run, ('fp32', 'int8'))}
+    assert list(variants) == ['as trained', 'fp32', 'int8']
+    assert variants['int8'].path == tmp_path / 'out' / 'scene.int8.onnx'
+    assert variants['int8'].megabytes < 0.7 * variants['fp32'].megabytes
+    scores = [found.ring_psnr for found in variants.values()]
+    assert np.ptp(scores) < 1 and min(scores) > 5
+    cards = {name: read_model_card(found.path) for name, found in variants.items()}
+    assert cards['fp32'].parity.share_within_1 >= 0.999
+    assert cards['int8'].parity.max_abs_error > cards['fp32'].parity.max_abs_error
+    assert cards['int8'].scene_id == 'scene' and (cards['fp32'].gflop or 0) > 0
+
+
+def test_other_settings_and_unfinished_runs_are_not_exported(
+        tiny_run: TrainingRun, tmp_path: Path) -> None:
+    other = TrainingRun(tiny_run.scene, replace(TINY, seed=9), tiny_run.out, tiny_run.progress)
+    with pytest.raises(ConfigError, match='got a run of'):
+        export_variants(other)
+    unfinished = TrainingRun(tiny_run.scene, TINY, tmp_path, tiny_run.progress)
+    with pytest.raises(ConfigError, match='expected a finished run'):
+        export_variants(unfinished)

@@ -1,0 +1,191 @@
+"""The three networks behind one interface: shapes, memory of the whole view, learning, export."""
+from pathlib import Path
+from typing import Any, Iterator
+
+from hypothesis import given, settings, strategies as st
+from neo_ros.errors import ConfigError
+from neo_ros.geometry import Intrinsics, ViewExpansion
+from neo_ros.outpaint.export import check_parity, export_onnx
+from neo_ros.outpaint.fourier import RealFourier
+from neo_ros.outpaint.mat import INVALID, Mat, WindowAttention
+from neo_ros.outpaint.network import NetworkConfig
+from neo_ros.outpaint.networks import build_network, check_network
+from neo_ros.runtime.operators import ALLOWED_OPERATORS
+import numpy as np
+import onnx
+import onnxruntime
+import pytest
+import torch
+
+CONFIGS = {
+    'neo_fast': NetworkConfig(patch=4, width=8, depth=2, memory=16),
+    'neo_fast, few recalled': NetworkConfig(patch=4, width=8, depth=2, memory=16, recall=2),
+    'mat': NetworkConfig(name='mat', patch=4, width=16, depth=2, window=4),
+    'lama': NetworkConfig(name='lama', width=8, depth=2, blocks=2)}
+
+
+@pytest.fixture(scope='module', autouse=True)
+def one_thread() -> Iterator[None]:
+    """Small tensors on a shared machine: threads would only wait for one another."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+def expansion(width: int, height: int, *growth: int) -> ViewExpansion:
+    return ViewExpansion(Intrinsics(width, height, 20, 20, width / 2, height / 2), *growth)
+
+
+SQUARE = expansion(16, 16, 8, 8, 8, 8)
+
+
+def randomised(name: str, view: ViewExpansion) -> torch.nn.Module:
+    """Return a network none of whose weights is zero, as after some training."""
+    torch.manual_seed(0)
+    network = build_network(view, CONFIGS[name])
+    with torch.no_grad():
+        for parameter in network.parameters():
+            parameter.add_(torch.randn_like(parameter) * 0.03)
+    return network.eval()
+
+
+@pytest.mark.parametrize('view', [
+    SQUARE, expansion(16, 24, 8, 8, 0, 0), expansion(16, 8, 24, 0, 8, 16),
+], ids=['square', 'horizontal', 'arbitrary'])
+@pytest.mark.parametrize('name', CONFIGS)
+def test_every_network_has_one_interface(name: str, view: ViewExpansion) -> None:
+    network, image = randomised(name, view), torch.rand(2, 3, *view.crop(
+        view.extrapolated_mask).shape)
+    with torch.no_grad():
+        colour, log_scale = network(image)
+        again = network(image)[0]
+        alone = network(image[1:])[0]
+    assert colour.shape == (2, 3, view.target.height, view.target.width)
+    assert log_scale.shape == (2, 1, view.target.height, view.target.width)
+    assert torch.equal(again, colour), 'no randomness'
+    torch.testing.assert_close(alone[0], colour[1], atol=1e-4, rtol=1e-3)
+
+
+@pytest.mark.parametrize('name', ['mat', 'lama'])
+@pytest.mark.parametrize('view', [expansion(13, 11, 5, 6, 3, 0), expansion(7, 30, 0, 10, 1, 1)],
+                         ids=['small', 'narrow'])
+def test_mat_and_lama_take_any_size(name: str, view: ViewExpansion) -> None:
+    check_network(view, CONFIGS[name])
+    image = torch.rand(1, 3, view.source.height, view.source.width)
+    assert randomised(name, view)(image)[0].shape[2:] == view.extrapolated_mask.shape
+    with pytest.raises(ConfigError, match='multiples of 8 pixels'):
+        check_network(view, CONFIGS['neo_fast'])
+
+
+@pytest.mark.parametrize('name', CONFIGS)
+def test_every_wide_pixel_depends_on_the_whole_view(name: str) -> None:
+    network, image = randomised(name, SQUARE).double(), torch.rand(1, 3, 16, 16).double()
+    changed = image.clone()
+    changed[:, :, 15, 15] += 0.5
+    with torch.no_grad():
+        difference = (network(changed)[0] - network(image)[0]).abs()
+    assert (difference > 0).double().mean() > 0.99
+
+
+@pytest.mark.parametrize('name', CONFIGS)
+def test_all_of_a_network_learns(name: str) -> None:
+    network = randomised(name, SQUARE).train()
+    colour, log_scale = network(torch.rand(4, 3, 16, 16))
+    (colour.square().sum() + log_scale.sum()).backward()
+    for parameter_name, parameter in network.named_parameters():
+        assert parameter.grad is not None and parameter.grad.any(), parameter_name
+
+
+@pytest.mark.parametrize('name', ['mat', 'lama', 'neo_fast, few recalled'])
+def test_exports_agree_with_torch_and_use_allowed_operators(name: str, tmp_path: Path) -> None:
+    view = expansion(13, 11, 5, 6, 3, 0) if name != 'neo_fast, few recalled' else SQUARE
+    path = tmp_path / 'model.onnx'
+    function = export_onnx(randomised(name, view), view, path)
+    session = onnxruntime.InferenceSession(str(path))
+    images = np.random.default_rng(0).integers(
+        0, 256, (4, view.source.height, view.source.width, 3), np.uint8)
+    worst, within = check_parity(
+        function, lambda image: np.asarray(session.run(['wide'], {'image': image[None]})[0])[0],
+        images)
+    assert within >= 0.999 and worst <= 2
+    wide = function(torch.from_numpy(images[:1]))[0][0].numpy()
+    assert wide[view.extrapolated_mask].std() > 3, 'a picture, not one colour'
+    assert {node.op_type for node in onnx.load(str(path)).graph.node} <= ALLOWED_OPERATORS
+
+
+def test_the_parameters_of_neo_fast_keep_their_names() -> None:
+    """A checkpoint that was trained with an earlier version must load."""
+    state = build_network(SQUARE, NetworkConfig(patch=4, width=8, depth=2, memory=16)).state_dict()
+    assert sum(value.numel() for value in state.values()) == 34268
+    assert {name.split('.')[0] for name in state} == {
+        'stem', 'encode', 'shrink', 'squeeze', 'recall', 'join', 'decode', 'grow', 'head'}
+    assert state['recall.4.weight'].shape == (8 * 4 * 4, 16)
+
+
+def test_fewer_recalled_channels_make_a_smaller_network() -> None:
+    full, few = (build_network(SQUARE, CONFIGS[name]).state_dict()
+                 for name in ('neo_fast', 'neo_fast, few recalled'))
+    assert full['recall.4.weight'].shape[0] == 4 * few['recall.4.weight'].shape[0]
+
+
+@pytest.mark.parametrize('changes, message', [
+    ({'name': 'gan'}, "network.name: expected neo_fast, mat or lama, got 'gan'"),
+    ({'recall': -1}, 'network.recall: expected channels >= 0'),
+    ({'blocks': 0}, 'network: expected sizes >= 1'),
+    ({'name': 'mat', 'patch': 6}, 'network.patch: mat expects a power of two, got 6'),
+    ({'name': 'mat', 'width': 48}, 'network.width: mat expects a multiple of 32, got 48'),
+], ids=str)
+def test_settings_that_make_no_network(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        build_network(SQUARE, NetworkConfig(**changes))
+
+
+@settings(max_examples=25)
+@given(st.integers(1, 13), st.integers(2, 13), st.integers(0, 99))
+def test_the_matrix_products_are_the_fourier_transform(height: int, width: int,
+                                                       seed: int) -> None:
+    image = torch.randn(2, 3, height, width, generator=torch.Generator().manual_seed(seed))
+    fourier = RealFourier(height, width)
+    spectrum = fourier(image)
+    expected = torch.view_as_real(torch.fft.rfft2(image, norm='ortho'))
+    torch.testing.assert_close(
+        spectrum.unflatten(1, (3, 2)), expected.movedim(-1, 2), atol=1e-4, rtol=1e-4)
+    torch.testing.assert_close(fourier.inverse(spectrum), image, atol=1e-4, rtol=1e-4)
+
+
+def test_attention_looks_at_valid_tokens_alone_and_makes_their_window_valid() -> None:
+    valid = np.zeros((4, 8), bool)
+    valid[1, 1] = True
+    torch.manual_seed(0)
+    attention = WindowAttention(16, 4, valid, shifted=False)
+    assert attention.hidden is not None and attention.hidden.shape == (2, 1, 1, 16)
+    assert (attention.hidden[0] == INVALID).sum() == 15
+    np.testing.assert_array_equal(attention.valid[:, 3:5], [[True, False]] * 4)
+    tokens = torch.randn(1, 4, 8, 16)
+    changed = tokens.clone()
+    changed[0, 0, 0] += 3  # invalid: no other token may notice
+    difference = (attention(tokens) - attention(changed)).abs().amax(-1)[0]
+    assert difference.max() < 1e-6
+    changed = tokens.clone()
+    changed[0, 1, 1] += 3
+    difference = (attention(tokens) - attention(changed)).abs().amax(-1)[0]
+    assert difference[:, :4].min() > 1e-4 and difference[:, 4:].max() == 0
+
+
+def test_shifted_windows_reach_across_the_borders_of_the_others() -> None:
+    valid = np.zeros((8, 8), bool)
+    valid[:, :4] = True
+    torch.manual_seed(0)
+    shifted = WindowAttention(16, 4, valid, shifted=True)
+    assert shifted.valid.sum() == 8 * 6
+    tokens = torch.randn(1, 8, 8, 16)
+    assert shifted(tokens).shape == tokens.shape
+
+
+def test_all_tokens_of_mat_become_valid() -> None:
+    network = build_network(SQUARE, CONFIGS['mat'])
+    assert isinstance(network, Mat)
+    stages = [*network.down_stages, *network.up_stages]
+    assert stages[0].blocks[0].attention.hidden is not None
+    assert all(stage.valid.all() for stage in stages[1:])

@@ -1,0 +1,123 @@
+import math
+from pathlib import Path
+
+import cv2
+from neo_ros.errors import SceneError
+from neo_ros.evaluation.pose_map import draw_poses, pose_sections, write_poses
+from neo_ros.evaluation.report import Picture, Table
+from neo_ros.field.rendering import render_view, to_uint8
+from neo_ros.field.voxel_field import RadianceField
+from neo_ros.geometry import Intrinsics
+from neo_ros.outpaint.panorama_pool import PanoramaPool
+from neo_ros.scenes.pose_sampling import PoseSampler
+from neo_ros.scenes.posed_images import PosedImages
+from neo_ros.scenes.sharpness import relative_sharpness
+import numpy as np
+from plain_field import CENTRE, room_field, standing, WALLS
+import pytest
+from scene_files import write_picture
+
+VIEW = Intrinsics.from_hfov(32, 32, 1.6)
+LEVEL = ((0.0, 0.0), (0.0, 0.0))
+
+
+@pytest.fixture(scope='module')
+def field() -> RadianceField:
+    """Make a room with fine stripes on the walls of its left half, and none in the right."""
+    result = room_field(150_000)
+    points = result.world_points().reshape(-1, 3) - CENTRE
+    stripes = np.where(np.floor(points.sum(1) / 0.25) % 2 > 0, 4.0, -4.0)
+    result.grid[:, 1:] = np.where(points[:, 1] > 0, stripes, 0.2 * points[:, 0])[:, None]
+    result.update_occupancy()
+    inside = np.abs(result.world_points() - CENTRE) < WALLS + 3 * result.voxel
+    result.seen = inside.all(-1).astype(np.uint8).ravel()
+    return result
+
+
+def pool(field: RadianceField, *offsets: tuple[float, float], positions: int = 6,
+         height: float = float(CENTRE[2])) -> PanoramaPool:
+    sampler = PoseSampler(CENTRE[:2] + np.array(offsets or [(0.0, 0.0), (0.5, 0.3)]),
+                          (-math.pi, 2 * math.pi), LEVEL, (height, 0.0), 8)
+    return PanoramaPool(field, sampler, VIEW, positions, seed=0)
+
+
+def photos(field: RadianceField, folder: Path) -> PosedImages:
+    """Photograph the stripes, sharper than the field shows them."""
+    poses = tuple(standing(0.1 * k, 0.0, 1.2 + 0.1 * k) for k in range(8))
+    paths = tuple(folder / f'{k}.png' for k in range(8))
+    for path, pose in zip(paths, poses):
+        shown = to_uint8(render_view(field, VIEW, pose).image)
+        write_picture(path, cv2.addWeighted(shown, 1.5, cv2.GaussianBlur(shown, (0, 0), 1),
+                                            -0.5, 0))
+    return PosedImages(VIEW, paths, poses, (0,) * 8)
+
+
+def test_positions_are_refused_by_reason(field: RadianceField) -> None:
+    mixed = pool(field, (0, 0), (float(WALLS[0]) + 0.25, 0.0))
+    assert mixed.fill(6) == 6
+    assert set(mixed.refused) == {'in matter'}
+    assert len(mixed.refused_positions) == mixed.refused['in matter'] > 0
+    assert mixed.fill(100) == 6 and len(mixed.panoramas) == 6
+
+
+def test_places_where_nothing_is_are_refused() -> None:
+    air = RadianceField.empty(4000, CENTRE, WALLS, 0.2, 0)
+    air.grid[:, 0] = -8
+    air.grid[0, 0] = 40
+    air.update_occupancy()
+    nowhere = pool(air)
+    with pytest.raises(SceneError, match='positions in a row show nothing that a photo saw'):
+        nowhere.fill(1)
+    assert set(nowhere.refused) == {'nothing there'}
+
+
+def test_blurred_views_are_drawn_again(field: RadianceField, tmp_path: Path) -> None:
+    sharp, plain = pool(field), pool(field)
+    sharp.require_sharpness(photos(field, tmp_path), 1.0)
+    assert sharp.least_sharpness > 0
+    random = np.random.default_rng(0)
+    for drawn in (sharp, plain):
+        drawn.fill(6)
+    views = [sharp.draw_view(0, random) for _ in range(30)]
+    assert min(relative_sharpness(view[..., :3]) for view in views) >= sharp.least_sharpness
+    assert sharp.summary()['refused_views']['blurred'] > 30
+    assert plain.summary()['refused_views'] == {}
+
+
+def test_the_threshold_allows_for_a_soft_field(field: RadianceField, tmp_path: Path) -> None:
+    """Photos that are sharper than what the field shows do not make all its views blurred."""
+    room = pool(field)
+    room.require_sharpness(photos(field, tmp_path), 1.0)
+    room.fill(6)
+    at_photo = room.panoramas[0].cut_view(VIEW, standing(yaw=1.5).T_world_cam[:3, :3])
+    assert relative_sharpness(at_photo[..., :3]) > room.least_sharpness
+
+
+def test_counts_and_map_come_back_from_the_folder(
+        field: RadianceField, tmp_path: Path) -> None:
+    assert pose_sections(tmp_path) == []
+    room = pool(field, (0, 0), (float(WALLS[0]) + 0.25, 0.0))
+    room.fill(6)
+    summary = room.summary()
+    assert summary == room.summary()
+    assert summary['positions'] + sum(summary['refused_positions'].values()) == (
+        summary['drawn_positions'])
+    used = np.stack([panorama.position for panorama in room.panoramas])
+    refused = np.stack(room.refused_positions)
+    picture = draw_poses(room.sampler.positions_xy, used, refused, photos(field, tmp_path))
+    write_poses(tmp_path, summary, picture)
+    table, shown = pose_sections(tmp_path)
+    assert isinstance(table, Table) and isinstance(shown, Picture)
+    rows = {str(name): value for name, value in table.rows}
+    assert rows['Positions used'] == '6' and rows['Headings at each'] == '8'
+    assert rows['- refused: in matter'] == str(len(refused))
+    np.testing.assert_array_equal(shown.image, picture)
+    # Used positions are green, refused ones red.
+    colours = {tuple(colour) for colour in picture.reshape(-1, 3)}
+    assert (20, 130, 80) in colours and (200, 40, 40) in colours
+
+
+def test_a_broken_note_says_what_to_do(tmp_path: Path) -> None:
+    (tmp_path / 'poses.json').write_text('[]')
+    with pytest.raises(SceneError, match='poses.json: expected the counts .* delete it'):
+        pose_sections(tmp_path)
