@@ -4,6 +4,7 @@ import cv2
 from neo_ros.cli.evaluate import evaluate
 from neo_ros.errors import SceneError
 from neo_ros.geometry import CameraPose
+from neo_ros.runtime import read_model_card
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.transforms_json import write_transforms
 import numpy as np
@@ -48,7 +49,8 @@ def test_a_scene_is_scored_beside_the_floors(scene, model, tmp_path):
     assert result.exit_code == 0, result.output
     rows = json.loads((out / 'scores.json').read_text())['rows']
     assert [(row['method'], row['n_frames'], row['scene']) for row in rows] == [
-        (name, 3, 'room') for name in ('neo', 'edge_replication', 'mean_image')]
+        (name, 3, 'room')
+        for name in (read_model_card(model).network, 'edge_replication', 'mean_image')]
     assert all(f'{row["ring_psnr"]:.2f}' in result.output for row in rows)
     assert 'mean_image' in (out / 'report.html').read_text()
 

@@ -3,7 +3,8 @@ import json
 import cv2
 from neo_ros.errors import ImageRejected, NeoError, SceneError
 from neo_ros.evaluation.baselines import EdgeReplication, NeoModel
-from neo_ros.evaluation.evaluate import evaluate, protocol_of, ROW_KEYS, TruthFrames
+from neo_ros.evaluation.evaluate import (
+    evaluate, protocol_of, ROW_KEYS, score_frames, TruthFrames)
 from neo_ros.evaluation.evaluation_report import pick_frames, write_evaluation
 from neo_ros.evaluation.metrics import score_frame
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
@@ -112,12 +113,45 @@ def test_fewer_frames_are_spread_over_the_walks(tmp_path):
 @pytest.mark.parametrize('intrinsics', [
     Intrinsics(128, 96, 40.0, 40.0, 64.0, 48.0),
     Intrinsics(128, 96, 32.0, 32.0, 60.0, 48.0),
-    Intrinsics(128, 128, 32.0, 32.0, 64.0, 64.0),
-], ids=['focal_length', 'principal_point', 'aspect'])
+    Intrinsics(128, 80, 32.0, 32.0, 64.0, 40.0),
+], ids=['focal_length', 'principal_point', 'too_low'])
 def test_frames_of_another_view_are_refused(tmp_path, intrinsics):
     images = wide_frames(tmp_path / 'test', intrinsics, count=1)
     with pytest.raises(SceneError, match='expected the wide view of the model, 64x48'):
         TruthFrames(images, TINY_EXPANSION)
+
+
+def test_of_frames_that_show_more_the_target_is_cut_out(tmp_path):
+    images = wide_frames(tmp_path / 'test', Intrinsics(128, 128, 32.0, 32.0, 64.0, 64.0), count=1)
+    truth = TruthFrames(images, TINY_EXPANSION).read(0)[1]
+    np.testing.assert_array_equal(truth, images.read_image(0, 0.5)[8:56])
+
+
+def test_methods_are_told_the_pose_reset_and_asked_as_they_wish(frames):
+    class Upper(EdgeReplication):
+
+        def __init__(self):
+            super().__init__(TINY_EXPANSION)
+            self.seen = []
+
+        def expand_at(self, narrow_image, true_pose):
+            self.seen.append(true_pose)
+            return self.expand(narrow_image)
+
+        def reset(self):
+            self.seen.append('reset')
+
+        def notes(self, true_pose):
+            return {'looked': 1.0}
+
+    method = Upper()
+    scored = score_frames(frames, method, watchers=[
+        lambda index, wide_image: {'watched': float(index)}])
+    # Paths are 0 1 2 0 1 2: each frame begins another; once more to warm up.
+    assert method.seen[1:3] == ['reset', frames.images.poses[0]]
+    assert method.seen.count('reset') == 6
+    assert [frame['watched'] for frame in scored] == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+    assert all(frame['looked'] == 1.0 for frame in scored)
 
 
 def test_a_scene_without_test_frames_is_refused():
@@ -138,7 +172,7 @@ def test_best_median_and_worst_frame():
 
 
 def test_a_model_is_evaluated_from_file_to_report(frames, tmp_path):
-    neo = NeoModel(write_tiny_model(tmp_path / 'tiny.onnx', trained_seconds=120.0))
+    neo = NeoModel(write_tiny_model(tmp_path / 'tiny.onnx', trained_seconds=120.0), 'neo')
     methods = [neo, EdgeReplication(TINY_EXPANSION)]
     results = evaluate('tiny', frames, methods)
     write_evaluation(tmp_path / 'out', 'tiny', frames, methods, results)

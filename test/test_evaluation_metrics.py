@@ -154,6 +154,17 @@ def test_scores_missing_in_a_frame_are_left_out():
     assert set(summarise(frames)) == {'ring_psnr'}
 
 
+def test_scores_that_a_walks_first_frame_lacks_are_averaged_over_the_others():
+    frames = frames_of([[10, 10, 10], [20, 20]])
+    for frame, error in zip(frames, (None, 0.1, 0.3, None, 0.8)):
+        if error is not None:
+            frame['warping_error'] = error
+    estimate = summarise(frames)['warping_error']
+    assert estimate.mean == pytest.approx(0.4)
+    # Each of the two walks alone is the extreme of what is drawn.
+    assert (estimate.low, estimate.high) == (pytest.approx(0.2), pytest.approx(0.8))
+
+
 def test_no_frames_is_an_error():
     with pytest.raises(ValueError, match='at least one'):
         summarise([])

@@ -162,23 +162,30 @@ def test_the_field_is_measured_in_a_room_that_is_closed():
     assert np.array_equal(field.grid, box_room(20_000).grid)
     records = list(measure_field(MACHINE, Effort(seconds=0.0, voxels=20_000)))
     assert [record.name.split(' 128')[0] for record in records] == [
-        'step of the fit', 'wide view', 'wide view', 'panorama for wide views', 'wide view']
+        'step of the fit', 'wide view', 'wide view', 'panorama for wide views', 'wide view',
+        '16 views of the stream, with a new panorama',
+        '16 views of the stream, panoramas there', '16 views of the stream, while training']
     assert 10 < records[0].details['samples_per_ray'] < 40
     assert records[2].details['rays'] == 4 * records[1].details['rays'] == 4 * 128 * 128
     whole, cut = records[3].mean_ms, records[4].mean_ms
     assert records[4].details['views_per_s_with_panorama'] == pytest.approx(
         72_000 / (whole + 72 * cut))
+    fresh, there, training = (record.details for record in records[5:])
+    assert 0 < fresh['views_per_s'] < there['views_per_s']
+    assert fresh['psnr_against_rendered'] > 35
+    assert 0 < training['share_of_stream'] < 1
+    assert training['training_views_per_s'] < training['views_per_s']
     assert all(record.floor_ms > 0 for record in records)
 
 
 def test_the_field_is_skipped_with_a_reason_where_training_is_not_installed():
-    code = ('import sys; sys.modules["numba"] = None\n'
+    code = ('import sys; sys.modules["torch"] = None\n'
             'from neo_ros.evaluation.speed import measure_field, QUICK\n'
             'records = list(measure_field(None, QUICK))\n'
             'print(len(records), records[0].skipped)')
     result = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
                             cwd=Path(__file__).parent.parent, check=False)
-    assert result.stdout.startswith('1 numba is not installed'), result.stderr
+    assert result.stdout.startswith('1 torch is not installed'), result.stderr
 
 
 def test_the_node_is_measured_on_a_real_graph(model):

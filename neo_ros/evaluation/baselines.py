@@ -88,15 +88,29 @@ class NeoModel:
 
     observed_pasted = True
 
-    def __init__(self, path: Path, name: str = 'neo', threads: int = 0) -> None:
-        """Load a model file; raises ModelError as `FovExtrapolator.load` does."""
-        self._extrapolator = FovExtrapolator.load(path, threads)
-        self.name = name
+    def __init__(self, path: Path, name: str = '', threads: int = 0,
+                 guided: bool = True) -> None:
+        """
+        Load a model file; raises ModelError as `FovExtrapolator.load` does.
+
+        With `guided` False the scene memory is left alone. Without a name it is called guided,
+        or as its network.
+        """
+        self._extrapolator = FovExtrapolator.load(path, threads, guided=guided)
         self.card = self._extrapolator.card
         self.expansion = self._extrapolator.expansion
         self.train_minutes: float | None = self.card.trained_seconds / 60
-        self.model_mb: float | None = Path(path).stat().st_size / 1e6
+        self.guided = guided and self.card.memory is not None
+        self.name = name or ('guided' if self.guided else self.card.network)
+        files = [Path(path)]
+        if self.guided and self.card.memory is not None:
+            files.append(Path(path).with_name(self.card.memory.file))
+        self.model_mb: float | None = sum(file.stat().st_size for file in files) / 1e6
 
     def expand(self, narrow_image: np.ndarray) -> np.ndarray:
         """Widen (h, w, 3) RGB uint8 to (H, W, 3) RGB uint8."""
         return self._extrapolator.expand(narrow_image).wide_image
+
+    def reset(self) -> None:
+        """Forget the frames before."""
+        self._extrapolator.reset()

@@ -4,18 +4,18 @@ Score methods on the wide truth of a scene: per frame, in the mean, and as resul
 The input of a test frame is the window of its wide truth that the expansion calls observed, so
 input and truth agree to the bit.
 """
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 import os
 from pathlib import Path
 import platform
 import subprocess
 import time
-from typing import Any, Callable, Iterator, Sequence
+from typing import Any, Callable, Iterator, Protocol, runtime_checkable, Sequence
 
 from neo_ros.errors import ImageRejected, SceneError
 from neo_ros.evaluation.baselines import Method
 from neo_ros.evaluation.metrics import Estimate, score_frame, summarise
-from neo_ros.geometry import ViewExpansion
+from neo_ros.geometry import CameraPose, ViewExpansion
 from neo_ros.scenes.posed_images import PosedImages
 import numpy as np
 
@@ -28,6 +28,32 @@ ROW_KEYS = (
 _SCALE_NAMES = {1.0: 'full', 0.5: 'half', 0.25: 'quarter'}
 
 Scorer = Callable[[np.ndarray, np.ndarray, ViewExpansion], dict[str, float]]
+# Looks at every wide image: (index of the frame, image) -> further scores of the frame.
+Watcher = Callable[[int, np.ndarray], dict[str, float]]
+
+
+@runtime_checkable
+class TruePoseMethod(Protocol):
+    """A method that is told the true pose: an upper bound, not a rival."""
+
+    def expand_at(self, narrow_image: np.ndarray, true_pose: CameraPose) -> np.ndarray:
+        """Widen (h, w, 3) RGB uint8 to (H, W, 3) RGB uint8."""
+
+
+@runtime_checkable
+class StatefulMethod(Protocol):
+    """A method whose result depends on the frames before."""
+
+    def reset(self) -> None:
+        """Forget them: another walk begins."""
+
+
+@runtime_checkable
+class TalkingMethod(Protocol):
+    """A method that can say more of its last frame than the image."""
+
+    def notes(self, true_pose: CameraPose) -> dict[str, float]:
+        """Return named figures, e.g. how far the estimated pose was off."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +64,7 @@ class MethodScores:
     frames     per test frame: frame (file name), path_id, milliseconds and every score
     estimates  mean of every score with a bootstrap 95 % interval over the walking paths
     row        the means under the keys ROW_KEYS
+    figures    of the method as a whole, e.g. flicker
     """
 
     method: str
@@ -45,21 +72,23 @@ class MethodScores:
     frames: list[dict[str, Any]]
     estimates: dict[str, Estimate]
     row: dict[str, Any]
+    figures: dict[str, float] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything but the row, ready for JSON."""
         return {'method': self.method, 'observed_pasted': self.observed_pasted,
                 'estimates': {name: estimate._asdict()
                               for name, estimate in self.estimates.items()},
-                'frames': self.frames}
+                'figures': self.figures, 'frames': self.frames}
 
 
 class TruthFrames:
     """
     Wide truth at the resolution of an expansion, with the narrow inputs cut out of it.
 
-    `most` keeps only so many frames, spread evenly. Raises SceneError when there are no test
-    images or when they show another view than the expansion's target.
+    Test images may show more than the expansion's target: the target is cut out. `most` keeps
+    only so many frames, spread evenly. Raises SceneError when there are no test images or when
+    they do not show the target.
     """
 
     def __init__(self, test: PosedImages | None, expansion: ViewExpansion,
@@ -71,15 +100,19 @@ class TruthFrames:
             test = test.subset(np.linspace(0, len(test) - 1, most).round().astype(int).tolist())
         self.images = test
         self.expansion = expansion
-        self.scale = expansion.target.width / test.intrinsics.width
-        _check_same_view(test, expansion, self.scale)
+        self.scale = expansion.target.fx / test.intrinsics.fx
+        # Sizes in whole pixels may make the focal length a little off.
+        by_width = expansion.target.width / test.intrinsics.width
+        if abs(self.scale / by_width - 1) * expansion.target.width < 1:
+            self.scale = by_width
+        self.window = _window_of_target(test, expansion, self.scale)
 
     def __len__(self) -> int:
         return len(self.images)
 
     def read(self, index: int) -> tuple[np.ndarray, np.ndarray]:
         """Return narrow input (h, w, 3) and wide truth (H, W, 3) of a frame, RGB uint8."""
-        truth = self.images.read_image(index, self.scale)
+        truth = np.ascontiguousarray(self.images.read_image(index, self.scale)[self.window])
         return np.ascontiguousarray(self.expansion.crop(truth)), truth
 
     def __iter__(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -92,27 +125,53 @@ def evaluate(scene_name: str, frames: TruthFrames, methods: Sequence[Method],
     """
     Score every method on every test frame.
 
-    `progress` is called with the number of (frame, method) pairs done. Frames are read once for
-    all methods; each method runs once before the clock starts.
+    `progress` is called with the number of (method, frame) pairs done.
     """
-    per_method: list[list[dict[str, Any]]] = [[] for _ in methods]
-    for method in methods:
-        method.expand(frames.read(0)[0])
+    return [
+        method_scores(scene_name, frames, method, score_frames(
+            frames, method, scorers,
+            progress=lambda done, m=m: progress(m * len(frames) + done)))  # type: ignore[misc]
+        for m, method in enumerate(methods)]
+
+
+def score_frames(frames: TruthFrames, method: Method, scorers: Sequence[Scorer] = (score_frame,),
+                 watchers: Sequence[Watcher] = (),
+                 progress: Callable[[int], None] = lambda done: None) -> list[dict[str, Any]]:
+    """
+    Run a method over the test frames, in their order; returns every frame's scores.
+
+    The method runs once before the clock starts, and is reset where another path begins.
+    """
+    results: list[dict[str, Any]] = []
+    run_method(method, frames, 0, frames.read(0)[0])
+    path_id = None
     for index, (narrow_image, truth) in enumerate(frames):
-        for m, method in enumerate(methods):
-            start = time.perf_counter()
-            wide_image = method.expand(narrow_image)
-            milliseconds = (time.perf_counter() - start) * 1e3
-            scores: dict[str, Any] = {
-                'frame': frames.images.image_paths[index].name,
-                'path_id': frames.images.path_ids[index], 'milliseconds': milliseconds}
-            _check_pasted(method, narrow_image, wide_image, frames.expansion)
-            for scorer in scorers:
-                scores.update(scorer(truth, wide_image, frames.expansion))
-            per_method[m].append(scores)
-            progress(index * len(methods) + m + 1)
-    return [_method_scores(scene_name, frames, method, scores)
-            for method, scores in zip(methods, per_method)]
+        if frames.images.path_ids[index] != path_id and isinstance(method, StatefulMethod):
+            method.reset()
+        path_id = frames.images.path_ids[index]
+        start = time.perf_counter()
+        wide_image = run_method(method, frames, index, narrow_image)
+        scores: dict[str, Any] = {
+            'frame': frames.images.image_paths[index].name, 'path_id': path_id,
+            'milliseconds': (time.perf_counter() - start) * 1e3}
+        _check_pasted(method, narrow_image, wide_image, frames.expansion)
+        for scorer in scorers:
+            scores.update(scorer(truth, wide_image, frames.expansion))
+        for watcher in watchers:
+            scores.update(watcher(index, wide_image))
+        if isinstance(method, TalkingMethod):
+            scores.update(method.notes(frames.images.poses[index]))
+        results.append(scores)
+        progress(index + 1)
+    return results
+
+
+def run_method(method: Method, frames: TruthFrames, index: int,
+               narrow_image: np.ndarray) -> np.ndarray:
+    """Widen a narrow image that was taken where frame `index` was."""
+    if isinstance(method, TruePoseMethod):
+        return method.expand_at(narrow_image, frames.images.poses[index])
+    return method.expand(narrow_image)
 
 
 def protocol_of(expansion: ViewExpansion) -> str:
@@ -125,8 +184,9 @@ def protocol_of(expansion: ViewExpansion) -> str:
     return 'custom'
 
 
-def _method_scores(scene_name: str, frames: TruthFrames, method: Method,
-                   scores: list[dict[str, Any]]) -> MethodScores:
+def method_scores(scene_name: str, frames: TruthFrames, method: Method,
+                  scores: list[dict[str, Any]]) -> MethodScores:
+    """Summarise the scores of every frame."""
     estimates = summarise(scores)
     milliseconds = [frame['milliseconds'] for frame in scores]
     row: dict[str, Any] = dict.fromkeys(ROW_KEYS)
@@ -142,20 +202,25 @@ def _method_scores(scene_name: str, frames: TruthFrames, method: Method,
     return MethodScores(method.name, method.observed_pasted, scores, estimates, row)
 
 
-def _check_same_view(test: PosedImages, expansion: ViewExpansion, scale: float) -> None:
+def _window_of_target(test: PosedImages, expansion: ViewExpansion,
+                      scale: float) -> tuple[slice, slice]:
+    """Find the rows and columns of the resampled test images that are the wide view."""
     target, truth = expansion.target, test.intrinsics
     scaled = truth.scaled(scale)
-    same_size = (scaled.width, scaled.height) == (target.width, target.height)
+    left, top = round(scaled.cx - target.cx), round(scaled.cy - target.cy)
+    inside = (0 <= left <= scaled.width - target.width
+              and 0 <= top <= scaled.height - target.height)
     # Half a pixel at the rim is what rounding to whole pixels may cost.
     rim = max(abs(target.width / scaled.fx - target.width / target.fx) * target.fx / 2,
               abs(target.height / scaled.fy - target.height / target.fy) * target.fy / 2,
-              abs(scaled.cx - target.cx), abs(scaled.cy - target.cy))
-    if not same_size or rim > 0.5:
+              abs(scaled.cx - left - target.cx), abs(scaled.cy - top - target.cy))
+    if not inside or rim > 0.5:
         raise SceneError(
             f'test frames: expected the wide view of the model, {target.width}x{target.height} '
             f'with f = {target.fx:.1f} px or the same at another resolution, got '
             f'{truth.width}x{truth.height} with f = {truth.fx:.1f} px, principal point '
             f'({truth.cx:.1f}, {truth.cy:.1f}); use the model that was trained on this scene')
+    return (slice(top, top + target.height), slice(left, left + target.width))
 
 
 def _check_pasted(method: Method, narrow_image: np.ndarray, wide_image: np.ndarray,

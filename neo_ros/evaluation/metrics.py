@@ -102,30 +102,30 @@ def summarise(frames: Iterable[Mapping[str, object]], seed: int = 0) -> dict[str
     """
     Return the mean of every score over the frames with a bootstrap 95 % interval over paths.
 
-    Frames hold a `path_id` and float scores; scores that are not floats in every frame are left
-    out. Neighbouring frames of a walk show nearly the same, so whole paths are drawn again, not
-    frames. With a single path the interval is None: one walk says nothing about the next.
+    Frames hold a `path_id` and float scores; a score that some frames lack (the first of a walk
+    has none before it) is averaged over the others. Neighbouring frames of a walk show nearly
+    the same, so whole paths are drawn again, not frames. With a single path the interval is
+    None: one walk says nothing about the next.
     """
     frames = list(frames)
     if not frames:
         raise ValueError('frames: expected at least one scored frame, got none')
-    names = [name for name in frames[0]
-             if all(isinstance(frame.get(name), float) for frame in frames)]
-    scores = np.array([[frame[name] for name in names] for frame in frames], np.float64)
+    names = [name for name in dict.fromkeys(name for frame in frames for name in frame)
+             if all(isinstance(frame.get(name, 0.0), float) for frame in frames)]
+    scores = np.array([[frame.get(name, np.nan) for name in names] for frame in frames],
+                      np.float64)
+    there = np.isfinite(scores)
     ids, path_of_frame = np.unique([frame['path_id'] for frame in frames], return_inverse=True)
-    sums = np.zeros((len(ids), len(names)))
-    np.add.at(sums, path_of_frame, scores)
-    counts = np.bincount(path_of_frame)
+    sums, counts = np.zeros((2, len(ids), len(names)))
+    np.add.at(sums, path_of_frame, np.where(there, scores, 0))
+    np.add.at(counts, path_of_frame, there)
     draws = np.random.default_rng(seed).integers(len(ids), size=(_BOOTSTRAP_DRAWS, len(ids)))
-    means = sums[draws].sum(axis=1) / counts[draws].sum(axis=1)[:, None]
+    means = sums[draws].sum(axis=1) / np.maximum(counts[draws].sum(axis=1), 1)
     low, high = np.quantile(means, [0.025, 0.975], axis=0)
-    estimates = {}
-    for i, name in enumerate(names):
-        mean = float(scores[:, i].mean())
-        known = len(ids) > 1
-        estimates[name] = Estimate(
-            mean, float(low[i]) if known else None, float(high[i]) if known else None)
-    return estimates
+    known = len(ids) > 1
+    return {name: Estimate(float(sums[:, i].sum() / counts[:, i].sum()),
+                           float(low[i]) if known else None, float(high[i]) if known else None)
+            for i, name in enumerate(names)}
 
 
 def _psnr_of_mse(mse: float) -> float:

@@ -11,11 +11,11 @@ PAGE = """<!doctype html>
 :root { color-scheme: light dark;
   --paper: #fff; --card: #f6f7f9; --ink: #18181b; --pale: #5f6672; --rule: #dfe3e8;
   --mark: #fff4d1; --c0: #0b62c4; --c1: #c2500a; --c2: #16794c; --c3: #8e3aa6; --c4: #8a6d00;
-  --c5: #0c7c8c; }
+  --c5: #0c7c8c; --c6: #b3163f; --c7: #55606e; --c8: #5b8c00; --c9: #6b4be0; }
 @media (prefers-color-scheme: dark) { :root {
   --paper: #131519; --card: #1c1f25; --ink: #eceef1; --pale: #9da5b1; --rule: #31363f;
   --mark: #3a3113; --c0: #66a9f7; --c1: #f49b5c; --c2: #5fcf99; --c3: #d594ea; --c4: #e3c04c;
-  --c5: #5cc9da; } }
+  --c5: #5cc9da; --c6: #f5809c; --c7: #b4bdc9; --c8: #a6d24a; --c9: #b3a1ff; } }
 * { box-sizing: border-box; }
 body { margin: 0; background: var(--paper); color: var(--ink);
   font: 16px/1.55 system-ui, -apple-system, "Segoe UI", Roboto, "Noto Sans", sans-serif; }

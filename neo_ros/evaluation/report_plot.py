@@ -7,7 +7,7 @@ from typing import Literal, Sequence
 _WIDTH, _HEIGHT = 720, 300
 # Room for labels that the style sheet enlarges on a phone.
 _LEFT, _RIGHT, _TOP, _BOTTOM = 72, 20, 14, 56
-N_COLOURS = 6
+N_COLOURS = 10
 
 
 @dataclass(frozen=True)

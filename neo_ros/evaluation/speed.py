@@ -25,11 +25,16 @@ records         a list, one per thing measured:
   skipped               why it was not measured, else null; then the figures are null
   details               what is particular to it: flops and bytes of the floor (flops null: the
                         onnx package is missing, so the floor is too low); rays_per_s,
-                        samples_per_ray; share_in_model of a replay; of the node missed (images
-                        without an answer), mean_rate_hz, jitter_ms (standard deviation of the
-                        intervals between wide images), cpu_percent (100 = one core), rss_mb,
+                        samples_per_ray; of the stream views_per_s (20 are wanted),
+                        psnr_against_rendered of its views, training_views_per_s of a training and
+                        share_of_stream of its time; of a replay model_rate_hz of the extrapolator
+                        alone, share_of_model_rate (0.9 is wanted) and share_in_model of its time;
+                        of the node missed (images without an answer), mean_rate_hz, jitter_ms
+                        (standard deviation of the intervals between wide images), cpu_percent
+                        (100 = one core), rss_mb,
                         stages_ms (the node's own, over its last 300 frames),
-                        outside_inference_ms and share_outside_inference
+                        outside_inference_ms and share_outside_inference (with the wait for the
+                        frame before), decode_check_publish_ms (without)
 
 The field is synthetic, see `speed_field.box_room`; its steps are those of the last stage without
 the occupancy update after every hundredth. All inputs are drawn from fixed seeds.
@@ -49,7 +54,7 @@ from neo_ros.evaluation.speed_runtime import measure_expand, measure_messages, m
 from neo_ros.runtime import read_model_card
 
 SCHEMA_VERSION = 1
-TRAIN_EXTRA = ('numba', 'scipy', 'torch')
+TRAIN_EXTRA = ('scipy', 'torch')
 
 
 def measure_field(machine: Machine, effort: Effort) -> Iterator[Record]:

@@ -18,7 +18,7 @@ STAND_IN_PATCH, STAND_IN_WIDTH, LAYERS = 8, 48, 6
 
 def count_flops(path: Path | str) -> float | None:
     """
-    Return the floating-point operations of one run: 2 per multiply-add of Conv, Gemm, MatMul.
+    Return the floating-point operations of one run: 2 per multiply-add of layers.
 
     None where the onnx package (the train extra) is missing or a shape is not known.
     """
@@ -42,6 +42,9 @@ def _node_flops(node: 'onnx.NodeProto', shapes: dict[str, list[int]]) -> int:
     if node.op_type == 'Conv':
         # Weights (out, in / groups, kernel...): each output value sums over all but the first.
         per_output = math.prod(shapes[node.input[1]][1:])
+    elif node.op_type == 'ConvTranspose':
+        # Each input value is spread over the weights (in, out / groups, kernel...) of its channel.
+        return 2 * math.prod(shapes[node.input[0]]) * math.prod(shapes[node.input[1]][1:])
     elif node.op_type == 'MatMul':
         per_output = shapes[node.input[0]][-1]
     elif node.op_type == 'Gemm':

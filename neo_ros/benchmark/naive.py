@@ -1,0 +1,103 @@
+"""
+B1: naive outpainting, the same network without the radiance field.
+
+It learns from the original photos, resized to the wide frame, with their own middle as input.
+At the square protocol the photos' field of view is not the wide one: that mismatch is B1's
+nature (paper, section 4.2).
+"""
+from dataclasses import replace
+from typing import Any
+
+import cv2
+from neo_ros.checkpoint import CHECKPOINT_SECONDS, read_checkpoint, write_checkpoint
+from neo_ros.errors import ConfigError
+from neo_ros.outpaint.fitting import OutpaintTrainer
+from neo_ros.pipeline import export_step, TrainingRun
+from neo_ros.scenes.posed_images import PosedImages
+import numpy as np
+
+ZOOM = 0.85      # photos are cut to between this share of their size and all of it
+VALIDATIONS = 40
+PATIENCE = 10    # validations without a better score until the training ends
+
+
+class ResizedPhotos:
+    """An endless, seeded stream of photos as wide views: RGBA uint8, everything seen."""
+
+    def __init__(self, photos: PosedImages, width: int, height: int, seed: int) -> None:
+        self.size, self.seed = (width, height), seed
+        self.images = [as_wide(photos, index, width, height) for index in range(len(photos))]
+
+    def batch(self, step: int, size: int) -> np.ndarray:
+        """Return batch `step`: (size, H, W, 4), each photo a little cut."""
+        random = np.random.default_rng([self.seed, 4, step])
+        return np.stack([self._cut(self.images[index], random)
+                         for index in random.integers(len(self.images), size=size)])
+
+    def _cut(self, image: np.ndarray, random: np.random.Generator) -> np.ndarray:
+        width, height = self.size
+        share = random.uniform(ZOOM, 1)
+        w, h = max(round(share * width), 1), max(round(share * height), 1)
+        x, y = random.integers(width - w + 1), random.integers(height - h + 1)
+        cut = cv2.resize(image[y:y + h, x:x + w], self.size, interpolation=cv2.INTER_LINEAR)
+        return opaque(cut)
+
+
+def train_naive(run: TrainingRun) -> None:
+    """
+    Train B1 into `run.out` and export it as the run's model file.
+
+    run: its outpaint settings say how long. The weights with the best score on held-out photos
+    are exported; the training ends early where it only overfits. A broken-off run goes on.
+    """
+    if run.held_out is None:
+        raise ConfigError(f'naive: expected photos to hold out, {run.scene.name} has only '
+                          f'{len(run.scene.train)}')
+    target, experiment = run.expansion.target, run.experiment
+    held_out = np.stack([opaque(as_wide(run.held_out, index, target.width, target.height))
+                         for index in range(len(run.held_out))])
+    stream = ResizedPhotos(run.fitted, target.width, target.height, experiment.seed)
+    trainer = OutpaintTrainer(
+        run.expansion, experiment.network,
+        replace(experiment.outpaint, validations=VALIDATIONS, real_centre=0.0),
+        experiment.seed, held_out)
+    checkpoint = run.out / 'naive.ckpt'
+    best: dict[str, Any] = {'psnr': -np.inf, 'at': 0, 'weights': trainer.averaged.state_dict()}
+    if checkpoint.exists():
+        state = read_checkpoint(checkpoint)
+        trainer.restore(state['trainer'])
+        best = state['best']
+    saved = trainer.seconds
+    while trainer.done[0] < trainer.done[1] and len(trainer.validation) - best['at'] < PATIENCE:
+        scores = len(trainer.validation)
+        trainer.train_step(stream.batch(trainer.step, trainer.batch_size))
+        if len(trainer.validation) > scores and trainer.validation[-1][2] > best['psnr']:
+            best = {'psnr': trainer.validation[-1][2], 'at': len(trainer.validation),
+                    'weights': {name: value.detach().cpu().clone() for name, value
+                                in trainer.averaged.state_dict().items()}}
+        run.progress('naive', *trainer.done, trainer.note())
+        if trainer.seconds - saved > CHECKPOINT_SECONDS:
+            write_checkpoint(checkpoint, {'trainer': trainer.state(), 'best': best})
+            saved = trainer.seconds
+    write_checkpoint(checkpoint, {'trainer': trainer.state(), 'best': best})
+    run.seconds = trainer.seconds
+    network = trainer.averaged.eval().cpu()
+    network.load_state_dict(best['weights'])
+    export_step(run, network)
+
+
+def as_wide(photos: PosedImages, index: int, width: int, height: int) -> np.ndarray:
+    """Read a photo resized to the wide frame; the largest part with its aspect, RGB uint8."""
+    image = photos.read_image(index)
+    h, w = image.shape[:2]
+    share = min(w / width, h / height)
+    cut_w, cut_h = round(share * width), round(share * height)
+    x, y = (w - cut_w) // 2, (h - cut_h) // 2
+    shrink = width < cut_w
+    return cv2.resize(image[y:y + cut_h, x:x + cut_w], (width, height),
+                      interpolation=cv2.INTER_AREA if shrink else cv2.INTER_CUBIC)
+
+
+def opaque(image: np.ndarray) -> np.ndarray:
+    """Add the coverage channel: (H, W, 3) -> (H, W, 4), everything seen."""
+    return np.dstack([image, np.full(image.shape[:2], 255, np.uint8)])

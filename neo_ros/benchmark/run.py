@@ -1,0 +1,52 @@
+"""From jobs to files: rows, tables in Markdown, the page; what `neo benchmark` does."""
+from collections.abc import Sequence
+from pathlib import Path
+
+from neo_ros.benchmark.page import write_benchmark_report
+from neo_ros.benchmark.protocols import check_split
+from neo_ros.benchmark.scoring import run_benchmark, write_rows
+from neo_ros.benchmark.suites import config_folder, SPLITS_FILE
+from neo_ros.benchmark.tables import markdown, put_between_markers
+from neo_ros.benchmark.workbench import Job, Workbench
+from neo_ros.evaluation.evaluate import MethodScores
+from neo_ros.evaluation.output import make_output_folder, write_bytes
+from neo_ros.paths import share_dir
+from neo_ros.pipeline import Progress
+
+
+def run_jobs(jobs: dict[str, Job], names: Sequence[str], work: Path, rows_file: Path, title: str,
+             frozen: bool, progress: Progress) -> str:
+    """
+    Benchmark scenes one after the other; returns the tables.
+
+    jobs by scene name; `frozen` compares every scene with its frozen split before any work.
+    Leaves the rows in `rows_file`, written again after every scene, TITLE.md and TITLE.html in
+    `work`; in a source checkout a suite's tables also go into docs/benchmarks.md.
+    """
+    make_output_folder(work)
+    make_output_folder(rows_file.parent)
+    benches = []
+    for name, job in jobs.items():
+        folder = work / f'{name}_{job.protocol}_{job.scale}'
+        benches.append(Workbench(job, folder, _staged(name, progress)))
+        if frozen:
+            check_split(name, benches[-1].checksums, config_folder() / SPLITS_FILE)
+    benchmarks: list[list[MethodScores]] = []
+    for bench in benches:
+        benchmarks.append(run_benchmark(
+            bench, names,
+            # What is through is in the file, also if the next method never ends.
+            lambda results: write_rows(rows_file, [
+                result.row for scene in (*benchmarks, results) for result in scene])))
+    write_rows(rows_file, [result.row for results in benchmarks for result in results])
+    table = markdown(benchmarks)
+    write_bytes(work / f'{title}.md', table.encode())
+    write_benchmark_report(work / f'{title}.html', benches, benchmarks)
+    document = share_dir() / 'docs' / 'benchmarks.md'
+    if frozen and document.is_file():
+        put_between_markers(document, title, table)
+    return table
+
+
+def _staged(name: str, progress: Progress) -> Progress:
+    return lambda stage, done, total, note: progress(f'{name}: {stage}', done, total, note)

@@ -1,0 +1,97 @@
+"""Suites: which methods run on which scenes for how long, from a file in config/benchmark."""
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from neo_ros.benchmark.methods import check_methods
+from neo_ros.benchmark.workbench import Job
+from neo_ros.errors import ConfigError
+from neo_ros.paths import share_dir
+from neo_ros.scenes.demo_captures import write_demo_scene
+from pydantic import TypeAdapter, ValidationError
+import yaml
+
+SPLITS_FILE = 'splits.json'
+DEMO = 'demo_flat'
+
+
+@dataclass(frozen=True)
+class SuiteScene:
+    """How one scene is benchmarked; `minutes` is the training time of NEO."""
+
+    __pydantic_config__ = {'extra': 'forbid'}
+    protocol: str
+    scale: str
+    minutes: float
+    settings: dict[str, Any] | None = None
+
+
+@dataclass(frozen=True)
+class Suite:
+    """A file of config/benchmark."""
+
+    __pydantic_config__ = {'extra': 'forbid'}
+    methods: list[str]
+    scenes: dict[str, SuiteScene]
+    folders: list[str]
+    settings: dict[str, Any]
+
+
+def config_folder() -> Path:
+    """Return the folder of the suites and of the frozen splits."""
+    return share_dir() / 'config' / 'benchmark'
+
+
+def read_suite(name: str) -> Suite:
+    """Read a suite by name; raises ConfigError for one that does not exist or is wrong."""
+    path = config_folder() / f'{name}.yaml'
+    if not path.is_file():
+        known = ', '.join(sorted(found.stem for found in config_folder().glob('*.yaml')))
+        raise ConfigError(f'suite: expected one of {known}, got {name!r}')
+    try:
+        suite = TypeAdapter(Suite).validate_python(yaml.safe_load(path.read_text()))
+    except (yaml.YAMLError, ValidationError) as error:
+        raise ConfigError(f'{path}: {error}') from error
+    check_methods(suite.methods)
+    return suite
+
+
+def suite_jobs(suite: Suite, folders: list[Path]) -> dict[str, Job]:
+    """
+    Find the scenes of a suite; those in `folders` come before those that the suite names.
+
+    The demo flat is where it was found, else in the first folder of the suite, where
+    `prepare_demo` renders it. Raises ConfigError with the names of scenes that are missing.
+    """
+    places = [*folders, *(Path(folder) for folder in suite.folders)]
+    jobs, missing = {}, []
+    for name, entry in suite.scenes.items():
+        found = next((place / name for place in places
+                      if (place / name / 'transforms_train.json').is_file()), None)
+        if found is None and name == DEMO:
+            found = Path(suite.folders[0]) / DEMO
+        if found is None:
+            missing.append(name)
+            continue
+        jobs[name] = Job(str(found), entry.protocol, entry.scale, entry.minutes,
+                         settings=merged(suite.settings, entry.settings or {}))
+    if missing:
+        raise ConfigError(
+            f'suite: the scenes {", ".join(missing)} are in none of the folders '
+            f'{", ".join(map(str, places))}; name the one that holds them with --scenes')
+    return jobs
+
+
+def prepare_demo(job: Job, progress: Any) -> None:
+    """Render the demo flat into the job's folder, if it is not there."""
+    write_demo_scene(Path(job.scene), progress=lambda done, total: progress(
+        'demo flat', done, total, ''))
+
+
+def merged(base: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
+    """Lay nested settings over others."""
+    result = dict(base)
+    for key, value in above.items():
+        both = isinstance(value, dict) and isinstance(result.get(key), dict)
+        result[key] = merged(result[key], value) if both else value
+    return result

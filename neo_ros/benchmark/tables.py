@@ -1,0 +1,141 @@
+"""The tables of a benchmark in Markdown, with the paper's figures beside ours."""
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from neo_ros.benchmark.methods import BOUNDS, METHODS
+from neo_ros.benchmark.paper_figures import PAPER, PAPER_SCENES
+from neo_ros.evaluation.evaluate import MethodScores
+from neo_ros.evaluation.output import write_bytes
+
+_SCORES = (('ring_psnr', 'ring PSNR, dB', 2), ('ring_ssim', 'ring SSIM', 3),
+           ('ring_lpips_vgg', 'ring LPIPS VGG', 3), ('ring_lpips_alex', 'ring LPIPS Alex', 3),
+           ('seam_psnr', 'seam PSNR, dB', 2), ('whole_psnr', 'whole PSNR, dB', 2),
+           ('whole_ssim', 'whole SSIM', 3), ('whole_lpips_vgg', 'whole LPIPS VGG', 3))
+NOTE = """\
+Means over the test frames; in brackets bootstrap 95 % intervals over the walks. *Ring*: pixels
+that the camera did not see; *seam*: the part of the ring within 1/16 of the camera's width.
+Pasted: the observed centre is in the wide image as the camera gave it, which lifts the whole
+scores; its difference to the truth is 0, also in the ring's LPIPS. *Gap closed*: (ring PSNR -
+B1's) / (oracle's - B1's). *Warping error*: mean squared difference (colours 0 to 1) between the
+ring and the last wide image brought there by the true motion. *Flicker*: standard deviation
+(grey levels) of the ring while the camera stands still with sensor noise of 2 grey levels.
+*MB*: model file (for B3 and the oracle the field, for B3 also the features); *memory*: what a
+process grows by when it loads and runs the method."""
+
+
+def markdown(benchmarks: Sequence[Sequence[MethodScores]]) -> str:
+    """Return the tables of some scenes, each a list of its methods' scores."""
+    parts = [NOTE]
+    for results in benchmarks:
+        row = results[0].row
+        parts += [f'### {row["scene"]}, {row["protocol"]}, {row["scale"]} scale, '
+                  f'{row["n_frames"]} frames', _score_table(results), _cost_table(results),
+                  *_remarks(results)]
+    protocols = dict.fromkeys(results[0].row['protocol'] for results in benchmarks)
+    for protocol in protocols:
+        parts += [f"### The paper's own figures, {protocol} protocol",
+                  'On other data and at full scale: PSNR / SSIM / LPIPS-VGG of the whole image.',
+                  paper_table(protocol)]
+    return '\n\n'.join(parts) + '\n'
+
+
+def paper_table(protocol: str) -> str:
+    """Return the paper's table of a protocol."""
+    scenes = PAPER_SCENES[protocol]
+    return _table(['method', *scenes], (
+        [name, *(_triple(PAPER[name][scene]) for scene in scenes)] for name in PAPER))
+
+
+def put_between_markers(document: Path, name: str, text: str) -> None:
+    """Replace what stands between the two markers of a name in a document that has them."""
+    begin, end = f'<!-- {name} begin -->', f'<!-- {name} end -->'
+    content = document.read_text()
+    if begin not in content or end not in content:
+        return
+    before, rest = content.split(begin, 1)
+    after = rest.split(end, 1)[1]
+    write_bytes(document, f'{before}{begin}\n{text}{end}{after}'.encode())
+
+
+def best_practical(results: Sequence[MethodScores], score: str = 'ring_psnr') -> str | None:
+    """Return the method with the best score among those a robot could run, None if unscored."""
+    lowest = 'lpips' in score
+    rivals = {result.method: result.row[score] for result in results
+              if result.method not in BOUNDS and result.row[score] is not None}
+    if not rivals:
+        return None
+    return (min if lowest else max)(rivals, key=rivals.__getitem__)
+
+
+def _score_table(results: Sequence[MethodScores]) -> str:
+    known = [score for score in _SCORES if any(score[0] in r.estimates for r in results)]
+    best = best_practical(results)
+    rows = []
+    for result in results:
+        name = f'**{result.method}**' if result.method == best else result.method
+        cells = []
+        for score, _, digits in known:
+            estimate = result.estimates.get(score)
+            cell = '' if estimate is None else f'{estimate.mean:.{digits}f}'
+            if estimate is not None and estimate.low is not None and score.startswith('ring'):
+                cell += f' ({estimate.low:.{digits}f} to {estimate.high:.{digits}f})'
+            cells.append(cell)
+        rows.append([name, *cells, 'yes' if result.observed_pasted else 'no'])
+    return _table(['method', *(title for _, title, _ in known), 'pasted'], rows)
+
+
+def _cost_table(results: Sequence[MethodScores]) -> str:
+    rows = []
+    for result in results:
+        row, figures = result.row, result.figures
+        rows.append([
+            result.method, _number(row['oracle_gap_closed'], 0, 100, ' %'),
+            _number(row['warping_error'], 2, 1e3), _number(figures.get('flicker'), 2),
+            _number(row['latency_ms_median'], 1), _number(row['latency_ms_p95'], 1),
+            _number(figures.get('memory_mb'), 0), _number(row['train_minutes'], 1),
+            _number(row['model_mb'], 1)])
+    return _table(['method', 'gap closed', 'warping error, 10^-3', 'flicker', 'ms median',
+                   'ms p95', 'memory MB', 'training min', 'MB'], rows)
+
+
+def _remarks(results: Sequence[MethodScores]) -> list[str]:
+    """Say what the columns do not: pose errors, uncovered rings, and who is first."""
+    lines = []
+    for result in results:
+        if any('pose_error_cm' in frame for frame in result.frames):
+            lines.append(pose_remark(result))
+        if 'uncovered' in result.estimates:
+            share = result.estimates['uncovered'].mean
+            lines.append(f'{result.method}: no photo covered {share:.0%} of the ring; it is '
+                         'extended from its edges.')
+    for score, words in (('ring_psnr', 'ring PSNR'), ('ring_lpips_vgg', 'ring LPIPS')):
+        best = best_practical(results, score)
+        if best is not None:
+            lines.append(f'First of the methods that a robot could run, by {words}: {best} '
+                         f'({METHODS[best]}).')
+    return ['\n'.join(f'- {line}' for line in lines)] if lines else []
+
+
+def pose_remark(result: MethodScores) -> str:
+    """Say how far the estimated poses were off: medians, the worst, and the failures."""
+    centimetres = sorted(frame['pose_error_cm'] for frame in result.frames)
+    degrees = sorted(frame['pose_error_deg'] for frame in result.frames)
+    failed = sum(frame['pose_failed'] > 0 for frame in result.frames)
+    middle, high = len(degrees) // 2, min(int(0.95 * len(degrees)), len(degrees) - 1)
+    return (f'{result.method}: pose error {centimetres[middle]:.1f} cm, {degrees[middle]:.2f} deg '
+            f'in the median; {centimetres[high]:.1f} cm, {degrees[high]:.2f} deg at 95 %; '
+            f'{failed} of {len(degrees)} frames not localised.')
+
+
+def _number(value: Any, digits: int, factor: float = 1, unit: str = '') -> str:
+    return '' if value is None else f'{value * factor:.{digits}f}{unit}'
+
+
+def _triple(values: tuple[float, float, float]) -> str:
+    return f'{values[0]:.2f} / {values[1]:.3f} / {values[2]:.3f}'
+
+
+def _table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    lines = [columns, ['---'] * len(columns), *rows]
+    return '\n'.join('| ' + ' | '.join(line) + ' |' for line in lines)

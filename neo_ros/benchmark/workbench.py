@@ -1,0 +1,189 @@
+"""
+Everything that a benchmark's methods need of one scene, made once and kept in one folder.
+
+Fields, networks and feature banks are trained or built when a method first asks for them; a
+run that was broken off goes on where it stopped.
+"""
+from dataclasses import asdict, dataclass, replace
+import json
+import os
+from pathlib import Path
+import shutil
+import time
+from typing import Any, Optional
+
+from neo_ros.benchmark.naive import train_naive
+from neo_ros.benchmark.protocols import (
+    choose_view, fitting_network, SCALES, split_checksums, split_walks)
+from neo_ros.errors import ConfigError
+from neo_ros.evaluation.evaluate import TruthFrames
+from neo_ros.evaluation.local_features import PhotoBank, read_photo_bank
+from neo_ros.evaluation.output import make_output_folder, write_bytes
+from neo_ros.evaluation.sparse_model import read_sparse_model, SparseModel
+from neo_ros.experiment import Experiment, experiment_from
+from neo_ros.field.fitting import FieldTrainer
+from neo_ros.field.voxel_field import RadianceField
+from neo_ros.pipeline import claim, fit_field_step, Progress, train, TrainingRun
+from neo_ros.scenes.scene import read_scene
+
+FIELD_SHARE = 0.25           # of the training time that goes to the field
+LEAST_NETWORK_SHARE = 0.5    # that the network has, however long the field took
+# A trial tells how long a step takes. With fewer steps a field is fog, so it has as many at least;
+# where there is no time for a trial they must do.
+TRIAL_STEPS, TIMED_STEPS, LEAST_TRIAL_SECONDS = 300, 100, 120.0
+
+
+@dataclass(frozen=True)
+class Job:
+    """
+    One scene under one protocol.
+
+    test_scene  folder whose training frames are the wide truth, where `scene` has none
+    minutes     training time of field and network together
+    settings    of the experiment, beside what protocol and minutes decide
+    """
+
+    scene: str
+    protocol: str
+    scale: str
+    minutes: float
+    test_scene: Optional[str] = None
+    most_frames: Optional[int] = None
+    settings: Optional[dict[str, Any]] = None
+
+    def __post_init__(self) -> None:
+        if self.scale not in SCALES:
+            raise ConfigError(f'scale: expected {", ".join(SCALES)}, got {self.scale!r}')
+        if not self.minutes > 0:
+            raise ConfigError(f'budget-minutes: expected a number > 0, got {self.minutes}')
+
+
+class Workbench:
+    """A scene, its test frames, and what has been made for its methods so far."""
+
+    def __init__(self, job: Job, folder: Path, progress: Progress) -> None:
+        self.job, self.folder, self.progress = job, folder, progress
+        self.scene = read_scene(Path(job.scene))
+        test, stated = self.scene.test, self.scene.expansion
+        if job.test_scene is not None:
+            other = read_scene(Path(job.test_scene))
+            test, stated = other.train, None
+        if test is None:
+            raise ConfigError(
+                f'{job.scene}: expected test frames (transforms_test.json) with the wide truth, '
+                'there are none; name a folder of them with --test-scene')
+        self.checksums = split_checksums(self.scene.train, test, stated)
+        base = experiment_from({'scale': SCALES[job.scale], **(job.settings or {})},
+                               'benchmark settings')
+        view = choose_view(self.scene, test, stated, job.protocol, SCALES[job.scale])
+        base = replace(base, view=view)
+        self.expansion = base.expansion(self.scene.train.intrinsics, self.scene.expansion)
+        self.base = replace(base, network=fitting_network(base, self.expansion))
+        self.frames = TruthFrames(split_walks(test), self.expansion, job.most_frames)
+        make_output_folder(folder)
+        self._claim()
+
+    @property
+    def field_experiment(self) -> Experiment:
+        """The settings of the field, with as many steps as its share of the budget allows."""
+        note = self.folder / 'budget.json'
+        if not note.exists():
+            write_bytes(note, json.dumps({'field_steps': self._field_steps()}).encode())
+        steps = json.loads(note.read_text())['field_steps']
+        return replace(self.base, field=replace(self.base.field, steps=steps))
+
+    def experiment(self, field_minutes: float) -> Experiment:
+        """Return the settings of a network: it has what time the field has left of the budget."""
+        left = max(self.job.minutes - field_minutes, LEAST_NETWORK_SHARE * self.job.minutes)
+        experiment = self.field_experiment
+        return replace(experiment, outpaint=replace(experiment.outpaint, minutes=left))
+
+    def field(self) -> tuple[RadianceField, float, float]:
+        """Return the field, its training minutes and its size in MB."""
+        run = self._run(self.field_experiment, self.folder / 'field')
+        field = fit_field_step(run)
+        return field, run.seconds / 60, (run.out / 'field.npz').stat().st_size / 1e6
+
+    def model(self, network: str) -> Path:
+        """Return the model file of NEO with a network (neo_fast, mat, lama)."""
+        out = self.folder / network
+        path = out / f'{self.scene.name}.onnx'
+        if not (out / 'done').exists():
+            experiment = self.experiment(self.field()[1])
+            experiment = replace(experiment, network=replace(experiment.network, name=network))
+            run = self._run(experiment, out)
+            for name in ('field.npz', 'field.json'):
+                if not (out / name).exists():
+                    _link(self.folder / 'field' / name, out / name)
+            train(Path(self.job.scene), experiment, run.out, self.progress)
+            (out / 'done').touch()
+        return path
+
+    def naive(self) -> Path:
+        """Return the model file of B1; it may take the time that NEO's network takes."""
+        run = self._run(self.experiment(FIELD_SHARE * self.job.minutes), self.folder / 'naive')
+        if not (run.out / 'done').exists():
+            train_naive(run)
+            (run.out / 'done').touch()
+        return run.model_path
+
+    def bank(self) -> PhotoBank:
+        """Return the features of the training photos."""
+        return read_photo_bank(
+            self.scene.train, SCALES[self.job.scale], self.folder / 'features.npz',
+            lambda done, total: self.progress('features', done, total, ''))
+
+    def sparse_model(self, bank: PhotoBank) -> SparseModel:
+        """Return the triangulated points of the features."""
+        return read_sparse_model(bank, self.folder / 'sparse', lambda done, total: self.progress(
+            'matches', done, total, ''))
+
+    def _run(self, experiment: Experiment, out: Path) -> TrainingRun:
+        run = TrainingRun(self.scene, experiment, out, self.progress)
+        make_output_folder(out)
+        claim(out, self.scene, experiment)
+        return run
+
+    def _claim(self) -> None:
+        """Note what the folder is for, so that no two jobs are mixed."""
+        note = self.folder / 'job.json'
+        # A different number of test frames or folder changes no artefact.
+        kept = {'protocol': self.job.protocol, 'scale': self.job.scale,
+                'minutes': self.job.minutes, 'settings': self.job.settings or {},
+                'checksums': self.checksums}
+        text = json.dumps({'job': asdict(self.job), **kept}, indent=1)
+        if note.exists():
+            found = json.loads(note.read_text())
+            differ = [name for name, value in kept.items() if found.get(name) != value]
+            if differ:
+                raise ConfigError(
+                    f'{self.folder}: holds a benchmark with other {", ".join(differ)}; '
+                    'choose another --work folder or delete this one')
+        write_bytes(note, text.encode())
+
+    def _field_steps(self) -> int:
+        """Measure how long a step takes, and return how many the field's share has room for."""
+        seconds = 60 * self.job.minutes * FIELD_SHARE
+        if seconds < LEAST_TRIAL_SECONDS:
+            return TRIAL_STEPS
+        run = TrainingRun(self.scene, self.base, self.folder, self.progress)
+        trainer = FieldTrainer(
+            run.fitted.read_images(self.base.scale),
+            run.fitted.intrinsics.scaled(self.base.scale), run.fitted.T_world_cam,
+            replace(self.base.field, steps=TRIAL_STEPS), self.base.seed)
+        started = time.monotonic()
+        for done in range(TRIAL_STEPS):
+            if done == TRIAL_STEPS - TIMED_STEPS:  # by then its air is empty, its grid fine
+                started = time.monotonic()
+            trainer.train_step()
+            self.progress('trial', done + 1, TRIAL_STEPS, '')
+        each = (time.monotonic() - started) / TIMED_STEPS
+        return max(TRIAL_STEPS, int(seconds / each))
+
+
+def _link(source: Path, target: Path) -> None:
+    """Share a large file between folders, or copy it where the disk cannot."""
+    try:
+        os.link(source, target)
+    except OSError:
+        shutil.copyfile(source, target)

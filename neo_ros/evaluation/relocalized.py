@@ -1,0 +1,121 @@
+"""
+B3: find the camera's pose in the scene, then let the radiance field render the wide view there.
+
+Retrieval, 2D-3D matches, PnP with RANSAC and refinement, as hloc does (Sarlin et al., 2019).
+"""
+from typing import Any, NamedTuple
+
+from neo_ros.evaluation.field_view import FieldView
+from neo_ros.evaluation.local_features import Features, find_features, match_features, PhotoBank
+from neo_ros.evaluation.sparse_model import SparseModel
+from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
+import numpy as np
+
+RETRIEVED = 20       # photos whose points are matched
+RATIO = 0.9
+PNP_PIXELS = 2.0     # a match within so many pixels of its point's projection is an inlier
+LEAST_INLIERS = 8    # with fewer, the pose counts as not found
+
+
+class Localization(NamedTuple):
+    """Where the camera is thought to be, from how many inliers; `failed` = a guess."""
+
+    pose: CameraPose
+    inliers: int
+    failed: bool
+
+
+class Relocalizer:
+    """Find the pose of a narrow image in a scene whose photos were triangulated."""
+
+    def __init__(self, bank: PhotoBank, model: SparseModel, camera: Intrinsics) -> None:
+        import pycolmap
+        self.bank, self.model = bank, model
+        self.lens = pycolmap.Camera(model='PINHOLE', width=camera.width, height=camera.height,
+                                    params=[camera.fx, camera.fy, camera.cx, camera.cy])
+        self.options = pycolmap.AbsolutePoseEstimationOptions()
+        self.options.ransac.max_error = PNP_PIXELS
+        self.options.ransac.random_seed = 0
+        self.refinement = pycolmap.AbsolutePoseRefinementOptions()
+
+    def locate(self, narrow_image: np.ndarray) -> Localization:
+        """
+        Locate an RGB uint8 image (h, w, 3) of the camera.
+
+        Where PnP finds nothing, the pose of the photo that looks most like the image is the
+        answer, marked as failed.
+        """
+        features = find_features(narrow_image)
+        near = self.bank.nearest(features, RETRIEVED)
+        found = self._pnp(features, near)
+        if found is None:
+            return Localization(self.bank.photos.poses[near[0]], 0, True)
+        # Once the place is known, the photos around it have more points in view.
+        again = self._pnp(features, self._around(found[0]))
+        pose, inliers = max([found, again or found], key=lambda one: one[1])
+        return Localization(pose, inliers, False)
+
+    def _around(self, pose: CameraPose) -> np.ndarray:
+        T_world_cam = self.bank.photos.T_world_cam
+        apart = np.linalg.norm(T_world_cam[:, :3, 3] - pose.position, axis=1)
+        turned = np.arccos(np.clip(T_world_cam[:, :3, 2] @ pose.forward, -1, 1))
+        # Metres and radians shift a picture about as much, and far photos see other sides.
+        return np.argsort(apart + turned, kind='stable')[:RETRIEVED]
+
+    def _pnp(self, features: Features, photos: np.ndarray) -> tuple[CameraPose, int] | None:
+        import pycolmap
+        pairs: set[tuple[int, int]] = set()
+        for index in photos:
+            owned = np.flatnonzero(self.model.point_of[index] >= 0)
+            matches = match_features(
+                features.descriptors, self.bank.features[index].descriptors[owned], RATIO)
+            points = self.model.point_of[index][owned[matches[:, 1]]]
+            pairs.update(zip(matches[:, 0].tolist(), points.tolist()))
+        if len(pairs) < LEAST_INLIERS:
+            return None
+        chosen = np.array(sorted(pairs))
+        result: dict[str, Any] | None = pycolmap.estimate_and_refine_absolute_pose(
+            features.points[chosen[:, 0]], self.model.points[chosen[:, 1]], self.lens,
+            self.options, self.refinement)
+        if result is None or result['num_inliers'] < LEAST_INLIERS:
+            return None
+        T = np.eye(4)
+        T[:3] = result['cam_from_world'].matrix()
+        return CameraPose(np.linalg.inv(T)), int(result['num_inliers'])
+
+
+class Relocalized:
+    """B3 as a method: the pose is estimated, the field renders, the camera's pixels stay."""
+
+    name = 'relocalized'
+    observed_pasted = True
+
+    def __init__(self, relocalizer: Relocalizer, view: FieldView,
+                 train_minutes: float | None, model_mb: float | None) -> None:
+        self.relocalizer, self.view = relocalizer, view
+        self.train_minutes, self.model_mb = train_minutes, model_mb
+        self.last: Localization | None = None
+
+    @property
+    def expansion(self) -> ViewExpansion:
+        """The source and target views."""
+        return self.view.expansion
+
+    def expand(self, narrow_image: np.ndarray) -> np.ndarray:
+        """Widen (h, w, 3) RGB uint8 to (H, W, 3) RGB uint8."""
+        self.last = self.relocalizer.locate(narrow_image)
+        return self.view.widen(narrow_image, self.last.pose)
+
+    def notes(self, true_pose: CameraPose) -> dict[str, float]:
+        """Return how far the pose of the last frame was off."""
+        assert self.last is not None
+        return {**pose_error(self.last.pose, true_pose), 'pnp_inliers': float(self.last.inliers),
+                'pose_failed': float(self.last.failed)}
+
+
+def pose_error(found: CameraPose, true_pose: CameraPose) -> dict[str, float]:
+    """Return pose_error_cm and pose_error_deg."""
+    relative = found.T_world_cam[:3, :3].T @ true_pose.T_world_cam[:3, :3]
+    angle = np.degrees(np.arccos(np.clip((np.trace(relative) - 1) / 2, -1, 1)))
+    return {'pose_error_cm': 100 * float(np.linalg.norm(found.position - true_pose.position)),
+            'pose_error_deg': float(angle)}

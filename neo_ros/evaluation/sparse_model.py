@@ -1,0 +1,147 @@
+"""
+A sparse model of the scene: points that several photos see, triangulated from their known poses.
+
+This is B3's map (the paper uses hloc's): pycolmap triangulates the matches of RootSIFT features.
+"""
+from pathlib import Path
+import shutil
+from typing import Any, Callable, NamedTuple
+from zipfile import BadZipFile
+
+from neo_ros.errors import SceneError
+from neo_ros.evaluation.local_features import match_features, PhotoBank
+from neo_ros.geometry import Intrinsics
+import numpy as np
+
+PARTNERS = 15          # photos that each photo is matched with
+MOST_ANGLE = 60.0      # degrees between the viewing directions of two photos that are matched
+EPIPOLAR_PIXELS = 1.5  # how far off its epipolar line a match may lie
+RATIO = 0.85
+Progress = Callable[[int, int], None]
+
+
+class SparseModel(NamedTuple):
+    """
+    Points of the scene and which features show them.
+
+    points        float64 (P, 3), world metres
+    point_of      per photo int64 (features,): index into `points`, -1 = none
+    """
+
+    points: np.ndarray
+    point_of: list[np.ndarray]
+
+
+def read_sparse_model(bank: PhotoBank, folder: Path,
+                      progress: Progress = lambda done, total: None) -> SparseModel:
+    """Triangulate the features of a bank, or read the result from `folder`."""
+    cache = folder / 'points.npz'
+    counts = [len(one.points) for one in bank.features]
+    try:
+        with np.load(cache) as stored:
+            points, flat = stored['points'], stored['point_of']
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile):
+        points, flat = _triangulate(bank, folder, progress)
+        partial = folder / 'points.partial.npz'
+        np.savez(partial, points=points, point_of=flat)
+        partial.replace(cache)
+    if len(flat) != sum(counts):
+        raise SceneError(f'{cache}: expected the points of {sum(counts)} features, got '
+                         f'{len(flat)}; delete the folder to triangulate again')
+    return SparseModel(points, np.split(flat, np.cumsum(counts)[:-1]))
+
+
+def choose_pairs(bank: PhotoBank) -> list[tuple[int, int]]:
+    """Return the pairs of photos to match: alike, looking the same way, from two places."""
+    T_world_cam = bank.photos.T_world_cam
+    forward, position = T_world_cam[:, :3, 2], T_world_cam[:, :3, 3]
+    likeness = bank.vectors @ bank.vectors.T
+    likeness[forward @ forward.T < np.cos(np.radians(MOST_ANGLE))] = -1
+    apart = np.linalg.norm(position[:, None] - position[None], axis=2)
+    likeness[apart < 1e-3] = -1  # nothing can be triangulated
+    order = np.argsort(-likeness, axis=1, kind='stable')[:, :PARTNERS]
+    return sorted({(min(i, int(j)), max(i, int(j))) for i in range(len(order))
+                   for j in order[i] if likeness[i, j] > -1})
+
+
+def epipolar_distance(camera: Intrinsics, T_b_a: np.ndarray, points_a: np.ndarray,
+                      points_b: np.ndarray) -> np.ndarray:
+    """
+    Return how far matched pixels (N, 2) of two views are off their epipolar lines (Sampson).
+
+    T_b_a takes camera coordinates of a to those of b; the result is in pixels, (N,).
+    """
+    R, t = T_b_a[:3, :3], T_b_a[:3, 3]
+    across = np.array([[0, -t[2], t[1]], [t[2], 0, -t[0]], [-t[1], t[0], 0]])
+    inverse = np.linalg.inv(camera.matrix)
+    fundamental = inverse.T @ across @ R @ inverse
+    a = np.c_[points_a, np.ones(len(points_a))]
+    b = np.c_[points_b, np.ones(len(points_b))]
+    line_b, line_a = a @ fundamental.T, b @ fundamental
+    slope = (line_b[:, :2] ** 2).sum(1) + (line_a[:, :2] ** 2).sum(1)
+    return np.abs((b * line_b).sum(1)) / np.sqrt(np.maximum(slope, 1e-12))
+
+
+def _triangulate(bank: PhotoBank, folder: Path,
+                 progress: Progress) -> tuple[np.ndarray, np.ndarray]:
+    import pycolmap
+    pycolmap.logging.minloglevel = int(pycolmap.logging.ERROR)
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    camera = bank.photos.intrinsics.scaled(bank.scale)
+    database = folder / 'database.db'
+    known = _write_database(bank, camera, database, progress)
+    options = pycolmap.IncrementalPipelineOptions()
+    options.random_seed = 0
+    model = pycolmap.triangulate_points(known, database, folder, folder, options=options)
+    ids = {point_id: index for index, point_id in enumerate(model.points3D)}
+    points = np.array([point.xyz for point in model.points3D.values()]).reshape(-1, 3)
+    starts = np.cumsum([0, *(len(one.points) for one in bank.features)])
+    flat = np.full(starts[-1], -1, np.int64)
+    for point_id, point in model.points3D.items():
+        for element in point.track.elements:
+            flat[starts[element.image_id - 1] + element.point2D_idx] = ids[point_id]
+    database.unlink()
+    if not len(points):
+        raise SceneError(f'{folder}: no point could be triangulated from the photos; '
+                         'B3 needs textured photos that overlap, with poses that fit them')
+    return points, flat
+
+
+def _write_database(bank: PhotoBank, camera: Intrinsics, path: Path, progress: Progress) -> Any:
+    """Fill a database with keypoints and verified matches; returns the posed reconstruction."""
+    import pycolmap
+    lens = pycolmap.Camera(model='PINHOLE', width=camera.width, height=camera.height,
+                           params=[camera.fx, camera.fy, camera.cx, camera.cy], camera_id=1)
+    known = pycolmap.Reconstruction()
+    known.add_camera_with_trivial_rig(lens)
+    T_world_cam = bank.photos.T_world_cam
+    T_cam_world = np.linalg.inv(T_world_cam)
+    pairs = choose_pairs(bank)
+    with pycolmap.Database.open(path) as database:
+        database.write_camera(lens, use_camera_id=True)
+        for rig in known.rigs.values():
+            database.write_rig(rig, use_rig_id=True)
+        for index, features in enumerate(bank.features):
+            image = pycolmap.Image(name=f'{index:06d}', keypoints=features.points.astype(float),
+                                   camera_id=1, image_id=index + 1)
+            known.add_image_with_trivial_frame(image, pycolmap.Rigid3d(T_cam_world[index, :3]))
+            frame = known.image(index + 1).frame
+            assert frame is not None
+            database.write_frame(frame, use_frame_id=True)
+            database.write_image(known.image(index + 1), use_image_id=True)
+            database.write_keypoints(index + 1, features.points)
+        for done, (i, j) in enumerate(pairs):
+            a, b = bank.features[i], bank.features[j]
+            matches = match_features(a.descriptors, b.descriptors, RATIO)
+            off = epipolar_distance(camera, T_cam_world[j] @ T_world_cam[i],
+                                    a.points[matches[:, 0]], b.points[matches[:, 1]])
+            kept = matches[off < EPIPOLAR_PIXELS].astype(np.uint32)
+            if len(kept) >= 5:
+                geometry = pycolmap.TwoViewGeometry()
+                geometry.config = pycolmap.TwoViewGeometryConfiguration.CALIBRATED
+                geometry.inlier_matches = kept
+                database.write_matches(i + 1, j + 1, kept)
+                database.write_two_view_geometry(i + 1, j + 1, geometry)
+            progress(done + 1, len(pairs))
+    return known

@@ -1,0 +1,125 @@
+"""
+How steady a widened view is: along a walk, and while the camera stands still.
+
+Warping error as in Lai et al. (ECCV 2018): the last wide image is brought to the present one by
+the true motion; what then differs was not steady. Depth and poses are the truth's, not a flow.
+"""
+from pathlib import Path
+from typing import Callable
+from zipfile import BadZipFile
+
+from neo_ros.evaluation.baselines import Method
+from neo_ros.evaluation.evaluate import run_method, StatefulMethod, TruthFrames
+from neo_ros.evaluation.image_fill import sample_pixels
+from neo_ros.geometry import Intrinsics
+import numpy as np
+
+# A point counts as hidden in the last frame if something is nearer there by this share.
+HIDDEN = 0.05
+NOISE = 2.0     # standard deviation of the sensor noise, grey levels
+STANDING = 8    # frames of a camera that stands still
+DepthOf = Callable[[int], np.ndarray]
+
+
+class WarpingError:
+    """
+    Score every wide image against the last one of its walk; a watcher of `score_frames`.
+
+    depth_of(index) is the true depth of a frame: float (H, W), metres along the optical axis.
+    """
+
+    def __init__(self, frames: TruthFrames, depth_of: DepthOf) -> None:
+        self.frames, self.depth_of = frames, depth_of
+        self.last: tuple[int, np.ndarray] | None = None
+
+    def __call__(self, index: int, wide_image: np.ndarray) -> dict[str, float]:
+        """Return warping_error, or nothing for the first frame of a walk."""
+        last, self.last = self.last, (index, wide_image)
+        images = self.frames.images
+        if last is None or images.path_ids[last[0]] != images.path_ids[index]:
+            return {}
+        T_last_now = images.poses[last[0]].inverse() @ images.poses[index].T_world_cam
+        where, visible = follow_points(self.frames.expansion.target, self.depth_of(index),
+                                       self.depth_of(last[0]), T_last_now)
+        error = warping_error(wide_image, last[1], where,
+                              visible & self.frames.expansion.extrapolated_mask)
+        return {} if error is None else {'warping_error': error}
+
+
+def follow_points(camera: Intrinsics, depth: np.ndarray, last_depth: np.ndarray,
+                  T_last_now: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Find where the points that are seen now were seen in the last frame.
+
+    depth, last_depth: float (H, W), metres along the optical axis. Returns pixels (H, W, 2)
+    float32, and bool (H, W): inside the last frame and not hidden there.
+    """
+    points = camera.pixel_rays() * depth[..., None]
+    before = points @ T_last_now[:3, :3].T + T_last_now[:3, 3]
+    where = np.nan_to_num(camera.project(before), nan=-1e3).astype(np.float32)
+    inside = ((where > 0.5) & (where < np.array([camera.width, camera.height]) - 0.5)).all(-1)
+    seen = sample_pixels(last_depth.astype(np.float32), where)
+    hidden = before[..., 2] > seen * (1 + HIDDEN)
+    return where, inside & ~hidden & np.isfinite(depth)
+
+
+def warping_error(wide_image: np.ndarray, last_image: np.ndarray, where: np.ndarray,
+                  counted: np.ndarray) -> float | None:
+    """
+    Return the mean squared difference to the last image brought here; colours in 0 ... 1.
+
+    Images RGB uint8 (H, W, 3), where (H, W, 2) as of `follow_points`. None if too little is
+    counted to say anything.
+    """
+    if counted.mean() < 0.01:
+        return None
+    brought = sample_pixels(last_image, where)
+    difference = (wide_image[counted].astype(np.float64) - brought[counted]) / 255
+    return float((difference ** 2).mean())
+
+
+def flicker(method: Method, frames: TruthFrames) -> float:
+    """
+    Return how much the ring flickers while the camera stands, grey levels.
+
+    The first view of every walk is shown STANDING times with new sensor noise; the result is
+    the mean over ring pixels, channels and walks of the standard deviation over time.
+    """
+    ring = frames.expansion.extrapolated_mask
+    starts = [index for index, path_id in enumerate(frames.images.path_ids)
+              if path_id not in frames.images.path_ids[:index]]
+    random = np.random.default_rng(0)
+    deviations = []
+    for index in starts:
+        if isinstance(method, StatefulMethod):
+            method.reset()
+        narrow_image = frames.read(index)[0]
+        shown = []
+        for _ in range(STANDING):
+            noise = random.normal(0, NOISE, narrow_image.shape)
+            noisy = np.clip(narrow_image + noise + 0.5, 0, 255).astype(np.uint8)
+            shown.append(run_method(method, frames, index, noisy)[ring])
+        deviations.append(np.std(np.stack(shown).astype(np.float32), axis=0).mean())
+    if isinstance(method, StatefulMethod):
+        method.reset()
+    return float(np.mean(deviations))
+
+
+def stored_depths(frames: TruthFrames, render: DepthOf, cache: Path,
+                  progress: Callable[[int, int], None] = lambda done, total: None) -> DepthOf:
+    """Render the depth of every frame once; float16 metres in the file `cache`."""
+    try:
+        with np.load(cache) as stored:
+            depths = stored['depths']
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile):
+        depths = None
+    target = frames.expansion.target
+    if depths is None or depths.shape != (len(frames), target.height, target.width):
+        depths = np.empty((len(frames), target.height, target.width), np.float16)
+        for index in range(len(frames)):
+            depths[index] = render(index)
+            progress(index + 1, len(frames))
+        partial = cache.with_suffix('.partial.npz')
+        np.savez(partial, depths=depths)
+        partial.replace(cache)
+    return lambda index: depths[index].astype(np.float32)

@@ -1,0 +1,169 @@
+"""
+B2: warp the most similar photos onto the wide view, and blend them; no pose, no depth, no field.
+
+Retrieval by VLAD, RootSIFT matches, several homographies a photo made one smooth warp (as
+projective as possible; Zaragoza et al., 2013), one gain per channel, multi-band blending
+(Burt and Adelson, 1983). What no photo covers is extended from what is there, and counted.
+"""
+from typing import NamedTuple
+
+import cv2
+from neo_ros.evaluation.field_view import colour_gain
+from neo_ros.evaluation.image_fill import blend_bands, extend_edges, sample_pixels
+from neo_ros.evaluation.local_features import find_features, match_features, PhotoBank
+from neo_ros.geometry import CameraPose, ViewExpansion
+import numpy as np
+
+RETRIEVED = 80      # photos that are looked at
+FUSED = 12          # photos that may contribute
+RATIO = 0.85
+PLANES = 3          # homographies of one photo at most
+PLANE_PIXELS = 2.5  # a match within so many pixels of a homography belongs to its plane
+LEAST_INLIERS = 10
+NODES = 17          # of the grid on which a warp is solved, per side
+REACH = 0.12        # of the wide image's width: how far a match bends the warp
+OBSERVED_WEIGHT = 2.0  # beside the photos', which are at most 1
+FAR_WEIGHT = 0.02   # of matches beyond that: they keep the warp one homography
+
+
+class WarpedPhoto(NamedTuple):
+    """
+    A photo as it would look in the wide view.
+
+    image   float32 (H, W, 3) in 0..255
+    weight  float32 (H, W): 0 where the photo shows nothing, up to how well the photo fits
+    """
+
+    image: np.ndarray
+    weight: np.ndarray
+
+
+class Warping:
+    """B2 as a method. `uncovered` is the share of the ring that no photo covered last time."""
+
+    name = 'warping'
+    observed_pasted = True
+    train_minutes: float | None = None
+    model_mb: float | None = None
+
+    def __init__(self, bank: PhotoBank, expansion: ViewExpansion) -> None:
+        self.bank, self.expansion = bank, expansion
+        self.uncovered = 1.0
+
+    def expand(self, narrow_image: np.ndarray) -> np.ndarray:
+        """Widen (h, w, 3) RGB uint8 to (H, W, 3) RGB uint8."""
+        expansion = self.expansion
+        warped = sorted(self._warped_photos(narrow_image), key=lambda one: -one.weight.max())
+        images = [one.image for one in warped[:FUSED]]
+        weights = [one.weight for one in warped[:FUSED]]
+        ring = expansion.extrapolated_mask
+        covered = np.any([weight > 0 for weight in weights], axis=0) if weights else ~ring
+        self.uncovered = float((~covered)[ring].mean())
+        # The observed image, extended, is one more source: colours flow out of it.
+        observed = expansion.paste(narrow_image, np.zeros((*ring.shape, 3), np.uint8))
+        extended = extend_edges(observed.astype(np.float32), ~ring)
+        images = [np.where(weight[..., None] > 0, image, extended)
+                  for image, weight in zip(images, weights)] + [extended]
+        blended = blend_bands(
+            images, [*weights, np.where(ring, 0, OBSERVED_WEIGHT).astype(np.float32)])
+        filled = extend_edges(blended, covered | ~ring)
+        return expansion.paste(narrow_image, np.clip(filled + 0.5, 0, 255).astype(np.uint8))
+
+    def notes(self, true_pose: CameraPose) -> dict[str, float]:
+        """Return the share of the ring that was not covered by a photo in the last frame."""
+        return {'uncovered': self.uncovered}
+
+    def _warped_photos(self, narrow_image: np.ndarray) -> list[WarpedPhoto]:
+        features = find_features(narrow_image)
+        shift = np.array([self.expansion.left, self.expansion.top], np.float32)
+        found = []
+        for index in self.bank.nearest(features, RETRIEVED):
+            photo = self.bank.features[index]
+            matches = match_features(features.descriptors, photo.descriptors, RATIO)
+            wide, other = features.points[matches[:, 0]] + shift, photo.points[matches[:, 1]]
+            kept = on_planes(wide, other)
+            if kept.sum() >= LEAST_INLIERS:
+                image = self.bank.photos.read_image(int(index), self.bank.scale)
+                one = self._warp(narrow_image, image, wide[kept], other[kept])
+                if one is not None:
+                    found.append(one)
+        return found
+
+    def _warp(self, narrow_image: np.ndarray, photo: np.ndarray, wide: np.ndarray,
+              other: np.ndarray) -> WarpedPhoto | None:
+        """Bring a photo into the wide view by matched pixels (N, 2); None if it does not fit."""
+        target = self.expansion.target
+        where = smooth_warp(wide, other, target.width, target.height)
+        height, width = photo.shape[:2]
+        rim = np.minimum(np.minimum(where[..., 0], width - where[..., 0]),
+                         np.minimum(where[..., 1], height - where[..., 1]))
+        # Weights fall off towards the photo's rim, so that it leaves no edge.
+        feather = np.clip(np.nan_to_num(rim, nan=-1) / (0.1 * width), 0, 1)
+        if (feather > 0).sum() < 0.01 * feather.size:
+            return None
+        image = sample_pixels(photo, where).astype(np.float32)
+        common = self.expansion.crop(feather) > 0.2
+        if common.mean() < 0.05:
+            return None
+        shown = self.expansion.crop(image)
+        gain = colour_gain(shown[common][None], narrow_image[common][None])
+        image = np.clip(image * gain, 0, 255)
+        off = np.abs(self.expansion.crop(image)[common] - narrow_image[common]).mean()
+        fit = float(np.exp(-off / 8)) * min(1.0, len(wide) / 60)
+        return WarpedPhoto(image, (feather * fit).astype(np.float32))
+
+
+def on_planes(wide: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Tell which matches (N, 2) lie on one of a few homographies that explain most."""
+    kept = np.zeros(len(wide), bool)
+    for _ in range(PLANES):
+        rest = np.flatnonzero(~kept)
+        if len(rest) < LEAST_INLIERS:
+            break
+        cv2.setRNGSeed(0)
+        H, inliers = cv2.findHomography(wide[rest], other[rest], cv2.USAC_MAGSAC, PLANE_PIXELS,
+                                        maxIters=2000, confidence=0.999)
+        if H is None or inliers.sum() < LEAST_INLIERS:
+            break
+        kept[rest[inliers.ravel() > 0]] = True
+    return kept
+
+
+def smooth_warp(wide: np.ndarray, other: np.ndarray, width: int, height: int) -> np.ndarray:
+    """
+    Fit a warp to matches (N, 2) that bends near them and is one homography far from them.
+
+    Returns float32 (height, width, 2): for every pixel of the wide view the pixel of the other
+    image; NaN where the warp turns over or shrinks the photo more than four times.
+    """
+    centre, size = np.array([width, height]) / 2, float(width)
+    a, b = (wide - centre) / size, (other - other.mean(0)) / size
+    zero, one = np.zeros(len(a)), np.ones(len(a))
+    x, y = a.T
+    u, v = b.T
+    rows = np.stack([
+        np.stack([x, y, one, zero, zero, zero, -u * x, -u * y, -u], 1),
+        np.stack([zero, zero, zero, x, y, one, -v * x, -v * y, -v], 1)], 1)
+    outer = np.einsum('nki,nkj->nij', rows, rows)
+    nodes = np.stack(np.meshgrid(np.linspace(-0.5, 0.5, NODES),
+                                 np.linspace(-0.5, 0.5, NODES) * height / width), -1)
+    apart = ((nodes[:, :, None] - a) ** 2).sum(-1)
+    weight = np.maximum(np.exp(-apart / (2 * REACH ** 2)), FAR_WEIGHT)
+    H = np.linalg.eigh(np.einsum('rcn,nij->rcij', weight, outer))[1][..., 0]
+    H = H.reshape(NODES, NODES, 3, 3)
+    H = H * np.sign(H[..., 2:, 2:] + 1e-12)
+    point = np.einsum('rcij,rcj->rci', H, np.dstack([nodes, np.ones((NODES, NODES))]))
+    depth = np.where(point[..., 2] > 0.2 * np.abs(H[..., 2, 2]), point[..., 2], np.nan)
+    grid = (point[..., :2] / depth[..., None] * size + other.mean(0)).astype(np.float32)
+    where = _upsampled(grid, width, height)
+    across, down = np.gradient(where, axis=1), np.gradient(where, axis=0)
+    area = across[..., 0] * down[..., 1] - across[..., 1] * down[..., 0]
+    where[~((area > 1 / 16) & (area < 16))] = np.nan
+    return where
+
+
+def _upsampled(grid: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Interpolate node values (NODES, NODES, 2), which reach to the image's rim, at pixels."""
+    x = (np.arange(width, dtype=np.float32) + 0.5) / width * (NODES - 1)
+    y = (np.arange(height, dtype=np.float32) + 0.5) / height * (NODES - 1)
+    return cv2.remap(grid, *np.meshgrid(x, y), cv2.INTER_LINEAR)

@@ -1,0 +1,198 @@
+"""The rivals on a small room: B2 and B3 find the place, the oracle needs the pose."""
+from neo_ros.errors import SceneError
+from neo_ros.evaluation.evaluate import score_frames, TruthFrames
+from neo_ros.evaluation.field_view import colour_gain, FieldView, Oracle
+from neo_ros.evaluation.image_fill import blend_bands, extend_edges
+from neo_ros.evaluation.local_features import find_features, match_features, read_photo_bank
+from neo_ros.evaluation.relocalized import pose_error, Relocalized, Relocalizer
+from neo_ros.evaluation.sparse_model import epipolar_distance, read_sparse_model
+from neo_ros.evaluation.warping import on_planes, smooth_warp, Warping
+from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
+from neo_ros.geometry.camera_pose import rotation_from_vector
+from neo_ros.scenes.demo_flat import build_demo_flat
+from neo_ros.scenes.posed_images import PosedImages
+import numpy as np
+from plain_field import room_field, standing
+import pytest
+from scene_files import write_picture
+
+CAMERA = Intrinsics.from_hfov(96, 96, np.pi / 2)
+EXPANSION = ViewExpansion.to_size(CAMERA, 192, 192)
+
+
+@pytest.fixture(scope='module')
+def corner(tmp_path_factory):
+    """Write photos around one place of the demo flat, and one wide view from between them."""
+    folder = tmp_path_factory.mktemp('corner')
+    flat = build_demo_flat()
+    centre = flat.walkable().centres().mean(0)
+    nearest = flat.walkable().centres()
+    centre = nearest[np.argmin(((nearest - centre) ** 2).sum(1))]
+    poses = [CameraPose.from_planar(centre[0] + dx, centre[1] + dy, 1.5, yaw)
+             for yaw in (-0.9, -0.45, 0.0, 0.45, 0.9)
+             for dx, dy in ((0.0, 0.08), (0.08, -0.08), (-0.1, 0.0))]
+    paths = [folder / f'train/{index:02d}.png' for index in range(len(poses))]
+    for path, pose in zip(paths, poses):
+        write_picture(path, flat.render(CAMERA, pose)[0])
+    photos = PosedImages(CAMERA, tuple(paths), tuple(poses), (0,) * len(poses))
+    pose = CameraPose.from_planar(centre[0] + 0.03, centre[1] + 0.02, 1.5, 0.1)
+    path = folder / 'test.png'
+    write_picture(path, flat.render(EXPANSION.target, pose)[0])
+    frames = TruthFrames(PosedImages(EXPANSION.target, (path,), (pose,), (0,)), EXPANSION)
+    return folder, photos, frames
+
+
+@pytest.fixture(scope='module')
+def bank(corner):
+    folder, photos, _ = corner
+    return read_photo_bank(photos, 1.0, folder / 'features.npz')
+
+
+def test_b2_covers_the_ring_with_what_the_photos_show(corner, bank):
+    method = Warping(bank, EXPANSION)
+    frame = score_frames(corner[2], method)[0]
+    assert frame['ring_psnr'] > 20
+    assert 0 <= frame['uncovered'] < 0.6
+    assert method.uncovered == frame['uncovered']
+
+
+def test_b2_without_a_photo_that_fits_extends_the_edges(bank):
+    method = Warping(bank, EXPANSION)
+    grey = np.full((96, 96, 3), 90, np.uint8)
+    np.testing.assert_array_equal(method.expand(grey), np.full((192, 192, 3), 90))
+    assert method.uncovered == 1.0
+
+
+def test_b3_finds_the_pose_and_renders_there(corner, bank):
+    model = read_sparse_model(bank, corner[0] / 'sparse')
+    assert len(model.points) > 100
+    true_pose = corner[2].images.poses[0]
+    relocalizer = Relocalizer(bank, model, CAMERA)
+    found = relocalizer.locate(corner[2].read(0)[0])
+    error = pose_error(found.pose, true_pose)
+    assert not found.failed
+    assert error['pose_error_cm'] < 5
+    assert error['pose_error_deg'] < 1
+    method = Relocalized(relocalizer, FieldView(room_field(), EXPANSION, 1), None, None)
+    frame = score_frames(corner[2], method)[0]
+    assert frame['pose_failed'] == 0
+    assert frame['pose_error_cm'] == pytest.approx(error['pose_error_cm'])
+
+
+def test_b3_falls_back_to_the_most_similar_photo(corner, bank):
+    model = read_sparse_model(bank, corner[0] / 'sparse')
+    found = Relocalizer(bank, model, CAMERA).locate(np.full((96, 96, 3), 90, np.uint8))
+    assert found.failed
+    assert any(found.pose is pose for pose in corner[1].poses)
+
+
+def test_the_triangulated_points_lie_on_the_surfaces(corner, bank):
+    model = read_sparse_model(bank, corner[0] / 'sparse')
+    pose = corner[1].poses[6]
+    depth = build_demo_flat().render(CAMERA, pose)[1]
+    seen = model.point_of[6] >= 0
+    points = model.points[model.point_of[6][seen]] @ pose.inverse()[:3, :3].T
+    z = points[:, 2] + pose.inverse()[2, 3]
+    x, y = bank.features[6].points[seen].astype(int).T
+    assert np.median(np.abs(z - depth[y, x]) / depth[y, x]) < 0.1
+
+
+def test_features_and_points_are_read_again_from_their_files(corner, bank):
+    folder, photos, _ = corner
+    again = read_photo_bank(photos, 1.0, folder / 'features.npz')
+    np.testing.assert_array_equal(again.vectors, bank.vectors)
+    first = read_sparse_model(bank, folder / 'sparse')
+    np.testing.assert_array_equal(read_sparse_model(again, folder / 'sparse').points,
+                                  first.points)
+
+
+def test_the_oracle_renders_at_the_true_pose_and_refuses_without():
+    camera = Intrinsics.from_hfov(16, 16, np.pi / 2)
+    view = FieldView(room_field(), ViewExpansion.to_size(camera, 32, 32), 1)
+    oracle = Oracle(view, 1.0, 2.0)
+    narrow_image = np.full((16, 16, 3), 128, np.uint8)
+    here = oracle.expand_at(narrow_image, standing())
+    there = oracle.expand_at(narrow_image, standing(yaw=1.0))
+    np.testing.assert_array_equal(view.expansion.crop(here), narrow_image)
+    assert np.abs(here.astype(int) - there).mean() > 5
+    with pytest.raises(SceneError, match='true pose'):
+        oracle.expand(narrow_image)
+
+
+def test_the_gain_is_that_of_the_channels_whatever_a_few_pixels_say():
+    shown = np.random.default_rng(0).uniform(40, 120, (20, 20, 3)).astype(np.float32)
+    observed = shown * [1.2, 1.0, 0.8]
+    observed[:4] = 200
+    np.testing.assert_allclose(colour_gain(shown, observed), [1.2, 1.0, 0.8], rtol=1e-3)
+    assert (colour_gain(np.zeros((4, 4, 3)), observed[:4, :4]) == 1).all()
+
+
+def test_mutual_matches_by_ratio():
+    random = np.random.default_rng(1)
+    first = random.normal(size=(20, 128)).astype(np.float32)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    order = random.permutation(20)
+    matches = match_features(first, first[order], 0.8)
+    np.testing.assert_array_equal(order[matches[:, 1]], matches[:, 0])
+    assert len(matches) == 20
+    # Two alike candidates decide nothing.
+    assert len(match_features(first, np.concatenate([first, first]), 0.8)) == 0
+
+
+def test_an_image_of_nothing_has_no_features():
+    features = find_features(np.full((32, 32, 3), 7, np.uint8))
+    assert features.points.shape == (0, 2)
+    assert features.descriptors.shape == (0, 128)
+
+
+def test_points_lie_on_their_epipolar_lines():
+    random = np.random.default_rng(2)
+    points = random.uniform([-1, -1, 2], [1, 1, 4], (50, 3))
+    T_b_a = np.eye(4)
+    T_b_a[:3, :3], T_b_a[:3, 3] = rotation_from_vector(np.array([0.1, 0.2, 0])), [0.3, 0, 0.1]
+    a = CAMERA.project(points)
+    b = CAMERA.project(points @ T_b_a[:3, :3].T + T_b_a[:3, 3])
+    assert epipolar_distance(CAMERA, T_b_a, a, b).max() < 1e-6
+    assert np.median(epipolar_distance(CAMERA, T_b_a, a, b + [0, 5])) > 1
+
+
+def test_matches_of_a_plane_are_kept_and_others_are_not():
+    random = np.random.default_rng(3)
+    wide = random.uniform(0, 100, (60, 2)).astype(np.float32)
+    other = wide * 0.9 + [5, 3]
+    other[40:] = random.uniform(0, 100, (20, 2))
+    kept = on_planes(wide, other.astype(np.float32))
+    assert kept[:40].all()
+    assert kept[40:].sum() <= 3
+
+
+def test_a_warp_of_one_homography_is_that_homography():
+    random = np.random.default_rng(4)
+    H = np.array([[0.9, 0.05, 4], [-0.03, 1.1, -6], [4e-4, -3e-4, 1]])
+
+    def moved(points):
+        result = np.c_[points, np.ones(len(points))] @ H.T
+        return result[:, :2] / result[:, 2:]
+
+    wide = random.uniform(50, 130, (80, 2))
+    where = smooth_warp(wide, moved(wide), 192, 160)
+    pixels = np.array([[10, 10], [96, 80], [180, 150]])
+    np.testing.assert_allclose(where[pixels[:, 1], pixels[:, 0]], moved(pixels + 0.5), atol=0.5)
+
+
+def test_bands_of_equal_pictures_give_the_picture():
+    picture = np.random.default_rng(5).uniform(0, 255, (48, 64, 3)).astype(np.float32)
+    weights = np.random.default_rng(6).uniform(0.1, 1, (2, 48, 64)).astype(np.float32)
+    np.testing.assert_allclose(
+        blend_bands([picture, picture], list(weights)), picture, atol=1e-2)
+
+
+def test_extension_keeps_what_is_known_and_fills_the_rest_from_it():
+    image = np.zeros((40, 40, 3), np.float32)
+    image[:, :20] = [200, 100, 50]
+    known = np.zeros((40, 40), bool)
+    known[:, :20] = True
+    filled = extend_edges(image, known)
+    np.testing.assert_array_equal(filled[:, :20], image[:, :20])
+    np.testing.assert_allclose(filled[:, 20:], np.broadcast_to([200, 100, 50], (40, 20, 3)),
+                               atol=0.5)

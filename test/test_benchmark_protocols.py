@@ -1,0 +1,174 @@
+"""Protocols, frozen splits and suites."""
+from dataclasses import replace
+import json
+
+from neo_ros.benchmark.protocols import (
+    check_split, choose_view, fitting_network, split_checksums, split_walks)
+from neo_ros.benchmark.suites import (
+    config_folder, merged, prepare_demo, read_suite, SPLITS_FILE, suite_jobs)
+from neo_ros.benchmark.tables import put_between_markers
+from neo_ros.benchmark.workbench import Job, Workbench
+from neo_ros.errors import ConfigError, SceneError
+from neo_ros.experiment import Experiment, ViewConfig
+from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
+from neo_ros.scenes.scene import Scene
+from neo_ros.scenes.transforms_json import read_transforms, write_transforms
+import pytest
+from scene_files import write_capture
+
+
+def scene_of(folder, camera, count=3):
+    photos = write_capture(folder, count, camera)
+    return Scene('room', photos, None, None, None)
+
+
+@pytest.mark.parametrize('size, protocol, scale, source, target', [
+    ((320, 240), 'horizontal', 1.0, (160, 240), (320, 240)),
+    ((320, 240), 'horizontal', 0.5, (160, 240), (320, 240)),
+    ((320, 240), 'horizontal', 0.25, (160, 240), (320, 240)),
+    ((1296, 968), 'horizontal', 0.25, (640, 960), (1280, 960)),
+    ((256, 256), 'square', 0.25, (256, 256), (512, 512)),
+    ((640, 480), 'square', 0.5, (480, 480), (960, 960)),
+    ((100, 90), 'square', 1.0, (88, 88), (176, 176)),
+], ids=['redkitchen', 'half', 'quarter', 'scannet', 'paper', 'wide photo', 'odd'])
+def test_views_of_the_protocols(tmp_path, size, protocol, scale, source, target):
+    camera = Intrinsics.from_hfov(*size, 1.5)
+    scene = scene_of(tmp_path, camera, 1)
+    view = choose_view(scene, scene.train, None, protocol, scale)
+    assert view == ViewConfig(source, target)
+    experiment = Experiment(scale=scale, view=view)
+    expansion = experiment.expansion(camera, None)
+    network = fitting_network(experiment, expansion)
+    cell = network.patch * 2 ** (network.depth - 1)
+    assert cell >= 4
+    assert not (expansion.source.width % cell or expansion.left % cell)
+
+
+def test_stated_views_are_taken_as_they_are(tmp_path):
+    camera = Intrinsics.from_hfov(64, 64, 1.5)
+    photos = write_capture(tmp_path, 1, camera)
+    stated = ViewExpansion.to_size(camera, 128, 128)
+    scene = Scene('room', photos, photos, stated, None)
+    assert choose_view(scene, photos, stated, 'square', 1.0) is None
+    assert choose_view(scene, photos, stated, 'horizontal', 1.0) == ViewConfig((32, 64), (64, 64))
+
+
+@pytest.mark.parametrize('protocol, size, message', [
+    ('round', (64, 64), 'square or horizontal'), ('square', (6, 6), 'too small')])
+def test_impossible_protocols(tmp_path, protocol, size, message):
+    scene = scene_of(tmp_path, Intrinsics.from_hfov(*size, 1.5), 1)
+    with pytest.raises(ConfigError, match=message):
+        choose_view(scene, scene.train, None, protocol, 1.0)
+
+
+@pytest.fixture
+def split(tmp_path):
+    camera = Intrinsics.from_hfov(32, 32, 1.5)
+    photos = write_capture(tmp_path, 3, camera)
+    test = write_capture(tmp_path, 2, camera.grown(16, 16, 16, 16), 'transforms_test.json',
+                         'test')
+    return photos, test, ViewExpansion.to_size(camera, 64, 64)
+
+
+def test_a_frozen_split_is_known_again_and_any_change_is_named(split, tmp_path):
+    photos, test, stated = split
+    frozen = tmp_path / 'splits.json'
+    checksums = split_checksums(photos, test, stated)
+    frozen.write_text(json.dumps({'room': checksums}))
+    check_split('room', checksums, frozen)
+    # Written again, it is still the same split.
+    write_transforms(tmp_path / 'again.json', photos)
+    check_split('room', split_checksums(read_transforms(tmp_path / 'again.json'), test, stated),
+                frozen)
+    moved = split_checksums(photos, test, ViewExpansion(stated.source, 15, 17, 16, 16))
+    fewer = split_checksums(photos.subset([0, 1]), test, stated)
+    content = photos.image_paths[0].read_bytes()
+    photos.image_paths[0].write_bytes(content + b' ')
+    repainted = split_checksums(photos, test, stated)
+    for found, words in ((moved, 'test frames'), (fewer, 'training photos'),
+                         (repainted, 'pixels')):
+        with pytest.raises(SceneError, match=f'{words}.*cannot be compared'):
+            check_split('room', found, frozen)
+    with pytest.raises(SceneError, match='one of the frozen scenes room'):
+        check_split('hall', checksums, frozen)
+
+
+def test_the_shipped_suite_names_frozen_scenes(tmp_path):
+    suite = read_suite('quarter')
+    frozen = json.loads((config_folder() / SPLITS_FILE).read_text())
+    assert suite.scenes.keys() <= frozen.keys()
+    assert len(suite.scenes) == 4
+    for name in suite.scenes:
+        folder = tmp_path / name
+        write_capture(folder, 1)
+    jobs = suite_jobs(suite, [tmp_path])
+    assert [job.scene for job in jobs.values()] == [str(tmp_path / n) for n in suite.scenes]
+    assert jobs['redkitchen'].protocol == 'horizontal'
+    assert jobs['redkitchen'].settings['field']['exposure'] is True
+    assert jobs['living_room'].settings['field']['voxels'] > 0
+
+
+def test_missing_scenes_are_named_at_once(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ConfigError, match='living_room, staircase, redkitchen are in none'):
+        suite_jobs(read_suite('quarter'), [])
+
+
+def test_another_scene_under_a_frozen_name_is_refused(tmp_path, split):
+    photos, test, stated = split
+    with pytest.raises(SceneError, match='living_room: .*frozen split'):
+        check_split('living_room', split_checksums(photos, test, stated),
+                    config_folder() / SPLITS_FILE)
+
+
+def test_a_scene_without_truth_is_refused_and_another_folder_may_hold_it(tmp_path):
+    camera = Intrinsics.from_hfov(32, 32, 1.5)
+    write_capture(tmp_path / 'train', 30, camera)
+    job = Job(str(tmp_path / 'train'), 'horizontal', 'full', 1.0)
+    with pytest.raises(ConfigError, match='--test-scene'):
+        Workbench(job, tmp_path / 'a', lambda stage, done, total, note: None)
+    write_capture(tmp_path / 'walk', 4, camera)
+    job = Job(str(tmp_path / 'train'), 'horizontal', 'full', 1.0, str(tmp_path / 'walk'))
+    bench = Workbench(job, tmp_path / 'b', lambda stage, done, total, note: None)
+    assert len(bench.frames) == 4
+    assert bench.frames.read(0)[0].shape == (32, 16, 3)
+
+
+def test_a_capture_without_walks_is_split_where_it_jumps(tmp_path):
+    photos = write_capture(tmp_path, 12)
+    poses = [CameraPose.from_planar(0.1 * i + 3 * (i > 4) + 3 * (i > 8), 0, 1.5, 0.02 * i)
+             for i in range(12)]
+    one = replace(photos, poses=tuple(poses), path_ids=(0,) * 12)
+    assert split_walks(one).path_ids == (0,) * 5 + (1,) * 4 + (2,) * 3
+    assert split_walks(photos) is photos
+
+
+def test_settings_are_laid_over_one_another():
+    assert merged({'a': {'b': 1, 'c': 2}, 'd': 3}, {'a': {'c': 4}, 'e': 5}) == {
+        'a': {'b': 1, 'c': 4}, 'd': 3, 'e': 5}
+
+
+@pytest.mark.parametrize('changed, field', [
+    ({'scale': 'eighth'}, 'scale'), ({'minutes': 0.0}, 'budget-minutes')])
+def test_jobs_are_checked(changed, field):
+    with pytest.raises(ConfigError, match=field):
+        Job(**{'scene': '.', 'protocol': 'square', 'scale': 'full', 'minutes': 1.0, **changed})
+
+
+def test_tables_go_between_their_markers(tmp_path):
+    document = tmp_path / 'page.md'
+    document.write_text('a\n<!-- x begin -->\nold\n<!-- x end -->\nb\n')
+    put_between_markers(document, 'x', 'new\n')
+    assert document.read_text() == 'a\n<!-- x begin -->\nnew\n<!-- x end -->\nb\n'
+    put_between_markers(document, 'y', 'other')
+    assert 'other' not in document.read_text()
+
+
+def test_the_demo_flat_is_rendered_where_it_is_missing(tmp_path, monkeypatch):
+    from neo_ros.benchmark import suites
+    seen = []
+    monkeypatch.setattr(suites, 'write_demo_scene',
+                        lambda folder, progress: (seen.append(folder), progress(1, 2)))
+    prepare_demo(Job(str(tmp_path / 'demo_flat'), 'square', 'half', 1.0),
+                 lambda stage, done, total, note: seen.append((stage, done, total)))
+    assert seen == [tmp_path / 'demo_flat', ('demo flat', 1, 2)]

@@ -1,0 +1,177 @@
+"""A benchmark of a tiny scene from end to end: resumed, with its files, by the command too."""
+import json
+
+from neo_ros.benchmark import scoring
+from neo_ros.benchmark.methods import make_method, METHODS
+from neo_ros.benchmark.run import run_jobs
+from neo_ros.benchmark.scoring import fill_gap_closed, run_benchmark
+from neo_ros.benchmark.workbench import Job, Workbench
+from neo_ros.cli.main import app
+from neo_ros.errors import ConfigError, ModelError
+from neo_ros.evaluation import lpips
+from neo_ros.evaluation.evaluate import ROW_KEYS
+from neo_ros.evaluation.metrics import score_frame
+import pytest
+from tiny_training import write_tiny_scene
+from typer.testing import CliRunner
+
+SETTINGS = {
+    'field': {'voxels': 20_000, 'pixels_per_step': 512},
+    'sampling': {'positions': 8}, 'network': {'width': 8, 'memory': 32},
+    'outpaint': {'batch': 4}, 'memory': None}
+TRAINED = ['edge_replication', 'mean_image', 'naive', 'warping', 'neo_fast', 'oracle']
+
+
+def quiet(stage, done, total, note):
+    pass
+
+
+@pytest.fixture(scope='module')
+def scene(tmp_path_factory):
+    folder = tmp_path_factory.mktemp('scenes') / 'flat'
+    write_tiny_scene(folder)
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def plain_scores(monkeypatch):
+    """Do without LPIPS, whose weights are a download, and without a process per method."""
+    monkeypatch.setattr(scoring, 'load_scorers', lambda bench: [score_frame])
+    monkeypatch.setattr(scoring, 'measure_memory', lambda folder, name: 12.5)
+
+
+def job(scene, **changed):
+    return Job(**{'scene': str(scene), 'protocol': 'square', 'scale': 'full', 'minutes': 0.02,
+                  'settings': SETTINGS, **changed})
+
+
+@pytest.mark.timeout(300)  # a field and two networks; seconds on an idle machine
+def test_all_that_can_be_trained_on_a_tiny_scene_is_scored(scene, tmp_path):
+    rows_file = tmp_path / 'results/flat.json'
+    table = run_jobs({'flat': job(scene)}, TRAINED, tmp_path / 'work', rows_file, 'flat',
+                     False, quiet)
+    rows = json.loads(rows_file.read_text())
+    assert [row['method'] for row in rows] == TRAINED
+    by_name = {row['method']: row for row in rows}
+    for row in rows:
+        assert tuple(row) == ROW_KEYS
+        assert (row['scene'], row['protocol'], row['scale']) == ('flat', 'square', 'full')
+        assert row['n_frames'] == 6
+        assert row['ring_psnr'] > 5
+        assert row['warping_error'] >= 0
+        assert row['latency_ms_p95'] >= row['latency_ms_median'] > 0
+        assert row['ring_lpips_vgg'] is None
+    assert by_name['naive']['oracle_gap_closed'] == 0
+    assert by_name['oracle']['oracle_gap_closed'] == 1
+    assert by_name['neo_fast']['train_minutes'] > 0
+    assert by_name['neo_fast']['model_mb'] > 0
+    assert by_name['edge_replication']['train_minutes'] is None
+    page = (tmp_path / 'work/flat.html').read_text()
+    assert page.count('<h3>') == 3 * len(TRAINED)
+    assert 'Ring PSNR over milliseconds a frame' in page
+    assert '| oracle |' in table and '25.94 / 0.868 / 0.217' in table
+    assert (tmp_path / 'work/flat.md').read_text() == table
+
+
+def test_what_is_scored_is_not_scored_again(scene, tmp_path, monkeypatch):
+    bench = Workbench(job(scene), tmp_path, quiet)
+    first = run_benchmark(bench, ['edge_replication'])
+    made = []
+    real = scoring.make_method
+    monkeypatch.setattr(scoring, 'make_method',
+                        lambda name, bench: made.append(name) or real(name, bench))
+    seen = []
+    names = ['edge_replication', 'mean_image']
+    again = run_benchmark(Workbench(job(scene), tmp_path, quiet), names,
+                          lambda results: seen.append(len(results)))
+    assert made == ['mean_image']
+    assert seen == [1, 2]
+    assert again[0].frames == first[0].frames
+    assert again[0].estimates == first[0].estimates
+    # Other frames are another question.
+    fewer = run_benchmark(Workbench(job(scene, most_frames=2), tmp_path, quiet), names[:1])
+    assert made == ['mean_image', 'edge_replication']
+    assert fewer[0].row['n_frames'] == 2
+
+
+def test_a_run_that_dies_keeps_what_was_through(scene, tmp_path, monkeypatch):
+    def break_off(name, bench):
+        if name == 'mean_image':
+            raise KeyboardInterrupt
+        return real(name, bench)
+
+    real = scoring.make_method
+    monkeypatch.setattr(scoring, 'make_method', break_off)
+    with pytest.raises(KeyboardInterrupt):
+        run_jobs({'flat': job(scene)}, ['edge_replication', 'mean_image'], tmp_path / 'work',
+                 tmp_path / 'rows.json', 'flat', False, quiet)
+    rows = json.loads((tmp_path / 'rows.json').read_text())
+    assert [row['method'] for row in rows] == ['edge_replication']
+
+
+def test_a_working_folder_belongs_to_one_benchmark(scene, tmp_path):
+    Workbench(job(scene), tmp_path, quiet)
+    with pytest.raises(ConfigError, match='other minutes'):
+        Workbench(job(scene, minutes=3.0), tmp_path, quiet)
+
+
+def test_without_the_weights_of_lpips_the_rest_is_scored(scene, tmp_path, monkeypatch):
+    def refuse(backbone):
+        raise ModelError('offline')
+
+    monkeypatch.undo()
+    monkeypatch.setattr(lpips, 'Lpips', refuse)
+    said = []
+    bench = Workbench(job(scene), tmp_path, lambda stage, done, total, note: said.append(note))
+    assert scoring.load_scorers(bench) == [score_frame]
+    assert 'offline' in said
+
+
+def test_memory_is_measured_in_a_process_of_its_own(scene, tmp_path):
+    from neo_ros.benchmark.method_memory import measure_memory
+    Workbench(job(scene), tmp_path, quiet)
+    megabytes = measure_memory(tmp_path, 'edge_replication')
+    assert megabytes is not None and 0 <= megabytes < 500
+    assert measure_memory(tmp_path, 'no_such_method') is None
+
+
+def test_an_unknown_method_is_not_taken_for_another(scene, tmp_path):
+    with pytest.raises(ConfigError, match='got no_such_method'):
+        make_method('no_such_method', Workbench(job(scene), tmp_path, quiet))
+    assert not (tmp_path / 'field').exists()
+
+
+def test_the_gap_needs_both_of_its_ends():
+    rows = [{'method': name, 'ring_psnr': psnr, 'oracle_gap_closed': None}
+            for name, psnr in (('naive', 20.0), ('neo_fast', 23.0))]
+    fill_gap_closed(rows)
+    assert rows[1]['oracle_gap_closed'] is None
+    rows.append({'method': 'oracle', 'ring_psnr': 30.0, 'oracle_gap_closed': None})
+    fill_gap_closed(rows)
+    assert [row['oracle_gap_closed'] for row in rows] == [0.0, 0.3, 1.0]
+
+
+def test_the_command_scores_a_scene_folder(scene, tmp_path):
+    result = CliRunner().invoke(app, [
+        'benchmark', '--scene', str(scene), '--protocol', 'square', '--scale', 'full',
+        '--methods', 'edge_replication,mean_image', '--frames', '2',
+        '--out', str(tmp_path / 'x.json'), '--work', str(tmp_path / 'work')],
+        catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    assert [row['n_frames'] for row in json.loads((tmp_path / 'x.json').read_text())] == [2, 2]
+    assert (tmp_path / 'work/flat.html').is_file()
+
+
+@pytest.mark.parametrize('arguments, message', [
+    ([], 'either --suite'), (['--suite', 'quarter', '--scene', '.'], 'either --suite'),
+    (['--suite', 'eighth'], 'quarter'), (['--scene', '.', '--methods', 'mat,magic'], 'magic'),
+], ids=['nothing', 'both', 'unknown suite', 'unknown method'])
+def test_the_command_says_what_it_expects(arguments, message):
+    result = CliRunner().invoke(app, ['benchmark', *arguments])
+    assert isinstance(result.exception, ConfigError)
+    assert message in str(result.exception)
+
+
+def test_every_method_has_a_description():
+    assert {'naive', 'warping', 'relocalized', 'oracle', 'neo_fast'} <= METHODS.keys()
+    assert all(METHODS.values())
