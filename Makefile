@@ -10,7 +10,7 @@ PYTHON ?=
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME \
 	PYTHONPATH RMW_IMPLEMENTATION ROS_DISTRO VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup train-setup dev-setup demo test bench lint constraints clean
+.PHONY: help setup train-setup dev-setup demo test bench soak fuzz lint constraints clean
 help:
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 22
 
@@ -26,6 +26,12 @@ test: dev-setup  ## all tests
 
 bench: train-setup  ## speed of every part on this machine, into results/bench.json
 	$(BIN)/neo bench
+
+soak: setup  ## an hour of the node at 30 Hz: does it grow or fall behind?
+	$(BIN)/neo soak
+
+fuzz: dev-setup  ## 100,000 broken messages for the message layer, 5,000 for a live node
+	$(BIN)/python test/message_fuzzer.py
 
 lint: dev-setup  ## style and types
 	$(BIN)/flake8
@@ -54,9 +60,9 @@ define pip_install
 	@touch $@
 endef
 
-$(VENV)/robot.stamp: WANTED := .
-$(VENV)/train.stamp: WANTED := .[train]
-$(VENV)/dev.stamp: WANTED := .[train,bench,dev]
+$(VENV)/robot.stamp: WANTED := .[viewer]
+$(VENV)/train.stamp: WANTED := .[viewer,video,train]
+$(VENV)/dev.stamp: WANTED := .[viewer,video,train,bench,dev]
 $(VENV)/robot.stamp: setup.py pyproject.toml constraints.txt | $(VENV)/pyvenv.cfg
 	$(pip_install)
 $(VENV)/train.stamp: $(VENV)/robot.stamp

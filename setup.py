@@ -7,9 +7,11 @@ from setuptools import find_packages, setup
 
 NAME = 'neo_ros'
 ROBOT = [
+    'apsw',
     'jinja2',
     'lz4',
     'mcap',
+    'numba',
     'numpy',
     'onnxruntime',
     'opencv-python-headless',
@@ -26,8 +28,12 @@ if 'ROS_DISTRO' not in os.environ and 'AMENT_PREFIX_PATH' not in os.environ:
     ROBOT += ['ros-jazzy-common-interfaces', 'ros-jazzy-rclpy[fastrtps]']
 TEST = ['hypothesis', 'pytest', 'pytest-timeout']
 EXTRAS = {
-    'train': ['numba', 'onnx', 'onnxscript', 'pycolmap', 'scipy', 'torch'],
+    'train': ['onnx', 'onnxscript', 'pycolmap', 'scipy', 'tensorboard', 'torch'],
     'bench': ['scikit-image'],
+    # The page of `neo view`.
+    'viewer': ['aiohttp'],
+    # The video of `neo replay --side-by-side`.
+    'video': ['av'],
     # `colcon test` runs pytest when the extra of this name asks for it.
     'test': TEST,
     'dev': TEST + [
@@ -43,6 +49,8 @@ EXTRAS = {
         'flake8-import-order',
         'flake8-quotes',
         'mypy',
+        # Drives Debian's Chromium; without a browser its tests are skipped.
+        'playwright',
         # colcon calls `setup.py install`, which later versions refuse.
         'setuptools<80',
         'types-PyYAML',
@@ -74,18 +82,19 @@ setup(
     maintainer_email='maintainers@neo-ros.example',
     python_requires='>=3.12',
     packages=find_packages(include=[NAME, f'{NAME}.*']),
-    package_data={NAME: ['**/*.npz']},
+    package_data={NAME: ['**/*.npz', 'viewer/page/*']},
     install_requires=ROBOT,
     extras_require=EXTRAS,
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
         *shared_files('config', 'launch', 'models'),
-        (f'lib/{NAME}', ['scripts/fov_extrapolator']),
+        (f'lib/{NAME}', ['scripts/fov_extrapolator', 'scripts/viewer']),
     ],
     entry_points={'console_scripts': [
         'neo = neo_ros.cli.main:main',
         'fov_extrapolator = neo_ros.node.main:main',
+        'viewer = neo_ros.viewer.main:main',
     ]},
     zip_safe=False,
 )

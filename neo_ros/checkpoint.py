@@ -1,11 +1,19 @@
 """Checkpoints of a training: nested dicts of numbers, texts, numpy arrays and tensors."""
+import json
 import os
 from pathlib import Path
-from typing import Any
+import time
+from typing import Any, Callable, TYPE_CHECKING
 
-from neo_ros.errors import NeoError
+from neo_ros.errors import NeoError, SceneError
+from neo_ros.evaluation.output import write_bytes
 import numpy as np
 import torch
+
+if TYPE_CHECKING:
+    from neo_ros.pipeline import TrainingRun
+
+CHECKPOINT_SECONDS = 60.0
 
 
 def write_checkpoint(path: Path, state: dict[str, Any]) -> None:
@@ -34,3 +42,54 @@ def _arrays_to_tensors(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         return torch.from_numpy(value)
     return value
+
+
+def train_with_checkpoints(run: 'TrainingRun', trainer: Any, checkpoint: Path, stage: str,
+                           done_of: Callable[[], tuple[int, int]], take_step: Callable[[], Any],
+                           note: Callable[[], str], writes: bool = True) -> None:
+    """
+    Call `take_step` until it is all done; the state is on disk once a minute and at the end.
+
+    done_of tells how far the trainer is, and where it ends; of several processes one writes.
+    """
+    if checkpoint.exists():
+        state = read_checkpoint(checkpoint)
+        run.seconds, run.log[stage] = state['seconds'], state['log']
+        trainer.restore(state['trainer'])
+
+    def save() -> None:
+        write_checkpoint(checkpoint, {'seconds': run.seconds, 'log': run.log[stage],
+                                      'trainer': trainer.state()})
+
+    saved = last = time.monotonic()
+    done, total = done_of()
+    fresh = done < total
+    while done < total:
+        take_step()
+        now = time.monotonic()
+        run.seconds, last = run.seconds + now - last, now
+        before, (done, total) = done, done_of()
+        every = max(total // 200, 1)
+        if done // every > before // every:
+            run.log[stage].append([trainer.step, run.seconds, trainer.figure])
+        run.progress(stage, done, total, note())
+        if writes and now - saved > CHECKPOINT_SECONDS:
+            save()
+            saved = time.monotonic()
+    if fresh and writes:
+        save()
+
+
+def write_notes(path: Path, seconds: float, log: list[list[float]]) -> None:
+    """Write how long a run had taken when a step was done, and the step's log."""
+    write_bytes(path, json.dumps({'seconds': seconds, 'log': log}).encode())
+
+
+def read_notes(path: Path, result: str) -> tuple[float, list[list[float]]]:
+    """Read what `write_notes` wrote beside the file `result`; SceneError for anything else."""
+    try:
+        notes = json.loads(path.read_text())
+        return float(notes['seconds']), notes['log']
+    except (OSError, ValueError, KeyError) as error:
+        raise SceneError(f'{path}: expected the notes of a finished step: {error}; '
+                         f'delete {result} to do this step again') from error

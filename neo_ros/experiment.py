@@ -8,6 +8,7 @@ from typing import Any, Optional
 
 from neo_ros.errors import ConfigError
 from neo_ros.field.fitting import FieldConfig
+from neo_ros.field.memory_baking import MemoryConfig
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.outpaint.fitting import OutpaintConfig
 from neo_ros.outpaint.network import NetworkConfig
@@ -37,6 +38,7 @@ class Experiment:
     sampling: SamplingConfig = SamplingConfig()
     network: NetworkConfig = NetworkConfig()
     outpaint: OutpaintConfig = OutpaintConfig()
+    memory: Optional[MemoryConfig] = MemoryConfig()   # null: the network works alone
 
     def __post_init__(self) -> None:
         if not 0 < self.scale < math.inf:
@@ -72,9 +74,14 @@ def read_experiment(path: Path) -> Experiment:
         document: Any = yaml.safe_load(path.read_text()) or {}
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise ConfigError(f'{path}: expected a YAML file: {error}') from error
+    return experiment_from(document, str(path))
+
+
+def experiment_from(document: Any, name: str) -> Experiment:
+    """Check the settings of an experiment; `name` says in errors where they come from."""
     try:
         return TypeAdapter(Experiment).validate_python(document)
     except ValidationError as error:
         lines = [f'{".".join(map(str, item["loc"]))}: {item["msg"]}, got {item["input"]!r}'
                  for item in error.errors()]
-        raise ConfigError(f'{path}: ' + '; '.join(lines)) from error
+        raise ConfigError(f'{name}: ' + '; '.join(lines)) from error

@@ -6,36 +6,46 @@ radiance field, render wide views at poses where the robot can be, train the out
 Every step leaves its result in the output folder; a run that was broken off goes on there.
 """
 from dataclasses import dataclass
+import hashlib
 import json
 from pathlib import Path
 import time
-from typing import Any, Callable, Optional
+from typing import Callable, Optional
 
 import neo_ros
-from neo_ros.checkpoint import read_checkpoint, write_checkpoint
-from neo_ros.errors import ConfigError, SceneError
+from neo_ros.checkpoint import read_notes, train_with_checkpoints, write_notes
+from neo_ros.errors import ConfigError
 from neo_ros.evaluation.baselines import EdgeReplication, MeanImage, Method, NeoModel
 from neo_ros.evaluation.evaluate import evaluate, MethodScores, TruthFrames
 from neo_ros.evaluation.output import make_output_folder, write_bytes
+from neo_ros.evaluation.speed_model import count_flops
 from neo_ros.experiment import Experiment
-from neo_ros.field.fitting import FieldTrainer
+from neo_ros.field.device import chosen_device, field_trainer
+from neo_ros.field.memory_baking import bake_memory, Photos
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import ViewExpansion
-from neo_ros.outpaint.export import check_parity, export_onnx
+from neo_ros.outpaint.distributed import process_group, wait_for_all
+from neo_ros.outpaint.export import (
+    calibration_factor, check_parity, export_onnx, require_parity)
 from neo_ros.outpaint.fitting import OutpaintTrainer
-from neo_ros.outpaint.network import check_fits, Outpainter
-from neo_ros.outpaint.pair_stream import PairStream
+from neo_ros.outpaint.networks import check_network
+from neo_ros.outpaint.training_log import TrainingLog
 from neo_ros.runtime import FovExtrapolator, ModelCard
-from neo_ros.runtime.model_card import Parity, write_model_card
-from neo_ros.scenes.pose_sampling import PoseSampler
+from neo_ros.runtime.model_card import MemoryFile, Parity, write_model_card
+from neo_ros.runtime.scene_check import fit_scene_reference
+from neo_ros.scenes.levelling import stood_up
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.scene import read_scene, Scene
 from neo_ros.training_report import write_training_report
+from neo_ros.training_views import (
+    held_out_views, make_sampler, make_stream, note_poses)
 import numpy as np
+from torch import nn
 
-CHECKPOINT_SECONDS = 60.0
 # One photo in so many is kept from the field's fit, to see how well it shows new views.
 HELD_OUT_EVERY = 25
+# Photos that tell the node later what images of the scene look like.
+REFERENCE_PHOTOS = 300
 
 Progress = Callable[[str, int, int, str], None]
 
@@ -48,9 +58,10 @@ class Scoring:
     methods: list[Method]
     results: list[MethodScores]
 
-    def to_json(self, figures: dict[str, float]) -> str:
+    def to_json(self, figures: dict[str, float], confidence: dict[str, float]) -> str:
         """Return the figures of the training, the result rows and every frame's scores."""
-        return json.dumps({'figures': figures, 'rows': [result.row for result in self.results],
+        return json.dumps({'figures': figures, 'confidence': confidence,
+                           'rows': [result.row for result in self.results],
                            'methods': [result.to_dict() for result in self.results]}, indent=1)
 
 
@@ -63,6 +74,8 @@ class TrainingRun:
     out: Path
     progress: Progress
     seconds: float = 0.0
+    samples: int = 0              # wide views that the outpainter saw
+    outpaint_seconds: float = 0.0
 
     def __post_init__(self) -> None:
         camera = self.scene.train.intrinsics
@@ -74,7 +87,8 @@ class TrainingRun:
             self.scene.train.subset(sorted(held_out)) if held_out else None)
         self._check_settings()
         self.figures: dict[str, float] = {}
-        self.log: dict[str, list[list[float]]] = {'field': [], 'outpainter': []}
+        self.log: dict[str, list[list[float]]] = {
+            'field': [], 'outpainter': [], 'validation': []}
 
     def _check_settings(self) -> None:
         """Raise now what the last steps would raise after all the work of the first."""
@@ -84,7 +98,7 @@ class TrainingRun:
             raise ConfigError(
                 f'view.source: expected at most the size of the photos, {photo.width}x'
                 f'{photo.height} pixels at this scale, got {source.width}x{source.height}')
-        check_fits(self.expansion, self.experiment.network)
+        check_network(self.expansion, self.experiment.network)
         if self.scene.test is not None:
             TruthFrames(self.scene.test, self.expansion)
 
@@ -102,86 +116,154 @@ def train(scene_folder: Path, experiment: Experiment, out: Path,
     progress(stage, done, total, note) is called as work goes on. Raises NeoError for scenes and
     settings that cannot be trained, and where `out` holds a run of other settings.
     """
-    scene = read_scene(scene_folder)
+    scene = stood_up(read_scene(scene_folder))
     run = TrainingRun(scene, experiment, out, progress)
-    make_output_folder(out)
-    _claim(out, scene, experiment)
-    field = fit_field_step(run)
-    network = fit_outpainter_step(run, field)
-    export_step(run, network)
+    with process_group() as rank:
+        if rank == 0:
+            make_output_folder(out)
+            claim(out, scene, experiment)
+        wait_for_all()
+        field = fit_field_step(run, rank)
+        held_out = held_out_views(run, field)
+        network = fit_outpainter_step(run, field, held_out, rank)
+    if rank > 0:
+        return run
+    export_step(run, network, held_out, memory_step(run, field))
     run.figures = write_training_report(run, field, score_step(run))
     return run
 
 
-def fit_field_step(run: TrainingRun) -> RadianceField:
-    """Step 1: fit the radiance field, or read it if it is there."""
-    path, checkpoint = run.out / 'field.npz', run.out / 'field.ckpt'
-    if path.exists():
-        run.seconds, run.log['field'] = _read_notes(run.out / 'field.json')
-        return RadianceField.load(path)
-    scale, config = run.experiment.scale, run.experiment.field
-    images = run.fitted.read_images(
-        scale, lambda done: run.progress('photos', done, len(run.fitted), ''))
-    trainer = FieldTrainer(images, run.fitted.intrinsics.scaled(scale), run.fitted.T_world_cam,
-                           config, run.experiment.seed)
-    _train_with_checkpoints(
-        run, trainer, checkpoint, 'field', config.steps, trainer.train_step,
-        lambda: f'{trainer.psnr:.2f} dB on its photos')
-    field = trainer.finished()
-    _write_notes(run.out / 'field.json', run.seconds, run.log['field'])
-    field.save(path)
-    checkpoint.unlink(missing_ok=True)
+def fit_field_step(run: TrainingRun, rank: int = 0) -> RadianceField:
+    """
+    Step 1: fit the radiance field, or read it if it is there.
+
+    rank is the number of this process; several share the fit on GPUs, the first fits alone on
+    a CPU.
+    """
+    path = run.out / 'field.npz'
+    device, missing = chosen_device(run.experiment.field.device), not path.exists()
+    wait_for_all()
+    if missing and (rank == 0 or device != 'cpu'):
+        _fit_field(run, path, writes=rank == 0)
+    wait_for_all()
+    run.seconds, run.log['field'] = read_notes(run.out / 'field.json', 'field.npz')
+    field = RadianceField.load(path)
+    field.device = device
     return field
 
 
-def fit_outpainter_step(run: TrainingRun, field: RadianceField) -> Outpainter:
-    """Do steps 2 and 3: train the outpainter on views rendered where the robot can be."""
+def _fit_field(run: TrainingRun, path: Path, writes: bool) -> None:
+    checkpoint = run.out / 'field.ckpt'
+    scale, config = run.experiment.scale, run.experiment.field
+    images = run.fitted.read_images(
+        scale, lambda done: run.progress('photos', done, len(run.fitted), ''))
+    trainer = field_trainer(images, run.fitted.intrinsics.scaled(scale), run.fitted.T_world_cam,
+                            config, run.experiment.seed)
+    train_with_checkpoints(
+        run, trainer, checkpoint, 'field', lambda: (trainer.step, config.steps),
+        trainer.train_step,
+        lambda: f'{trainer.psnr:.2f} dB on its photos', writes=writes)
+    field = trainer.finished()
+    if writes:
+        write_notes(run.out / 'field.json', run.seconds, run.log['field'])
+        field.save(path)
+        checkpoint.unlink(missing_ok=True)
+
+
+def fit_outpainter_step(run: TrainingRun, field: RadianceField,
+                        held_out: Optional[np.ndarray] = None, rank: int = 0) -> nn.Module:
+    """
+    Do steps 2 and 3: train the outpainter on views rendered where the robot can be.
+
+    rank is the number of this process where several train together; each has its own stream.
+    """
     experiment = run.experiment
     trainer = OutpaintTrainer(run.expansion, experiment.network, experiment.outpaint,
-                              experiment.seed)
-    stream = PairStream(field, make_sampler(run), run.expansion.target,
-                        experiment.sampling.positions, experiment.seed)
+                              experiment.seed, held_out)
+    stream = make_stream(run, field, experiment.seed + 1_000_000 * rank)
+    log = (TrainingLog(run.out / 'tensorboard')
+           if experiment.outpaint.tensorboard and rank == 0 else None)
 
     def learn() -> None:
-        trainer.train_step(stream.batch(trainer.step, experiment.outpaint.batch))
+        trainer.train_step(stream.batch(trainer.step, trainer.batch_size))
+        if log is not None:
+            log.note(trainer)
 
-    _train_with_checkpoints(
-        run, trainer, run.out / 'outpainter.ckpt', 'outpainter', experiment.outpaint.steps,
-        learn, lambda: f'loss {trainer.loss:.4f}')
-    return trainer.averaged.eval()
+    train_with_checkpoints(
+        run, trainer, run.out / 'outpainter.ckpt', 'outpainter', lambda: trainer.done,
+        learn, trainer.note, writes=rank == 0)
+    if rank == 0:
+        note_poses(run, stream, trainer.step)
+    if log is not None:
+        log.close()
+    run.log['validation'] = trainer.validation
+    run.samples = trainer.step * experiment.outpaint.batch
+    run.outpaint_seconds = trainer.seconds
+    return trainer.averaged.eval().cpu()
 
 
-def make_sampler(run: TrainingRun) -> PoseSampler:
-    """Choose poses on the floor map if the scene has one, else around its photos."""
-    if run.scene.walkable is not None:
-        return PoseSampler.for_walkable(run.scene.walkable, run.experiment.sampling)
-    return PoseSampler.around_photos(run.scene.train, run.experiment.sampling)
+def memory_step(run: TrainingRun, field: RadianceField) -> Optional[MemoryFile]:
+    """Make the scene memory that guides the network, if it is not there yet."""
+    config = run.experiment.memory
+    if config is None:
+        return None
+    path, notes = run.model_path.with_suffix('.memory'), run.out / 'memory.json'
+    if path.exists() and notes.exists():
+        run.seconds, _ = read_notes(notes, path.name)
+    else:
+        scale, started = run.experiment.scale, time.monotonic()
+        photos = Photos(run.fitted.read_images(scale), run.fitted.intrinsics.scaled(scale),
+                        run.fitted.T_world_cam)
+        memory = bake_memory(
+            field, photos, run.expansion, make_sampler(run, field), config, run.experiment.seed,
+            lambda done, total: run.progress('memory', done, total, ''))
+        memory.write(path)
+        run.seconds += time.monotonic() - started
+        write_notes(notes, run.seconds, [])
+    return MemoryFile(file=path.name, sha256=hashlib.sha256(path.read_bytes()).hexdigest())
 
 
-def export_step(run: TrainingRun, network: Outpainter) -> None:
-    """Write the model file with its card; parity is checked on real photos."""
+def export_step(run: TrainingRun, network: nn.Module, held_out: Optional[np.ndarray] = None,
+                memory: Optional[MemoryFile] = None) -> None:
+    """
+    Write the model file with its card; parity is checked on real photos.
+
+    The confidence is calibrated on the held-out views. Raises ModelError where torch and the
+    file differ.
+    """
     path = run.model_path
-    function = export_onnx(network, run.expansion, path)
+    factor = 1.0 if held_out is None else calibration_factor(network, run.expansion, held_out)
+    function = export_onnx(network, run.expansion, path, factor)
     # Until it is measured, the card says the worst of the export.
     card = ModelCard(
-        scene_id=run.scene.name, expansion=run.expansion, network='neo_fast',
+        scene_id=run.scene.name, expansion=run.expansion,
+        network=run.experiment.network.name,
+        gflop=round((count_flops(path) or 0) / 1e9, 3) or None,
         config_hash=run.experiment.config_hash, parity=Parity(max_abs_error=255, share_within_1=0),
-        trained_seconds=run.seconds, neo_ros_version=neo_ros.__version__)
+        trained_seconds=run.seconds, neo_ros_version=neo_ros.__version__, memory=memory)
     write_model_card(path, card)
-    extrapolator = FovExtrapolator.load(path)
+    extrapolator = FovExtrapolator.load(path, guided=False)
     frames = real_frames(run, 8)
     worst, share = check_parity(
         function, lambda image: extrapolator.expand(image).wide_image, frames)
-    write_model_card(path, card.model_copy(
-        update={'parity': Parity(max_abs_error=worst, share_within_1=share)}))
+    require_parity(path, worst, share)
+    write_model_card(path, card.model_copy(update={
+        'parity': Parity(max_abs_error=worst, share_within_1=share),
+        'scene_reference': fit_scene_reference(
+            real_frames(run, REFERENCE_PHOTOS, run.scene.train),
+            lambda image: extrapolator.expand(image).confidence, run.expansion)}))
 
 
-def real_frames(run: TrainingRun, count: int) -> np.ndarray:
-    """Read narrow views, uint8 (N, h, w, 3), out of the photos that the field was not shown."""
-    photos = run.held_out or run.fitted
+def real_frames(run: TrainingRun, count: int, photos: Optional[PosedImages] = None) -> np.ndarray:
+    """
+    Read narrow views, uint8 (N, h, w, 3), evenly out of photos.
+
+    Without `photos`, out of those that the field was not shown.
+    """
+    photos = photos or run.held_out or run.fitted
     source = run.expansion.source
     frames = []
-    for index in range(min(count, len(photos))):
+    for index in np.linspace(0, len(photos) - 1, min(count, len(photos))).round().astype(int):
         photo = photos.read_image(index, run.experiment.scale)
         left, top = (photo.shape[1] - source.width) // 2, (photo.shape[0] - source.height) // 2
         frames.append(photo[top:top + source.height, left:left + source.width])
@@ -194,19 +276,20 @@ def score_step(run: TrainingRun) -> Optional[Scoring]:
         return None
     truth = TruthFrames(run.scene.test, run.expansion)
     neo = NeoModel(run.model_path)
+    alone: list[Method] = [NeoModel(run.model_path, guided=False)] if neo.guided else []
     photos = (run.fitted.read_image(i) for i in range(len(run.fitted)))
-    methods: list[Method] = [neo, EdgeReplication(run.expansion), MeanImage(run.expansion, photos)]
+    methods: list[Method] = [neo, *alone, EdgeReplication(run.expansion),
+                             MeanImage(run.expansion, photos)]
     results = evaluate(run.scene.name, truth, methods, progress=lambda done: run.progress(
         'scoring', done, len(truth) * len(methods), ''))
     # The card tells how good the model is; how fast it is depends on the machine.
     scores = {name: round(estimate.mean, 4) for name, estimate in results[0].estimates.items()
               if name != 'milliseconds'}
-    card = FovExtrapolator.load(run.model_path).card
-    write_model_card(run.model_path, card.model_copy(update={'scores': scores}))
+    write_model_card(run.model_path, neo.card.model_copy(update={'scores': scores}))
     return Scoring(truth, methods, results)
 
 
-def _claim(out: Path, scene: Scene, experiment: Experiment) -> None:
+def claim(out: Path, scene: Scene, experiment: Experiment) -> None:
     """Refuse a folder that holds another run, so that no two are ever mixed."""
     note = {'scene': scene.name, 'config_hash': experiment.config_hash}
     path = out / 'run.json'
@@ -223,45 +306,3 @@ def _claim(out: Path, scene: Scene, experiment: Experiment) -> None:
         raise ConfigError(f'{out}: expected an empty folder or an earlier run; it holds '
                           'other files')
     write_bytes(path, json.dumps(note).encode())
-
-
-def _train_with_checkpoints(run: TrainingRun, trainer: Any, checkpoint: Path, stage: str,
-                            steps: int, take_step: Callable[[], Any],
-                            note: Callable[[], str]) -> None:
-    """Call `take_step` until `steps`; the state is on disk once a minute and at the end."""
-    if checkpoint.exists():
-        state = read_checkpoint(checkpoint)
-        run.seconds, run.log[stage] = state['seconds'], state['log']
-        trainer.restore(state['trainer'])
-
-    def save() -> None:
-        write_checkpoint(checkpoint, {'seconds': run.seconds, 'log': run.log[stage],
-                                      'trainer': trainer.state()})
-
-    saved = last = time.monotonic()
-    fresh = trainer.step < steps
-    while trainer.step < steps:
-        take_step()
-        now = time.monotonic()
-        run.seconds, last = run.seconds + now - last, now
-        if trainer.step % max(steps // 200, 1) == 0:
-            run.log[stage].append([trainer.step, run.seconds, trainer.figure])
-        run.progress(stage, trainer.step, steps, note())
-        if now - saved > CHECKPOINT_SECONDS:
-            save()
-            saved = time.monotonic()
-    if fresh:
-        save()
-
-
-def _write_notes(path: Path, seconds: float, log: list[list[float]]) -> None:
-    write_bytes(path, json.dumps({'seconds': seconds, 'log': log}).encode())
-
-
-def _read_notes(path: Path) -> tuple[float, list[list[float]]]:
-    try:
-        notes = json.loads(path.read_text())
-        return float(notes['seconds']), notes['log']
-    except (OSError, ValueError, KeyError) as error:
-        raise SceneError(f'{path}: expected the notes of a fitted field: {error}; '
-                         'delete field.npz to fit it again') from error

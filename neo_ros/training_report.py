@@ -1,13 +1,16 @@
 """The report at the end of a training: what the field shows, what the model makes of it."""
 from typing import TYPE_CHECKING
 
+from neo_ros.evaluation.calibration import calibrate, Calibration
 from neo_ros.evaluation.evaluation_report import evaluation_sections
 from neo_ros.evaluation.metrics import psnr
 from neo_ros.evaluation.output import write_bytes
+from neo_ros.evaluation.pose_map import pose_sections
 from neo_ros.evaluation.report import Plot, Section, Series, Strip, Table, Text, write_report
 from neo_ros.evaluation.strips import error_label, error_map
 from neo_ros.field.rendering import render_view, to_uint8
 from neo_ros.field.voxel_field import RadianceField
+from neo_ros.runtime import FovExtrapolator
 import numpy as np
 
 if TYPE_CHECKING:
@@ -16,6 +19,8 @@ if TYPE_CHECKING:
 STRIPS = 4
 # The oracle renders every so many test frames; all of them would take longer than they tell.
 ORACLE_EVERY = 8
+# Frames on which the confidence is judged, at most.
+CALIBRATION_FRAMES = 100
 
 
 def write_training_report(run: 'TrainingRun', field: RadianceField, scoring: 'Scoring | None',
@@ -27,12 +32,17 @@ def write_training_report(run: 'TrainingRun', field: RadianceField, scoring: 'Sc
     oracle_ring_psnr (the field at the true pose) and the model's ring_psnr.
     """
     figures: dict[str, float] = {}
-    sections: list[Section] = [_curves(run)] + _held_out_strips(run, field, figures)
+    sections: list[Section] = [
+        *_curves(run), *_held_out_strips(run, field, figures), *pose_sections(run.out)]
+    confidence: dict[str, float] = {}
     if scoring is not None:
         figures['oracle_whole_psnr'], figures['oracle_ring_psnr'] = _oracle(field, scoring)
         figures['ring_psnr'] = scoring.results[0].estimates['ring_psnr'].mean
         sections += evaluation_sections(
             run.scene.name, scoring.frames, scoring.methods, scoring.results)
+        calibration = _calibration(run, scoring)
+        sections += calibration.sections()
+        confidence = calibration.summary()
     source, target = run.expansion.source, run.expansion.target
     intro = (f'{len(run.fitted)} photos of {run.scene.name}, {source.width}x{source.height} '
              f'({np.degrees(source.hfov):.0f} deg) to {target.width}x{target.height} pixels '
@@ -42,7 +52,7 @@ def write_training_report(run: 'TrainingRun', field: RadianceField, scoring: 'Sc
     write_report(run.out / 'report.html', f'Training of {run.scene.name}',
                  [Text(intro), table, *sections])
     if scoring is not None:
-        write_bytes(run.out / 'scores.json', scoring.to_json(figures).encode())
+        write_bytes(run.out / 'scores.json', scoring.to_json(figures, confidence).encode())
     return figures
 
 
@@ -53,10 +63,28 @@ _TITLES = {
     'ring_psnr': 'The model on test frames, ring alone'}
 
 
-def _curves(run: 'TrainingRun') -> Plot:
-    rows = np.array(run.log['field']).reshape(-1, 3)
-    return Plot('The field on its own photos, while it was fitted', 'minutes', 'PSNR, dB',
-                [Series('field', (rows[:, 1] / 60).tolist(), rows[:, 2].tolist())])
+def _curves(run: 'TrainingRun') -> list[Section]:
+    curves: list[Section] = [
+        _curve(run, 'field', 'The field on its own photos, while it was fitted')]
+    if run.log['validation']:
+        curves.append(_curve(
+            run, 'validation', 'The outpainter on photos held out, while it was trained: ring'))
+    return curves
+
+
+def _curve(run: 'TrainingRun', stage: str, title: str) -> Plot:
+    rows = np.array(run.log[stage]).reshape(-1, 3)
+    return Plot(title, 'minutes', 'PSNR, dB',
+                [Series(stage, (rows[:, 1] / 60).tolist(), rows[:, 2].tolist())])
+
+
+def _calibration(run: 'TrainingRun', scoring: 'Scoring') -> Calibration:
+    """Judge the network's confidence on test frames, spread evenly; no memory guides it."""
+    frames = scoring.frames
+    chosen = np.unique(np.linspace(0, len(frames) - 1, CALIBRATION_FRAMES).astype(int))
+    network = FovExtrapolator.load(run.model_path, guided=False)
+    return calibrate(network.expand, frames.expansion,
+                     (frames.read(int(index)) for index in chosen))
 
 
 def _held_out_strips(run: 'TrainingRun', field: RadianceField,

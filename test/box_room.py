@@ -46,8 +46,8 @@ def box_memory() -> SceneMemory:
     """Remember the room by keyframes a metre apart."""
     positions = [np.array([x, y, HEIGHT]) for x in (1.2, 2.2, 3.2) for y in (1.2, 2.2)]
     small = SOURCE.scaled(16 / SOURCE.width)
-    poses = [CameraPose.from_planar(*position, yaw)
-             for position in positions for yaw in np.arange(16) * np.pi / 8]
+    poses = [CameraPose.from_planar(x, y, z, yaw)
+             for x, y, z in positions for yaw in np.arange(16) * np.pi / 8]
     glances = Glances(
         np.stack([view(pose, small)[0].mean(-1).astype(np.uint8) for pose in poses]),
         np.stack([pose.T_world_cam for pose in poses]))

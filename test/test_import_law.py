@@ -16,23 +16,26 @@ COMMON = {'errors', 'paths'}
 LAW: dict[str, set[str]] = {
     'geometry': set(),
     'scenes': {'geometry', 'cv2', 'pycolmap'},
-    'field': {'geometry', 'scenes', 'torch', 'numba', 'scipy', 'cv2'},
-    'outpaint': {'geometry', 'scenes', 'field', 'torch', 'onnx', 'onnxruntime'},
-    'runtime': {'geometry', 'memory', 'onnxruntime', 'onnx'},
-    'memory': {'geometry', 'onnxruntime', 'cv2'},
+    'field': {'geometry', 'scenes', 'memory', 'torch', 'numba', 'scipy', 'cv2'},
+    'outpaint': {'geometry', 'scenes', 'field', 'runtime', 'torch', 'onnx', 'onnxruntime', 'cv2'},
+    'runtime': {'geometry', 'memory', 'onnxruntime', 'onnx', 'cv2'},
+    'memory': {'geometry', 'numba', 'cv2'},
     'messages': {'geometry', 'cv2'},
     'bags': {'geometry', 'scenes', 'runtime', 'messages', 'rosbags', 'mcap', 'cv2'},
     # The player and the recorder of bags are ROS nodes.
     'node': {'geometry', 'runtime', 'messages', 'bags', 'rosbags', 'rclpy'},
-    'viewer': {'geometry', 'runtime', 'messages', 'bags', 'rclpy'},
+    'viewer': {'geometry', 'runtime', 'messages', 'bags', 'cv2', 'rclpy'},
     'evaluation': {'geometry', 'scenes', 'field', 'outpaint', 'runtime', 'messages', 'bags',
-                   'memory', 'torch', 'scipy', 'cv2', 'onnx', 'onnxruntime'},
+                   'memory', 'torch', 'scipy', 'cv2', 'onnx', 'onnxruntime', 'pycolmap'},
+    # Trains with the pipeline, which itself scores with `evaluation`.
+    'benchmark': {'geometry', 'scenes', 'field', 'outpaint', 'runtime', 'evaluation', 'pipeline',
+                  'experiment', 'checkpoint', 'torch', 'cv2'},
 }
 HEAVY = {'torch', 'numba', 'scipy', 'cv2', 'onnx', 'onnxscript', 'onnxruntime', 'rosbags',
          'mcap', 'rclpy', 'skimage', 'matplotlib', 'pycolmap'}
 ROS_PACKAGES = {'rclpy', 'rcl_interfaces', 'ament_index_python', 'launch', 'launch_ros'}
 # What needs the train extra: absent from the base install.
-TRAINING = {'torch', 'numba', 'scipy', 'onnx', 'onnxscript', 'skimage', 'matplotlib',
+TRAINING = {'torch', 'scipy', 'onnx', 'onnxscript', 'skimage', 'matplotlib',
             'pycolmap'}
 MODULES = sorted(PACKAGE.rglob('*.py'))
 

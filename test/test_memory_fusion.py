@@ -37,6 +37,15 @@ def test_what_the_memory_does_not_know_comes_from_the_network() -> None:
     assert np.isnan(error[:20]).all() and np.isfinite(error[20:]).all()
 
 
+def test_small_gaps_are_filled_from_around_them() -> None:
+    known = np.ones(RING.shape, bool)
+    known[10:13, 60:64] = False
+    wide, error = fuse(NARROW, guide_of(np.where(known[..., None], WIDE, 0), known), None,
+                       EXPANSION)
+    assert np.abs(wide.astype(int) - WIDE)[~known].mean() < 10
+    assert error[~known].min() > 3 * error[known].max()
+
+
 def test_a_difference_in_exposure_is_healed_at_the_seam() -> None:
     wide, _ = fuse(NARROW, guide_of(WIDE.astype(float) - 12), NETWORK, EXPANSION)
     seam = np.zeros(RING.shape, bool)

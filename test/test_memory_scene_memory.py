@@ -1,4 +1,5 @@
 """The file of a scene memory: what goes in comes out, and nothing else is read."""
+import hashlib
 import io
 from pathlib import Path
 
@@ -56,11 +57,9 @@ def test_another_file_is_refused(memory: SceneMemory, tmp_path: Path, change, me
 
 
 def test_a_newer_schema_and_other_archives_are_refused(tmp_path: Path) -> None:
-    import hashlib
-
-    for fields, message in (({'schema': 99}, 'schema 1, got 99'), ({'x': 1}, 'schema')):
+    for field, message in (('schema', 'schema 1, got 99'), ('x', 'schema')):
         content = io.BytesIO()
-        np.savez(content, **fields)
+        np.savez(content, **{field: np.array(99)})  # type: ignore[arg-type]
         path = tmp_path / 'other.memory'
         path.write_bytes(content.getvalue())
         with pytest.raises(ModelError, match=message):

@@ -91,7 +91,8 @@ def test_the_package_runs_from_its_installation(prefix: Path) -> None:
 def test_ros2_run_finds_the_node_and_it_starts(prefix: Path) -> None:
     node = prefix / 'lib/neo_ros/fov_extrapolator'
     assert os.access(node, os.X_OK)
-    assert [path.name for path in node.parent.iterdir()] == [node.name]
+    assert {path.name for path in node.parent.iterdir()} == {node.name, 'viewer'}
+    assert os.access(node.with_name('viewer'), os.X_OK)
     # rclpy names the argument it does not know: the executable has come as far as to start ROS.
     result = subprocess.run([node, '--ros-args', '--no-such-argument'], text=True,
                             capture_output=True, env=os.environ | environment(prefix))

@@ -1,5 +1,6 @@
 """The three steps end to end, small: what a training leaves behind, and how it goes on."""
 from dataclasses import replace
+import hashlib
 import json
 import os
 from pathlib import Path
@@ -11,7 +12,7 @@ import sys
 from typing import Any
 
 import neo_ros
-from neo_ros import pipeline
+from neo_ros import checkpoint, pipeline, training_views
 from neo_ros.checkpoint import read_checkpoint
 from neo_ros.errors import ConfigError, NeoError, SceneError
 from neo_ros.experiment import Experiment, ViewConfig
@@ -19,6 +20,7 @@ from neo_ros.field.voxel_field import RadianceField
 from neo_ros.outpaint.network import NetworkConfig
 from neo_ros.pipeline import train, TrainingRun
 from neo_ros.runtime import FovExtrapolator
+from neo_ros.scenes.pose_sampling import SamplingConfig
 from neo_ros.scenes.scene import read_scene
 import numpy as np
 import onnx
@@ -35,13 +37,21 @@ def test_the_model_loads_with_a_complete_card(tiny_run: TrainingRun) -> None:
     extrapolator = FovExtrapolator.load(tiny_run.model_path)
     card = extrapolator.card
     assert (card.scene_id, card.config_hash) == ('scene', TINY.config_hash)
-    assert card.neo_ros_version == neo_ros.__version__ and card.network
+    assert card.neo_ros_version == neo_ros.__version__ and card.network == 'neo_fast'
+    assert card.gflop is not None and 0.001 < card.gflop < 1
     assert np.degrees(card.expansion.source.hfov) == pytest.approx(90)
     assert np.degrees(card.expansion.target.hfov) == pytest.approx(126.87, abs=0.01)
     assert card.parity.share_within_1 >= 0.999 and card.parity.max_abs_error <= 2
     assert 1 < card.trained_seconds < 600
     assert {'ring_psnr', 'ring_ssim', 'whole_psnr', 'whole_ssim'} <= card.scores.keys()
     assert card.scores['ring_psnr'] == pytest.approx(tiny_run.figures['ring_psnr'], abs=1e-3)
+
+
+def test_the_scene_memory_belongs_to_the_card(tiny_run: TrainingRun) -> None:
+    memory = FovExtrapolator.load(tiny_run.model_path).card.memory
+    assert memory is not None and memory.file == 'scene.memory'
+    content = (tiny_run.out / memory.file).read_bytes()
+    assert hashlib.sha256(content).hexdigest() == memory.sha256
 
 
 def test_the_model_widens_test_frames(tiny_run: TrainingRun) -> None:
@@ -62,6 +72,8 @@ def test_the_figures_are_those_of_a_training_that_works(tiny_run: TrainingRun) -
     steps, seconds, psnr = np.array(tiny_run.log['field']).T
     assert steps[-1] == 400 and (np.diff(seconds) >= 0).all() and psnr[-1] > psnr[0] + 5
     assert tiny_run.log['outpainter'][-1][0] == 20
+    validation = np.array(tiny_run.log['validation'])
+    assert validation[-1, 0] == 20 and 5 < validation[-1, 2] < 30
 
 
 def test_report_and_scores_hold_pictures_and_rows(tiny_run: TrainingRun) -> None:
@@ -72,15 +84,20 @@ def test_report_and_scores_hold_pictures_and_rows(tiny_run: TrainingRun) -> None
         assert f'{figure:.2f} dB' in html
     scores = json.loads((tiny_run.out / 'scores.json').read_text())
     assert scores['figures'] == pytest.approx(tiny_run.figures)
-    assert [row['method'] for row in scores['rows']] == ['neo', 'edge_replication', 'mean_image']
+    assert [row['method'] for row in scores['rows']] == [
+        'guided', 'neo_fast', 'edge_replication', 'mean_image']
     assert all(row['n_frames'] == 6 and row['ring_psnr'] > 5 for row in scores['rows'])
     assert len(scores['methods'][0]['frames']) == 6
+    assert 0 < scores['confidence']['expected_calibration_error'] < 60
+    assert 0 < scores['confidence']['sparsification_error'] < 1
+    assert 'Is the confidence true?' in html and 'photos held out' in html
 
 
 def test_the_folder_holds_no_leftovers(tiny_run: TrainingRun) -> None:
     assert {path.name for path in tiny_run.out.iterdir()} == {
         'run.json', 'field.npz', 'field.json', 'outpainter.ckpt', 'scene.onnx', 'report.html',
-        'scores.json'}
+        'scores.json', 'poses.json', 'poses.png', 'scene.memory',
+        'memory.json'}
     assert (RadianceField.load(tiny_run.out / 'field.npz').seen == 0).any()
 
 
@@ -97,12 +114,12 @@ class Killed(Exception):
 KILL_HARD = """
 import os, signal, sys
 from pathlib import Path
-from neo_ros import pipeline
+from neo_ros import checkpoint, training_views
 from tiny_training import train_tiny
 
 def kill(stage, done, total, note):
     if stage == 'outpainter':
-        pipeline.CHECKPOINT_SECONDS = 0.0
+        checkpoint.CHECKPOINT_SECONDS = 0.0
         if done == 12:
             os.kill(os.getpid(), signal.SIGKILL)
 
@@ -116,7 +133,7 @@ def test_a_killed_training_goes_on_to_the_same_model(
 
     def kill(stage: str, done: int, total: int, note: str) -> None:
         if stage == 'field' and done >= 120:
-            monkeypatch.setattr(pipeline, 'CHECKPOINT_SECONDS', 0.0)
+            monkeypatch.setattr(checkpoint, 'CHECKPOINT_SECONDS', 0.0)
             if done == 130:
                 raise Killed
 
@@ -179,8 +196,8 @@ def test_photos_alone_are_enough(tiny_run: TrainingRun, tmp_path: Path) -> None:
      'view.source: expected at most the size of the photos, 32x32 pixels .* got 64x64'),
     ({'scale': 0.25}, ConfigError, 'network: expected multiples of 16 pixels'),
     ({'network': NetworkConfig(patch=5)}, ConfigError, 'network: expected multiples of 20'),
-    ({'view': ViewConfig((16, 16), (32, 32)), 'network': NetworkConfig(patch=2)}, SceneError,
-     'test frames: expected the wide view of the model, 32x32'),
+    ({'view': ViewConfig((32, 32), (96, 96))}, SceneError,
+     'test frames: expected the wide view of the model, 96x96'),
 ], ids=['photos smaller than the view', 'scale', 'patch', 'test frames of another view'])
 def test_settings_that_cannot_end_well_are_refused_at_once(
         tiny_run: TrainingRun, tmp_path: Path, changes: dict[str, Any],
@@ -220,18 +237,34 @@ def test_folders_of_other_things_are_refused(
 def test_missing_notes_of_a_field_say_what_to_do(tiny_run: TrainingRun, tmp_path: Path) -> None:
     shutil.copytree(tiny_run.out, tmp_path / 'out')
     (tmp_path / 'out' / 'field.json').unlink()
-    with pytest.raises(SceneError, match='field.json: .*delete field.npz to fit it again'):
+    with pytest.raises(SceneError, match='field.json: .*delete field.npz to do this step again'):
         train(tiny_run.out.parent / 'scene', TINY, tmp_path / 'out')
 
 
 def test_without_a_floor_map_cameras_stay_near_the_photos(tiny_run: TrainingRun) -> None:
-    scene = tiny_run.scene
-    on_floor = pipeline.make_sampler(tiny_run)
+    scene, field = tiny_run.scene, RadianceField.load(tiny_run.out / 'field.npz')
+    on_floor = training_views.make_sampler(tiny_run, field)
     assert scene.walkable is not None and scene.walkable.contains(on_floor.positions_xy).all()
     run = TrainingRun(replace(scene, walkable=None), Experiment(), tiny_run.out,
                       tiny_run.progress)
-    near = pipeline.make_sampler(run).positions_xy[:, None] - scene.train.T_world_cam[:, :2, 3]
+    places = training_views.make_sampler(run, field).positions_xy
+    near = places[:, None] - scene.train.T_world_cam[:, :2, 3]
     assert np.linalg.norm(near, axis=-1).min(1).max() <= Experiment().sampling.radius
+
+
+@pytest.mark.parametrize('area', ['walkable', 'free_space'])
+def test_the_area_is_the_one_asked_for(tiny_run: TrainingRun, area: Any) -> None:
+    field = RadianceField.load(tiny_run.out / 'field.npz')
+    run = TrainingRun(replace(tiny_run.scene, walkable=None),
+                      replace(TINY, sampling=SamplingConfig(area=area)), tiny_run.out,
+                      tiny_run.progress)
+    if area == 'walkable':
+        with pytest.raises(ConfigError, match='walkable needs walkable.json .* neo floor'):
+            training_views.make_sampler(run, field)
+    else:
+        sampler, walkable = training_views.make_sampler(run, field), tiny_run.scene.walkable
+        assert sampler.yaws == 72 and len(sampler.positions_xy) > 100
+        assert walkable is not None and walkable.contains(sampler.positions_xy).mean() > 0.5
 
 
 def test_parity_is_measured_on_held_out_photos(tiny_run: TrainingRun) -> None:

@@ -3,6 +3,7 @@ from pathlib import Path
 
 from neo_ros.experiment import Experiment
 from neo_ros.field.fitting import FieldConfig
+from neo_ros.field.memory_baking import MemoryConfig
 from neo_ros.outpaint.fitting import OutpaintConfig
 from neo_ros.outpaint.network import NetworkConfig
 from neo_ros.pipeline import Progress, train, TrainingRun
@@ -12,7 +13,7 @@ from neo_ros.scenes.pose_sampling import SamplingConfig
 TINY = Experiment(
     seed=3, field=FieldConfig(steps=400, voxels=20_000, pixels_per_step=512),
     sampling=SamplingConfig(positions=8), network=NetworkConfig(width=8, memory=32),
-    outpaint=OutpaintConfig(steps=20, batch=4))
+    outpaint=OutpaintConfig(steps=20, batch=4), memory=MemoryConfig(distance=0.6))
 
 
 def write_tiny_scene(folder: Path) -> None:

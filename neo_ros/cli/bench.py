@@ -71,7 +71,11 @@ def _note(record: dict[str, Any]) -> str:
                 f'{details["jitter_ms"]:.1f} ms, CPU {details["cpu_percent"]:.0f} %, '
                 f'{details["rss_mb"]:.0f} MB, outside inference '
                 f'{details["outside_inference_ms"]:.1f} ms')
-    for key, words in (('share_in_model', '{:.0%} of it in the model'),
+    if 'views_per_s' in details:
+        share = details.get('share_of_stream')
+        return f'{details["views_per_s"]:.0f} views/s' + (
+            '' if share is None else f', {share:.0%} of the training')
+    for key, words in (('share_of_model_rate', '{:.0%} of the rate of the model alone'),
                        ('views_per_s_with_panorama', '{:.0f} views/s with their panorama'),
                        ('rays_per_s', '{:.2g} rays/s')):
         if key in details:

@@ -18,13 +18,14 @@ def inspect(
     import statistics
     import time
 
+    from neo_ros.evaluation.speed_model import count_flops
     from neo_ros.runtime import FovExtrapolator
     import numpy as np
     import rich
     from rich.markup import escape
     from rich.table import Table
 
-    extrapolator = FovExtrapolator.load(model, threads)
+    extrapolator = FovExtrapolator.load(model, threads, guided=False)
     source = extrapolator.expansion.source
     image = np.random.default_rng(0).integers(0, 256, (source.height, source.width, 3), np.uint8)
     milliseconds = []
@@ -35,9 +36,12 @@ def inspect(
     table = Table('model', escape(str(model)))
     for name, value in _card_rows(extrapolator.card):
         table.add_row(name, escape(value))
+    gflop = extrapolator.card.gflop or (count_flops(model) or 0) / 1e9
+    table.add_row('arithmetic', f'{gflop:.2f} GFLOP per image' if gflop else
+                  'not known: the card does not say, and counting needs the package onnx')
     table.add_row('file size', f'{model.stat().st_size / 1e6:.2f} MB')
     table.add_row('time per image', f'{statistics.median(milliseconds):.2f} ms '
-                  f'(median of {TIMED_RUNS}, CPU, {threads or "all"} threads)')
+                  f'(network alone, median of {TIMED_RUNS}, CPU, {threads or "all"} threads)')
     rich.print(table)
 
 

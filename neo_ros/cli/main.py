@@ -3,15 +3,22 @@ import logging
 import sys
 
 from neo_ros.cli.bag import bag
+from neo_ros.cli.bag_info import bag_info
 from neo_ros.cli.bench import bench
+from neo_ros.cli.benchmark import benchmark
+from neo_ros.cli.compare import compare
 from neo_ros.cli.demo import demo
 from neo_ros.cli.evaluate import evaluate
+from neo_ros.cli.export import export
+from neo_ros.cli.floor import floor
 from neo_ros.cli.import_scene import import_scene
 from neo_ros.cli.inspect import inspect
 from neo_ros.cli.play import play
 from neo_ros.cli.record import record
 from neo_ros.cli.replay import replay
+from neo_ros.cli.soak import soak
 from neo_ros.cli.train import train
+from neo_ros.cli.view import view
 from neo_ros.errors import NeoError
 import typer
 
@@ -29,14 +36,21 @@ app = typer.Typer(help=HELP, no_args_is_help=True, rich_markup_mode='rich',
                   pretty_exceptions_enable=False, add_completion=False)
 app.command()(demo)
 app.command('import', rich_help_panel=PREPARE)(import_scene)
+app.command(rich_help_panel=PREPARE)(floor)
+app.command('bag-info', rich_help_panel=PREPARE)(bag_info)
 app.command(rich_help_panel=PREPARE)(train)
 app.command(rich_help_panel=PREPARE)(evaluate)
+app.command(rich_help_panel=PREPARE)(export)
+app.command(rich_help_panel=PREPARE)(compare)
+app.command(rich_help_panel=PREPARE)(benchmark)
 app.command(rich_help_panel=RUN)(inspect)
 app.command(rich_help_panel=RUN)(replay)
 app.command(rich_help_panel=RUN)(play)
 app.command(rich_help_panel=RUN)(record)
 app.command(rich_help_panel=RUN)(bag)
+app.command(rich_help_panel=RUN)(view)
 app.command(rich_help_panel=RUN)(bench)
+app.command(rich_help_panel=RUN)(soak)
 
 
 def main() -> None:
@@ -48,7 +62,7 @@ def main() -> None:
         sys.exit(_fail(str(error)))
     except ModuleNotFoundError as error:
         extra = {'torch': 'train', 'numba': 'train', 'scipy': 'train', 'onnx': 'train',
-                 'pycolmap': 'train'}.get(
+                 'pycolmap': 'train', 'aiohttp': 'viewer', 'av': 'video'}.get(
             (error.name or '').split('.')[0])
         if extra is None:
             raise

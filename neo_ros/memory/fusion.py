@@ -12,20 +12,23 @@ REACH = 0.12
 MOST_HEALED = 24.0
 # Pixels stretched over a gap of the memory are so much less sure.
 STRETCHED = 0.05
+# Small gaps are filled from their surroundings, over squares of these sides, pixels.
+GAPS = (9, 33, 129)
+GAP_ERROR = 0.15
 # Error that a guide has even where image and memory agree, in units of full brightness.
 LEAST_ERROR = 0.02
 
 
-def fuse(image: np.ndarray, guide: Guide, network_image: np.ndarray,
+def fuse(image: np.ndarray, guide: Guide, network_image: np.ndarray | None,
          expansion: ViewExpansion) -> tuple[np.ndarray, np.ndarray]:
     """
     Return the wide image, uint8 RGB (H, W, 3), and the expected error of its pixels.
 
     The camera's pixels stay as they are. Around them the guide is drawn, its colours bent to
     the image's near the seam; where the memory knows nothing, the network's image, uint8
-    (H, W, 3), fills in. The error, float32 (H, W) in units of full brightness, follows from how
-    image and guide differ at the nearest part of the seam; it is NaN where the network's
-    picture is.
+    (H, W, 3), fills in, or without one the colours around the gap. The error, float32 (H, W) in
+    units of full brightness, follows from how image and guide differ at the nearest part of the
+    seam; it is NaN where the network's picture is.
     """
     rows, columns = expansion.observed
     inside = guide.known[rows, columns]
@@ -38,9 +41,13 @@ def fuse(image: np.ndarray, guide: Guide, network_image: np.ndarray,
     nearness = np.minimum(weight, 1)[..., None]
     wide = np.clip(guide.image + carried[..., :3] * nearness + 0.5, 0, 255).astype(np.uint8)
     error = np.maximum(carried[..., 3] / 255, LEAST_ERROR) + STRETCHED * guide.stretched
-    wide[~guide.known] = network_image[~guide.known]
+    if network_image is not None:
+        wide[~guide.known] = network_image[~guide.known]
+        error[~guide.known] = np.nan
+    elif not guide.known.all():
+        wide = _filled(wide, guide.known)
+        error[~guide.known] = GAP_ERROR
     wide[rows, columns] = image
-    error[~guide.known] = np.nan
     error[rows, columns] = 0
     return wide, error.astype(np.float32)
 
@@ -67,3 +74,16 @@ def _carried_outward(difference: np.ndarray, inside: np.ndarray, expansion: View
     full = (target.width, target.height)
     return (cv2.resize(mean, full, interpolation=cv2.INTER_LINEAR),
             cv2.resize(2 * spread[..., -1], full, interpolation=cv2.INTER_LINEAR))
+
+
+def _filled(image: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Fill what is not known, bool (H, W), with the mean of the known colours around it."""
+    result, weight = image.astype(np.float32), known.astype(np.float32)
+    result *= weight[..., None]
+    for side in GAPS:
+        around = cv2.blur(weight, (side, side))
+        gap = (weight == 0) & (around > 1e-6)
+        colours = cv2.blur(result, (side, side))
+        result[gap] = colours[gap] / around[gap][:, None]
+        weight[gap] = 1
+    return np.clip(result + 0.5, 0, 255).astype(np.uint8)

@@ -3,9 +3,12 @@ from pathlib import Path
 
 from neo_ros.geometry import ViewExpansion
 from neo_ros.memory.fusion import fuse
-from neo_ros.memory.scene_guide import SceneGuide
+from neo_ros.memory.scene_guide import Guide, SceneGuide
 from neo_ros.memory.scene_memory import SceneMemory
 import numpy as np
+
+# Share of the wide view.
+MOST_MISSING = 0.02
 
 
 class GuidedView:
@@ -22,12 +25,17 @@ class GuidedView:
         guide.warm_up()
         return cls(guide)
 
-    def fuse(self, image: np.ndarray, network_image: np.ndarray
-             ) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return wide image and expected error, see `fusion.fuse`; None while lost."""
-        guide = self._guide.guide(image)
-        if guide is None:
-            return None
+    def guide(self, image: np.ndarray) -> Guide | None:
+        """Find the camera and draw what is around it; None while it is lost."""
+        return self._guide.guide(image)
+
+    def needs_network(self, guide: Guide) -> bool:
+        """Tell whether the memory has gaps that are worth the time of the network."""
+        return bool(1 - guide.known.mean() > MOST_MISSING)
+
+    def fuse(self, image: np.ndarray, guide: Guide, network_image: np.ndarray | None
+             ) -> tuple[np.ndarray, np.ndarray]:
+        """Return wide image and expected error: see `fusion.fuse`."""
         return fuse(image, guide, network_image, self._guide.expansion)
 
     def reset(self) -> None:

@@ -1,0 +1,80 @@
+"""Step 2 of the paper: the wide views that a run trains its outpainter on, and validates it on."""
+from typing import Optional, TYPE_CHECKING
+
+from neo_ros.errors import ConfigError
+from neo_ros.evaluation.pose_map import COUNTS_FILE, draw_poses, write_poses
+from neo_ros.field.free_space import find_free_floor
+from neo_ros.field.voxel_field import RadianceField
+from neo_ros.outpaint.pair_stream import FIRST, PairStream, source_view_enlarged
+from neo_ros.outpaint.real_centres import RealCentres, same_focal_length
+from neo_ros.scenes.pose_sampling import PoseSampler
+import numpy as np
+
+if TYPE_CHECKING:
+    from neo_ros.pipeline import TrainingRun
+
+# Of the held-out photos, so many are looked at while the outpainter is trained.
+VALIDATION_VIEWS = 32
+
+
+def held_out_views(run: 'TrainingRun', field: RadianceField) -> Optional[np.ndarray]:
+    """
+    Return wide views RGBA uint8 (N, H, W, 4) of photos that nothing was trained on.
+
+    The photo is in the middle, and all of it where it shows more than the source view; around
+    it is what the field shows there, as no wider photo exists.
+    """
+    if run.held_out is None or not same_focal_length(
+            run.held_out.intrinsics.scaled(run.experiment.scale), run.expansion.target):
+        return None
+    real = RealCentres(field, run.held_out, run.expansion, run.experiment.scale)
+    indices = np.linspace(0, len(real) - 1, min(VALIDATION_VIEWS, len(real))).astype(int)
+    return real.views(indices.tolist())
+
+
+def make_stream(run: 'TrainingRun', field: RadianceField, seed: int) -> PairStream:
+    """Make the stream of training views that the experiment asks for."""
+    experiment, expansion = run.experiment, run.expansion
+    config = experiment.outpaint
+    view = (expansion.target if config.training_view == 'wide'
+            else source_view_enlarged(expansion))
+    real = (RealCentres(field, run.fitted, expansion, experiment.scale)
+            if config.real_centre > 0 else None)
+    stream = PairStream(field, make_sampler(run, field), view, experiment.sampling.positions,
+                        seed, real, config.real_centre)
+    sharp_only = experiment.sampling.sharp_only
+    if sharp_only or (sharp_only is None and _area(run) == 'photos'):
+        stream.pool.require_sharpness(run.fitted, experiment.scale)
+    return stream
+
+
+def make_sampler(run: 'TrainingRun', field: RadianceField) -> PoseSampler:
+    """Choose poses where the experiment says; see `SamplingConfig.area`."""
+    config, area = run.experiment.sampling, _area(run)
+    if area == 'photos':
+        return PoseSampler.around_photos(run.scene.train, config)
+    floor = (run.scene.walkable if area == 'walkable'
+             else find_free_floor(field, run.scene.train, config))
+    if floor is None:
+        raise ConfigError(
+            f'sampling.area: {area} needs walkable.json in the scene folder, there is none; '
+            'make it with neo floor, or choose free_space or photos')
+    return PoseSampler.for_walkable(floor, config)
+
+
+def note_poses(run: 'TrainingRun', stream: PairStream, steps: int) -> None:
+    """Leave the counts and the map of the poses of `steps` batches in the output folder."""
+    pool = stream.pool
+    if (run.out / COUNTS_FILE).exists() and not pool.panoramas:
+        return  # A training that had ended was only read again.
+    pool.fill(FIRST + steps - 1)
+    positions = np.stack([panorama.position for panorama in pool.panoramas])
+    write_poses(run.out, pool.summary(), draw_poses(
+        pool.sampler.positions_xy, positions, np.array(pool.refused_positions).reshape(-1, 3),
+        run.scene.train))
+
+
+def _area(run: 'TrainingRun') -> str:
+    if run.experiment.sampling.area != 'auto':
+        return run.experiment.sampling.area
+    return 'photos' if run.scene.walkable is None else 'walkable'
