@@ -1,22 +1,24 @@
 """
 The demo: a robot walks through the built-in flat, its camera is widened on a real ROS graph.
 
-Three processes, as on a robot: a bag player for the camera, the node, and a recorder. What the
-recorder got is scored against the truth that the bag holds.
+Processes as on a robot: a bag player for the camera, the node, the remote assistant's viewer, and
+a recorder. What the recorder got is scored against the truth that the bag holds.
 """
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, ExitStack
 from dataclasses import dataclass
 import functools
+from importlib.util import find_spec
 import json
 import os
 from pathlib import Path
+import re
 import shutil
 import signal
 import subprocess
 import sys
 import time
-from typing import Any, IO
+from typing import Any
 
 from neo_ros.bags import BagReader
 from neo_ros.bags.demo_bag import IMAGE_TOPIC, TRUTH_TOPIC, write_demo_bag
@@ -70,10 +72,13 @@ def make_demo_bag(path: Path, expansion: ViewExpansion, frames: int, rate: float
 
 def run_demo(model: Path, out: Path, frames: int, rate: float,
              progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
-             ) -> DemoResult:
+             shown_at: Callable[[str], None] = lambda address: None,
+             go_on: Callable[[DemoResult], bool] = lambda result: False) -> DemoResult:
     """
     Show `model` on a ROS graph and leave bags, report.html and strip.png in `out`.
 
+    `shown_at` gets the address of the viewer's page, if the viewer is installed. While `go_on`
+    returns True for the result, the walk is played again, unrecorded.
     Raises NeoError where a process of the graph ends with an error or nothing arrives.
     """
     card = read_model_card(model)
@@ -90,51 +95,86 @@ def run_demo(model: Path, out: Path, frames: int, rate: float,
         partial.rename(bag)
     recorded = out / 'recorded'
     shutil.rmtree(recorded, ignore_errors=True)
-    progress('playing it over ROS', 0, 1)
-    run_graph(bag, model, recorded)
-    progress('playing it over ROS', 1, 1)
-    return score_recording(bag, recorded, card.expansion, out)
-
-
-def run_graph(bag: Path, model: Path, recorded: Path) -> None:
-    """Play the bag to the node and record what it publishes; every part is a process."""
-    log = recorded.parent / 'graph.log'
-    # A graph of its own: the demo must never reach a robot on the same network.
-    environment = {'ROS_DOMAIN_ID': str(1 + os.getpid() % 100),
-                   'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', **os.environ}
-    neo = [sys.executable, '-m', 'neo_ros.cli.main']
-    with open(log, 'w') as lines:
-        with _process([*neo, 'record', IMAGE_TOPIC, WIDE_TOPIC, *OTHER_TOPICS,
-                       '--out', str(recorded)], environment, lines) as recorder, \
-            _process([sys.executable, '-m', 'neo_ros.node.main', '--ros-args',
-                      '-r', '__ns:=/camera', '-r', 'image:=image_raw',
-                      '-p', f'model:={model.resolve()}'], environment, lines) as node:
+    with _Graph(model, out / 'graph.log') as graph:
+        if graph.address is not None:
+            shown_at(graph.address)
+        progress('playing it over ROS', 0, 1)
+        with graph.process('recorder', ['record', IMAGE_TOPIC, WIDE_TOPIC, *OTHER_TOPICS,
+                                        '--out', str(recorded)]):
             # The node's two inputs and the recorder's camera topic.
-            player = subprocess.run(
-                [*neo, 'play', str(bag), '--wait-for-subscribers', '3'],
-                env=environment, stdout=lines, stderr=subprocess.STDOUT,
-                timeout=300, check=False)
+            graph.play(bag, subscribers=3)
             time.sleep(1.0)  # The last frames are on their way.
-            codes = {'player': player.returncode, 'node': node.poll(),
-                     'recorder': recorder.poll()}
-    failed = [f'{name} ended with code {code}' for name, code in codes.items() if code]
-    if failed:
-        raise NeoError(f'demo: {", ".join(failed)}:\n{log.read_text()[-2000:]}')
+        progress('playing it over ROS', 1, 1)
+        result = score_recording(bag, recorded, card.expansion, out)
+        while go_on(result):
+            graph.play(bag, subscribers=2)
+    return result
 
 
-@contextmanager
-def _process(command: list[str], environment: dict[str, str], log: IO[str],
-             ) -> Iterator[subprocess.Popen]:
-    process = subprocess.Popen(command, env=environment, stdout=log, stderr=subprocess.STDOUT)
-    try:
-        yield process
-    finally:
-        process.send_signal(signal.SIGINT)
+class _Graph:
+    """A ROS graph with the node and the viewer; every part is a process."""
+
+    def __init__(self, model: Path, log: Path) -> None:
+        self.address: str | None = None
+        self._model, self._log = model, log
+        # A graph of its own: the demo must never reach a robot on the same network.
+        self._environment = {'ROS_DOMAIN_ID': str(1 + os.getpid() % 100),
+                             'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', **os.environ}
+        self._running: dict[str, subprocess.Popen] = {}
+        self._stack = ExitStack()
+
+    def __enter__(self) -> '_Graph':
+        self._lines = self._stack.enter_context(open(self._log, 'w'))
         try:
-            process.wait(timeout=10)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+            self._stack.enter_context(self._process('node', [
+                '-m', 'neo_ros.node.main', '--ros-args', '-r', '__ns:=/camera',
+                '-r', 'image:=image_raw', '-p', f'model:={self._model.resolve()}']))
+            if find_spec('aiohttp') is not None:
+                viewer = self._stack.enter_context(self._process('viewer', [
+                    '-m', 'neo_ros.cli.main', 'view', '--topic', WIDE_TOPIC, '--sim-time',
+                    '--port', '0'], stdout=subprocess.PIPE))
+                assert viewer.stdout is not None
+                self.address = next(iter(re.findall(r'http\S+', viewer.stdout.readline())), None)
+        except BaseException:
+            self._stack.close()
+            raise
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._stack.close()
+
+    def process(self, name: str, command: list[str]) -> AbstractContextManager[subprocess.Popen]:
+        """Run a command of `neo` beside the graph until the context ends."""
+        return self._process(name, ['-m', 'neo_ros.cli.main', *command])
+
+    def play(self, bag: Path, subscribers: int) -> None:
+        """Play a bag to its end; raises NeoError if a process of the graph has failed."""
+        command = ['play', str(bag), '--wait-for-subscribers', str(subscribers)]
+        with self.process('player', command) as player:
+            player.wait(timeout=300)
+            codes = {name: process.poll() for name, process in self._running.items()}
+        failed = [f'{name} ended with code {code}' for name, code in codes.items() if code]
+        if failed:
+            raise NeoError(f'demo: {", ".join(failed)}:\n{self._log.read_text()[-2000:]}')
+
+    @contextmanager
+    def _process(self, name: str, command: list[str],
+                 stdout: int | None = None) -> Iterator[subprocess.Popen]:
+        process = subprocess.Popen(
+            [sys.executable, *command], env=self._environment, text=True,
+            stdout=self._lines if stdout is None else stdout,
+            stderr=self._lines if stdout is not None else subprocess.STDOUT)
+        self._running[name] = process
+        try:
+            yield process
+        finally:
+            del self._running[name]
+            process.send_signal(signal.SIGINT)
+            try:
+                process.wait(timeout=10)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
 
 
 def score_recording(bag: Path, recorded: Path, expansion: ViewExpansion, out: Path) -> DemoResult:

@@ -1,9 +1,10 @@
 """The whole demo on a real ROS graph, with a tiny model; node and replay give the same pixels."""
 import json
 from pathlib import Path
+from urllib.request import urlopen
 
 from neo_ros.bags import BagReader, replay
-from neo_ros.demo import run_demo, WIDE_TOPIC
+from neo_ros.demo import DemoResult, run_demo, WIDE_TOPIC
 from neo_ros.errors import ModelError
 from neo_ros.messages import read_image
 from neo_ros.runtime import FovExtrapolator
@@ -24,7 +25,19 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope='module')
 def demo_folder(model: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp('demo')
-    result = run_demo(model, out, FRAMES, 5.0)
+    pages, rounds = [], []
+
+    def look(address: str) -> None:
+        with urlopen(address, timeout=10) as answer:
+            pages.append(answer.read().decode())
+
+    def once_more(result: DemoResult) -> bool:
+        rounds.append(result)
+        return len(rounds) < 2
+
+    result = run_demo(model, out, FRAMES, 5.0, shown_at=look, go_on=once_more)
+    assert rounds == [result, result]
+    assert [('<title>' in page) for page in pages] == [True]
     assert result.frames_in == FRAMES
     assert result.frames_out >= FRAMES // 2
     assert result.latency_ms['median'] > 0

@@ -1,6 +1,6 @@
 """`neo demo`: see it work, on a real ROS graph, in the built-in flat."""
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated, Any, Optional
 
 import typer
 
@@ -12,22 +12,57 @@ def demo(
         help='A model of the demo flat; default: the one that comes with the package.')] = None,
     frames: Annotated[int, typer.Option(help='Length of the walk.', min=2)] = 100,
     rate: Annotated[float, typer.Option(help='Frames per second.', min=0.1)] = 10.0,
+    watch: Annotated[Optional[bool], typer.Option(
+        help='Show the stream in a browser and play on until Ctrl-C; default: on a terminal.',
+    )] = None,
 ) -> None:
     """
     Walk a robot through the built-in flat and widen its camera, live.
 
     Renders the walk once, plays it to the node on a ROS graph of its own, records what comes
-    out, scores it against the truth and shows it in report.html and strip.png.
+    out, scores it against the truth and shows it in report.html and strip.png. The page of the
+    remote assistant shows the stream meanwhile.
     """
+    import os
+    import sys
+    import webbrowser
+
     from neo_ros.cli.progress import stage_progress
     from neo_ros.demo import run_demo
     from neo_ros.paths import share_dir
     import rich
-    from rich.markup import escape
+
+    watching = sys.stdout.isatty() if watch is None else watch
+    rounds = 0
+
+    def shown_at(address: str) -> None:
+        rich.print(f'The stream is shown at {address}')
+        # Without a desktop a text browser might take the terminal.
+        if watching and {'DISPLAY', 'WAYLAND_DISPLAY'} & os.environ.keys():
+            webbrowser.open(address)
+
+    def go_on(result: Any) -> bool:
+        nonlocal rounds
+        rounds += 1
+        if rounds == 1:
+            _print_result(result, out)
+            if watching:
+                rich.print('The robot walks on, until you press Ctrl-C.')
+        return watching
 
     with stage_progress() as show:
-        result = run_demo(
-            model or share_dir() / 'models' / 'demo_flat.onnx', out, frames, rate, show)
+        try:
+            run_demo(model or share_dir() / 'models' / 'demo_flat.onnx', out, frames, rate, show,
+                     shown_at, go_on)
+        except KeyboardInterrupt:
+            if rounds == 0:  # Nothing has been shown yet.
+                raise
+
+
+def _print_result(result: Any, out: Path) -> None:
+    import rich
+    from rich.markup import escape
+
     latency, scores = result.latency_ms, result.scores
     rich.print(f'{result.frames_out} of {result.frames_in} frames widened at '
                f'{result.rate:.1f} Hz; camera image to wide image: median '

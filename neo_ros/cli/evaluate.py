@@ -15,7 +15,11 @@ def evaluate(
     frames: Annotated[Optional[int], typer.Option(
         min=1, help='Score only so many frames, spread evenly; default: all.')] = None,
 ) -> None:
-    """Score a model on the test frames of a scene, beside edge replication and the mean photo."""
+    """
+    Score a model on the test frames of a scene, beside edge replication and the mean photo.
+
+    Of a model with a scene memory, the network alone is scored, too.
+    """
     from neo_ros.cli.progress import stage_progress
     from neo_ros.evaluation.baselines import EdgeReplication, MeanImage, Method, NeoModel
     from neo_ros.evaluation.evaluate import evaluate as score, TruthFrames
@@ -38,8 +42,9 @@ def evaluate(
                 yield train.read_image(index)
                 show('mean photo', index + 1, len(train))
 
+        alone: list[Method] = [NeoModel(model, guided=False)] if neo.guided else []
         methods: list[Method] = [
-            neo, EdgeReplication(neo.expansion), MeanImage(neo.expansion, photos())]
+            neo, *alone, EdgeReplication(neo.expansion), MeanImage(neo.expansion, photos())]
         results = score(scene_data.name, truth, methods, progress=lambda done: show(
             'scoring', done, len(truth) * len(methods)))
     write_evaluation(folder, scene_data.name, truth, methods, results)

@@ -15,10 +15,10 @@ def train(
     )] = None,
 ) -> None:
     """
-    Fit the scene, render wide views of it, train the outpainter, export it.
+    Fit the scene, render wide views of it, train the outpainter, make the memory, export.
 
-    Leaves SCENE.onnx and report.html in OUT. Broken off? Run the same command again: it goes
-    on from the last minute.
+    Leaves SCENE.onnx, SCENE.memory and report.html in OUT. Broken off? Run the same command
+    again: it goes on from the last minute.
     """
     from neo_ros.cli.progress import stage_progress
     from neo_ros.experiment import Experiment, read_experiment
@@ -31,4 +31,6 @@ def train(
         run = run_pipeline(scene, experiment, out, show)
     for name, value in run.figures.items():
         rich.print(f'{name}: {value:.2f} dB')
-    rich.print(f'Written: {escape(str(run.model_path))} and report.html')
+    files = [run.model_path, run.model_path.with_suffix('.memory')]
+    names = ', '.join(escape(str(file)) for file in files if file.exists())
+    rich.print(f'Written: {names} and report.html')

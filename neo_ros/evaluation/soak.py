@@ -7,10 +7,12 @@ import sys
 from typing import Any
 
 from neo_ros.errors import NeoError
+from neo_ros.evaluation.speed_images import camera_images
 from neo_ros.evaluation.speed_node import RATE_HZ, run_graph
-from neo_ros.runtime import read_model_card
 import numpy as np
 
+# Of the walk that is sent to and fro, for a model with a memory.
+FRAMES = 90
 # Shares of the run that are compared: of an hour, the first and the last ten minutes.
 PART = 1 / 6
 # A beat of the diagnostics, sent every second, counts as missed when so much of a second passes
@@ -31,7 +33,7 @@ def soak(model: Path, seconds: float, hogs: int = 0, rate: float = RATE_HZ) -> d
     sixth within 10 % of the first. Raises NeoError where nothing comes back.
     """
     with _busy_processes(hogs):
-        result = run_graph(model, read_model_card(model).expansion, seconds, rate)
+        result = run_graph(model, camera_images(model, FRAMES), seconds, rate)
     stamps, times = np.array(result['arrivals'], np.int64).reshape(-1, 2).T
     beats, memory = np.array(result['beats']).reshape(-1, 2).T
     if len(times) < 2 or len(beats) < 2:

@@ -12,7 +12,7 @@ host            cpu, cores, platform, python, neo_ros, versions of packages, com
                 matmul_gflops, memory_gb_s, cache_gb_s: best rates measured, by threads, see
                 `speed_host.Machine`
 records         a list, one per thing measured:
-  benchmark             expand, messages, replay, field or node
+  benchmark             expand, messages, guided, replay, field or node
   name                  what was measured
   n                     how many times
   mean_ms, median_ms, p95_ms, p99_ms, max_ms
@@ -54,7 +54,7 @@ from neo_ros.evaluation.speed_runtime import measure_expand, measure_messages, m
 from neo_ros.runtime import read_model_card
 
 SCHEMA_VERSION = 1
-TRAIN_EXTRA = ('scipy', 'torch')
+TRAIN_EXTRA = ('onnx', 'scipy', 'torch')
 
 
 def measure_field(machine: Machine, effort: Effort) -> Iterator[Record]:
@@ -62,17 +62,32 @@ def measure_field(machine: Machine, effort: Effort) -> Iterator[Record]:
     try:
         from neo_ros.evaluation import speed_field
     except ModuleNotFoundError as error:
-        if error.name not in TRAIN_EXTRA:
-            raise
-        yield Record('field', 'radiance field', skipped=(
-            f"{error.name} is not installed: pip install 'neo_ros[train]'"))
+        yield _without('field', error)
         return
     yield from speed_field.measure_field(machine, effort)
+
+
+def measure_guided(effort: Effort) -> Iterator[Record]:
+    """Time guided extrapolation; the train extra makes what is measured."""
+    try:
+        from neo_ros.evaluation import speed_guided
+    except ModuleNotFoundError as error:
+        yield _without('guided', error)
+        return
+    yield from speed_guided.measure_guided(effort)
+
+
+def _without(benchmark: str, error: ModuleNotFoundError) -> Record:
+    if error.name not in TRAIN_EXTRA:
+        raise error
+    return Record(benchmark, benchmark, skipped=(
+        f"{error.name} is not installed: pip install 'neo_ros[train]'"))
 
 
 BENCHMARKS: dict[str, Callable[[Path, Machine, Effort], Iterator[Record]]] = {
     'expand': measure_expand,
     'messages': lambda model, machine, effort: measure_messages(machine, effort),
+    'guided': lambda model, machine, effort: measure_guided(effort),
     'replay': lambda model, machine, effort: measure_replay(model, effort),
     'field': lambda model, machine, effort: measure_field(machine, effort),
     'node': measure_node,

@@ -12,6 +12,7 @@ from typing import Any
 
 from neo_ros.errors import NeoError
 from neo_ros.evaluation.speed_host import Machine
+from neo_ros.evaluation.speed_images import camera_images, walk_at_30_hz
 from neo_ros.evaluation.speed_model import count_flops, write_stand_in_model
 from neo_ros.evaluation.speed_record import Effort, Record, Work
 from neo_ros.evaluation.speed_runtime import size_name
@@ -26,7 +27,7 @@ STAGES = ('queue', 'decode', 'infer', 'check', 'publish', 'total')
 
 
 def measure_node(model: Path, machine: Machine, effort: Effort) -> Iterator[Record]:
-    """Run the node at 30 Hz with the given model, and with stand-ins of two more sizes."""
+    """Run the node at 30 Hz with the given model, with stand-ins of two sizes, and guided."""
     if find_spec('rclpy') is None:
         yield Record('node', 'node', skipped='rclpy is not installed')
         return
@@ -42,6 +43,18 @@ def measure_node(model: Path, machine: Machine, effort: Effort) -> Iterator[Reco
             record = measure_graph(stand_in, machine, effort)
         record.name = name
         yield record
+    name = f'{size_name(PAPER_VIEW)}, 30 Hz, guided'
+    try:
+        from neo_ros.evaluation.speed_guided import write_guided_stand_in
+    except ModuleNotFoundError as error:
+        yield Record('node', name, skipped=f'{error.name} is not installed: '
+                                           "pip install 'neo_ros[train]'")
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        model = write_guided_stand_in(Path(folder), PAPER_VIEW, walk_at_30_hz(effort.frames))
+        record = measure_graph(model, machine, effort)
+    record.name = name
+    yield record
 
 
 def measure_graph(model: Path, machine: Machine, effort: Effort) -> Record:
@@ -51,7 +64,7 @@ def measure_graph(model: Path, machine: Machine, effort: Effort) -> Record:
     The consumer subscribes to all four outputs. Raises NeoError where nothing comes back.
     """
     view = read_model_card(model).expansion
-    result = run_graph(model, view, effort.graph_s)
+    result = run_graph(model, camera_images(model, effort.frames), effort.graph_s)
     stamps, times = np.array(result['arrivals']).reshape(-1, 2).T
     if len(times) < 2:
         raise NeoError(f'node: expected {result["sent"]} wide images, got {len(times)}')
@@ -76,21 +89,22 @@ def measure_graph(model: Path, machine: Machine, effort: Effort) -> Record:
         Work(count_flops(model), model.stat().st_size + moved), machine, 0)
 
 
-def run_graph(model: Path, view: ViewExpansion, seconds: float,
+def run_graph(model: Path, images: np.ndarray, seconds: float,
               rate: float = RATE_HZ) -> dict[str, Any]:
     """Run node and camera probe for a while; return what the probe prints."""
     # Never within reach of a robot on the same network.
     environment = os.environ | {'ROS_DOMAIN_ID': str(1 + os.getpid() % 230),
                                 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
-    with tempfile.TemporaryFile('w+') as log:
+    with tempfile.TemporaryFile('w+') as log, tempfile.TemporaryDirectory() as folder:
+        np.save(Path(folder) / 'images.npy', images)
         node = subprocess.Popen(
             [sys.executable, '-m', 'neo_ros.node.main', '--ros-args',
              '-p', f'model:={model.resolve()}'], env=environment, stdout=log, stderr=log)
         try:
             probe = subprocess.run(
                 [sys.executable, '-m', 'neo_ros.node.camera_probe',
-                 '--width', str(view.source.width), '--height', str(view.source.height),
-                 '--rate', str(rate), '--seconds', str(seconds), '--pid', str(node.pid)],
+                 '--images', str(Path(folder) / 'images.npy'), '--rate', str(rate),
+                 '--seconds', str(seconds), '--pid', str(node.pid)],
                 env=environment, stdout=subprocess.PIPE, stderr=log, text=True,
                 timeout=seconds + 90, check=False)
             ended = node.poll()

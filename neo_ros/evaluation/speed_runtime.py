@@ -8,23 +8,23 @@ from types import SimpleNamespace
 
 from neo_ros.bags import replay, write_demo_bag
 from neo_ros.evaluation.speed_host import Machine
+from neo_ros.evaluation.speed_images import noise_image, SEED
 from neo_ros.evaluation.speed_model import count_flops
 from neo_ros.evaluation.speed_record import Effort, Record, time_calls, Work
-from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
+from neo_ros.geometry import CameraPose, ViewExpansion
 from neo_ros.messages import read_image
 from neo_ros.runtime import FovExtrapolator
 import numpy as np
 
-SEED = 0
 IMAGE_SIZE = (640, 480)
 ENCODINGS = {'rgb8': 3, 'bgr8': 3, 'bayer_rggb8': 1}
 
 
 def measure_expand(model: Path, machine: Machine, effort: Effort) -> Iterator[Record]:
-    """Time `FovExtrapolator.expand` with one thread and with all."""
+    """Time the network, `FovExtrapolator.expand` without a memory, with one thread and all."""
     flops, size = count_flops(model), model.stat().st_size
     for threads, name in ((1, '1 thread'), (0, 'all threads')):
-        extrapolator = FovExtrapolator.load(model, threads)
+        extrapolator = FovExtrapolator.load(model, threads, guided=False)
         view = extrapolator.expansion
         image = noise_image(view.source)
         wide = extrapolator.expand(image)
@@ -62,7 +62,7 @@ def measure_messages(machine: Machine, effort: Effort) -> Iterator[Record]:
 
 def measure_replay(model: Path, effort: Effort) -> Iterator[Record]:
     """Time `replay` of a bag against the extrapolator alone, which is timed before and after."""
-    extrapolator = FovExtrapolator.load(model)
+    extrapolator = FovExtrapolator.load(model, guided=False)
     view = extrapolator.expansion
     random = np.random.default_rng(SEED)
     shape = (view.target.height, view.target.width, 3)
@@ -88,11 +88,6 @@ def measure_replay(model: Path, effort: Effort) -> Iterator[Record]:
                            'share_of_model_rate': rate_hz / alone_hz})
     record.rate_hz = rate_hz
     yield record
-
-
-def noise_image(view: Intrinsics) -> np.ndarray:
-    """Return uint8 RGB (h, w, 3) of the camera's size, the same every time."""
-    return np.random.default_rng(SEED).integers(0, 256, (view.height, view.width, 3), np.uint8)
 
 
 def size_name(view: ViewExpansion) -> str:

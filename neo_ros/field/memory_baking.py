@@ -73,8 +73,11 @@ def bake_memory(field: RadianceField, photos: Photos, expansion: ViewExpansion,
         keyframes.append(_bake_keyframe(field, photos, seen, np.stack(gains), position, band,
                                         expansion.target.fx))
         progress(len(photos.images) + index + 1, total)
-    return SceneMemory.from_keyframes(
-        keyframes, band, _glances(keyframes, band, photos, expansion.source, sampler))
+    parts = (keyframe_glances(keyframes, band, expansion.source, _headings(sampler)),
+             _photo_glances(photos, expansion.source))
+    return SceneMemory.from_keyframes(keyframes, band, Glances(
+        np.concatenate([part.pictures for part in parts]),
+        np.concatenate([part.T_world_cam for part in parts])))
 
 
 def keyframe_positions(sampler: PoseSampler, photos: Photos, distance: float) -> np.ndarray:
@@ -98,11 +101,16 @@ def _gain(rendered: np.ndarray, photo: np.ndarray) -> np.ndarray:
     return np.clip(ratio, 0.5, 2).astype(np.float32)
 
 
+def keyframe_size(band: Band, focal: float) -> tuple[int, int, int]:
+    """Return rows and columns of a keyframe's mesh, and how many times finer its texture is."""
+    mesh = min(focal, MESH_FOCAL)
+    return (max(int((band.top - band.bottom) * mesh), 2), int(band.width * mesh),
+            max(round(TEXTURE * focal / mesh), 1))
+
+
 def _bake_keyframe(field: RadianceField, photos: Photos, seen: np.ndarray, gains: np.ndarray,
                    position: np.ndarray, band: Band, focal: float) -> Keyframe:
-    mesh = min(focal, MESH_FOCAL)
-    finer = max(round(TEXTURE * focal / mesh), 1)
-    width, height = int(band.width * mesh), max(int((band.top - band.bottom) * mesh), 2)
+    height, width, finer = keyframe_size(band, focal)
     rays = band.rays(height * finer, width * finer)
     rendering = render_rays(field, position, rays)
     depth = np.where(rendering.coverage > LEAST_COVERAGE, rendering.depth, 0).astype(np.float32)
@@ -121,33 +129,40 @@ def _bake_keyframe(field: RadianceField, photos: Photos, seen: np.ndarray, gains
     return Keyframe(position, np.median(blocks, axis=(1, 3)).astype(np.float32), texture)
 
 
-def _glances(keyframes: list[Keyframe], band: Band, photos: Photos, source: Intrinsics,
-             sampler: PoseSampler) -> Glances:
-    """Take small pictures at every keyframe in all directions, and of every photo."""
+def keyframe_glances(keyframes: list[Keyframe], band: Band, source: Intrinsics,
+                     rotations: list[np.ndarray]) -> Glances:
+    """Take small pictures at every keyframe with these rotations (3, 3), camera to world."""
     small = source.scaled(GLANCE_WIDTH / source.width)
     fine = small.scaled(4)
-    low, width = sampler.yaw_range
-    (pitch, roll), _ = sampler.pitch_roll
-    yaws = low + width * (np.arange(math.ceil(width / GLANCE_YAW)) + 0.5) / math.ceil(
-        width / GLANCE_YAW)
     pictures, poses = [], []
     for keyframe in keyframes:
-        for yaw in yaws:
+        for rotation in rotations:
             T = np.eye(4)
-            T[:3, :3] = rotation_from_angles(yaw, pitch, roll)
-            T[:3, 3] = keyframe.position
-            where = band.pixels(fine.pixel_rays() @ T[:3, :3].T, *keyframe.texture.shape[:2])
+            T[:3, :3], T[:3, 3] = rotation, keyframe.position
+            where = band.pixels(fine.pixel_rays() @ rotation.T, *keyframe.texture.shape[:2])
             cut = cv2.remap(keyframe.texture, where[..., 0], where[..., 1], cv2.INTER_LINEAR,
                             borderMode=cv2.BORDER_WRAP)
             pictures.append(glance(cut, small))
             poses.append(T)
+    return Glances(np.stack(pictures), np.stack(poses))
+
+
+def _photo_glances(photos: Photos, source: Intrinsics) -> Glances:
+    """Shrink the photos, each cut to the source view."""
+    small = source.scaled(GLANCE_WIDTH / source.width)
     left = (photos.intrinsics.width - source.width) // 2
     top = (photos.intrinsics.height - source.height) // 2
-    for image, T in zip(photos.images, photos.T_world_cam):
-        window = image[top:top + source.height, left:left + source.width]
-        pictures.append(glance(window, small))
-        poses.append(T)
-    return Glances(np.stack(pictures), np.stack(poses))
+    windows = photos.images[:, top:top + source.height, left:left + source.width]
+    return Glances(np.stack([glance(window, small) for window in windows]), photos.T_world_cam)
+
+
+def _headings(sampler: PoseSampler) -> list[np.ndarray]:
+    """Return rotations (3, 3) all over the sampler's headings, with its mean tilt."""
+    low, width = sampler.yaw_range
+    (pitch, roll), _ = sampler.pitch_roll
+    count = math.ceil(width / GLANCE_YAW)
+    return [rotation_from_angles(yaw, pitch, roll)
+            for yaw in low + width * (np.arange(count) + 0.5) / count]
 
 
 def glance(image: np.ndarray, small: Intrinsics) -> np.ndarray:

@@ -7,6 +7,7 @@ JSON object. `neo_ros.evaluation.speed_node` runs it.
 import argparse
 from array import array
 from collections.abc import Sequence
+import itertools
 import json
 import os
 from pathlib import Path
@@ -32,18 +33,22 @@ DRAIN_S = 1.5
 
 class CameraProbe:
     """
-    Publishes noise on `image` at a fixed rate and subscribes to everything the node offers.
+    Publishes on `image` at a fixed rate and subscribes to everything the node offers.
 
-    `arrivals` holds, per wide image, its stamp and when it came, both in nanoseconds; `beats`
-    when each diagnosis came, in seconds, and the memory of the process `pid` then, in MB.
+    images: uint8 RGB (N, h, w, 3), sent to and fro. `arrivals` holds, per wide image, its stamp
+    and when it came, both in nanoseconds; `beats` when each diagnosis came, in seconds, and the
+    memory of the process `pid` then, in MB.
     """
 
-    def __init__(self, width: int, height: int, pid: int) -> None:
+    def __init__(self, images: np.ndarray, pid: int) -> None:
         self._pid = pid
         self._node = rclpy.create_node('camera_probe')
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
-        self._message = _noise_message(width, height)
+        self._message = Image(**image_fields(images[0]))
+        self._message.header.frame_id = 'camera_optical_frame'
+        self._images = itertools.cycle(
+            [array('B', image.tobytes()) for image in (*images, *images[-2:0:-1])])
         self._camera = self._node.create_publisher(Image, 'image', QoSProfile(depth=1))
         self.sent: list[int] = []
         self.arrivals: list[tuple[int, int]] = []
@@ -80,6 +85,7 @@ class CameraProbe:
 
     def _send(self) -> None:
         now = time.time_ns()
+        self._message.data = next(self._images)
         self._message.header.stamp = Time(nanoseconds=now).to_msg()
         self._camera.publish(self._message)
         self.sent.append(now)
@@ -102,14 +108,13 @@ class CameraProbe:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measure once and print the result."""
     parser = argparse.ArgumentParser(description=main.__doc__)
-    for name, kind in (('width', int), ('height', int), ('rate', float), ('seconds', float),
-                       ('pid', int)):
+    for name, kind in (('images', Path), ('rate', float), ('seconds', float), ('pid', int)):
         parser.add_argument(f'--{name}', type=kind, required=True)
     options = parser.parse_args(arguments)
     use_large_image_profile()
     rclpy.init(args=[])
     try:
-        probe = CameraProbe(options.width, options.height, options.pid)
+        probe = CameraProbe(np.load(options.images), options.pid)
         print(json.dumps(_measure(probe, options)))
     except TimeoutError as error:
         sys.exit(str(error))
@@ -130,13 +135,6 @@ def _measure(probe: CameraProbe, options: argparse.Namespace) -> dict[str, Any]:
     return {'sent': len(sent), 'arrivals': [pair for pair in probe.arrivals if pair[0] in sent],
             'cpu_percent': 100 * cpu / wall, 'rss_mb': rss_mb, 'beats': beats,
             'diagnostics': probe.stages}
-
-
-def _noise_message(width: int, height: int) -> Image:
-    image = np.random.default_rng(0).integers(0, 256, (height, width, 3), np.uint8)
-    message = Image(**(image_fields(image) | {'data': array('B', image.tobytes())}))
-    message.header.frame_id = 'camera_optical_frame'
-    return message
 
 
 def _cpu_seconds(pid: int) -> float:

@@ -1,0 +1,114 @@
+"""
+What happens where the camera contradicts what the model remembers: the flat with chairs moved.
+
+    python -m neo_ros.evaluation.changed_scene models/demo_flat.onnx
+
+Renders the test walks before and after somebody moved four chairs and widens both. Prints, over
+the frames in which a change crosses the border of the camera's view: whether the pose holds, and
+whether the confidence falls where the wide image is now wrong.
+"""
+from dataclasses import asdict, dataclass
+import json
+from pathlib import Path
+import sys
+
+from neo_ros.geometry import CameraPose
+from neo_ros.runtime import FovExtrapolator
+from neo_ros.scenes.demo_flat import (
+    build_demo_flat, DemoFlat, MOVED_CHAIRS, walking_paths, with_chairs_moved)
+import numpy as np
+from scipy.stats import rankdata
+
+CHANGED = 25.0      # grey levels, mean of the channels: more is another thing, not another shade
+NEAR_SEAM = 0.125   # of the camera's width: how far from the seam the ring is looked at
+LEAST_PIXELS = 8    # that a change has at either side of the seam
+NEAREST = 0.8       # metres that the camera keeps off a moved chair
+
+
+@dataclass(frozen=True)
+class ChangeScores:
+    """
+    Means over the frames with a change across the seam.
+
+    guided: share of the frames. unchanged_psnr: of the ring where nothing changed, dB, before
+    and after. confidence: 0 ... 255 in the changed part of the ring near the seam, before and
+    after. auroc: how well the confidence tells changed from unchanged pixels there.
+    """
+
+    frames: int
+    guided: float
+    unchanged_psnr: tuple[float, float]
+    confidence: tuple[float, float]
+    auroc: float
+
+
+def score_change(extrapolator: FovExtrapolator, walks: list[list[CameraPose]]) -> ChangeScores:
+    """Widen the walks before and after the chairs are moved; ValueError where none is crossed."""
+    before = build_demo_flat()
+    after = with_chairs_moved(before)
+    pairs = list(zip(_walk(extrapolator, before, walks), _walk(extrapolator, after, walks)))
+    expansion = extrapolator.expansion
+    ring = expansion.extrapolated_mask
+    near = _near_seam(expansion.observed, ring.shape, NEAR_SEAM * expansion.source.width)
+    rows, ranked = [], []
+    for (truth, wide, sure, _), (new_truth, new_wide, new_sure, guided) in pairs:
+        changed = np.abs(new_truth.astype(float) - truth).mean(-1) > CHANGED
+        sides = (changed & near & ring, changed & near & ~ring)
+        if min(side.sum() for side in sides) < LEAST_PIXELS:
+            continue
+        outside, same = sides[0], ring & ~changed
+        rows.append((guided, _psnr(truth, wide, same), _psnr(new_truth, new_wide, same),
+                     sure[outside].mean(), new_sure[outside].mean()))
+        ranked.append(_auroc(255.0 - new_sure[outside], 255.0 - new_sure[near & same]))
+    if not rows:
+        raise ValueError('walks: no frame shows a moved chair across the border of its view')
+    guided, psnr_before, psnr_after, sure_before, sure_after = np.mean(rows, 0).tolist()
+    return ChangeScores(len(rows), guided, (psnr_before, psnr_after), (sure_before, sure_after),
+                        float(np.mean(ranked)))
+
+
+def _walk(extrapolator: FovExtrapolator, flat: DemoFlat, walks: list[list[CameraPose]]
+          ) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, bool]]:
+    """Return truth, wide image, confidence and whether it was guided, of all frames in order."""
+    moved = np.array([np.add(place, by) for place, _, by in MOVED_CHAIRS])
+    frames = []
+    for walk in walks:
+        extrapolator.reset()
+        for pose in walk:
+            if np.linalg.norm(moved - pose.position[:2], axis=1).min() < NEAREST:
+                continue
+            truth = flat.render(extrapolator.expansion.target, pose)[0]
+            wide = extrapolator.expand(np.ascontiguousarray(extrapolator.expansion.crop(truth)))
+            frames.append((truth, wide.wide_image, wide.confidence, wide.guided))
+    return frames
+
+
+def _near_seam(observed: tuple[slice, slice], shape: tuple[int, ...], reach: float) -> np.ndarray:
+    """Return which pixels, bool (H, W), lie within `reach` of the border of the observed part."""
+    rows, columns = np.indices(shape)
+    distances = []
+    for index, span in ((rows, observed[0]), (columns, observed[1])):
+        distances.append(np.maximum(span.start - index, index - (span.stop - 1)))
+    return np.abs(np.maximum(*distances)) <= reach
+
+
+def _psnr(truth: np.ndarray, image: np.ndarray, where: np.ndarray) -> float:
+    error = (truth[where].astype(float) - image[where]) / 255
+    return float(-10 * np.log10(np.mean(error ** 2)))
+
+
+def _auroc(positive: np.ndarray, negative: np.ndarray) -> float:
+    """Return the probability that a positive is above a negative, ties count half."""
+    ranks = rankdata(np.concatenate([positive, negative]))[:len(positive)]
+    return float((ranks.mean() - (len(positive) + 1) / 2) / len(negative))
+
+
+def main() -> None:
+    """Score the model of the command line and print JSON."""
+    extrapolator = FovExtrapolator.load(Path(sys.argv[1]))
+    scores = score_change(extrapolator, walking_paths(build_demo_flat(), 8, 25, 0))
+    print(json.dumps(asdict(scores), indent=1))
+
+
+if __name__ == '__main__':
+    main()

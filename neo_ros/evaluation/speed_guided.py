@@ -1,0 +1,116 @@
+"""
+Speed of guided extrapolation, with a memory of the demo flat that is exact instead of trained.
+
+So any size can be measured without a training: what counts for the time is how many keyframes of
+how many pixels are drawn and aligned, not where their colours came from.
+"""
+from collections.abc import Iterator, Sequence
+import math
+from pathlib import Path
+import tempfile
+import time
+
+import cv2
+from neo_ros.evaluation.speed_images import walk_at_30_hz
+from neo_ros.evaluation.speed_model import write_stand_in_model
+from neo_ros.evaluation.speed_record import Effort, Record, time_calls
+from neo_ros.field.memory_baking import keyframe_glances, keyframe_size
+from neo_ros.field.panorama import view_band
+from neo_ros.geometry import Band, CameraPose, Intrinsics, ViewExpansion
+from neo_ros.memory.scene_memory import Keyframe, SceneMemory
+from neo_ros.runtime import FovExtrapolator, read_model_card
+from neo_ros.runtime.model_card import MemoryFile, write_model_card
+from neo_ros.scenes.demo_flat import build_demo_flat, DemoFlat
+import numpy as np
+
+SMALL_VIEW = ViewExpansion.to_size(Intrinsics.from_hfov(128, 128, np.pi / 2), 256, 256)
+PAPER_VIEW = ViewExpansion.to_size(Intrinsics.from_hfov(256, 256, np.pi / 2), 512, 512)
+KEYFRAME_EVERY = 0.5  # metres: no place of the walk is farther than 0.3 from a keyframe
+SIDES = 8             # pinhole views that a panorama is put together from
+
+
+def measure_guided(effort: Effort, views: Sequence[ViewExpansion] = (SMALL_VIEW, PAPER_VIEW),
+                   ) -> Iterator[Record]:
+    """Time `expand` with a memory: for a camera that is followed, and one that is found anew."""
+    poses = walk_at_30_hz(effort.frames)
+    for view in views:
+        source, target = view.source, view.target
+        name = f'{source.width}x{source.height} to {target.width}x{target.height}'
+        with tempfile.TemporaryDirectory() as folder:
+            extrapolator = FovExtrapolator.load(write_guided_stand_in(Path(folder), view, poses))
+        images = [build_demo_flat().render(view.source, pose)[0] for pose in poses]
+        yield Record.of('guided', f'{name}, followed', *_follow(extrapolator, images))
+
+        def find() -> None:
+            extrapolator.reset()
+            extrapolator.expand(images[-1])
+
+        yield Record.of('guided', f'{name}, found anew', time_calls(find, effort.seconds))
+
+
+def write_guided_stand_in(folder: Path, view: ViewExpansion, poses: Sequence[CameraPose]) -> Path:
+    """
+    Write a model with random weights and an exact memory of the demo flat around level poses.
+
+    Returns the model's path. Needs the onnx package.
+    """
+    flat = build_demo_flat()
+    band = view_band(view.target, poses[0].T_world_cam[None, :3, :3], (-np.pi, 2 * np.pi))
+    keyframes: list[Keyframe] = []
+    for pose in poses:
+        if all(np.linalg.norm(keyframe.position - pose.position) > KEYFRAME_EVERY
+               for keyframe in keyframes):
+            keyframes.append(exact_keyframe(flat, pose.position, band, view.target.fx))
+    headings = [level_pose(np.zeros(3), yaw).T_world_cam[:3, :3]
+                for yaw in np.arange(24) * np.pi / 12]
+    memory = SceneMemory.from_keyframes(
+        keyframes, band, keyframe_glances(keyframes, band, view.source, headings))
+    model = write_stand_in_model(folder / 'stand_in.onnx', view)
+    file = MemoryFile(file='stand_in.memory', sha256=memory.write(folder / 'stand_in.memory'))
+    write_model_card(model, read_model_card(model).model_copy(
+        update={'memory': file, 'scene_id': 'demo_flat'}))
+    return model
+
+
+def exact_keyframe(flat: DemoFlat, position: np.ndarray, band: Band, focal: float) -> Keyframe:
+    """Cast the panorama that a perfect field would give, of the size that `neo train` takes."""
+    height, width, finer = keyframe_size(band, focal)
+    rays = band.rays(height * finer, width * finer)
+    texture = np.zeros(rays.shape, np.uint8)
+    depth = np.zeros(rays.shape[:2], np.float32)
+    # A little wider than its share of the circle, and as high as the band.
+    half = math.tan(math.pi / SIDES) * 1.02
+    rise = math.tan(max(abs(band.top), abs(band.bottom))) * 1.02
+    scale = finer * min(focal, height / (band.top - band.bottom))
+    side = Intrinsics(math.ceil(2 * half * scale), math.ceil(2 * rise * scale), scale, scale,
+                      half * scale, rise * scale)
+    for number in range(SIDES):
+        pose = level_pose(position, 2 * math.pi * number / SIDES)
+        image, z = flat.render(side, pose)
+        local = rays @ pose.T_world_cam[:3, :3].astype(np.float32)
+        ahead = np.maximum(local[..., 2], 1e-6)
+        mine = np.abs(local[..., 0]) <= half * local[..., 2]
+        columns = (local[..., 0] / ahead + half) * scale - 0.5
+        rows = (local[..., 1] / ahead + rise) * scale - 0.5
+        texture[mine] = cv2.remap(image, columns, rows, cv2.INTER_LINEAR)[mine]
+        depth[mine] = (cv2.remap(z, columns, rows, cv2.INTER_NEAREST) / ahead)[mine]
+    blocks = depth.reshape(height, finer, width, finer)
+    return Keyframe(position, np.median(blocks, axis=(1, 3)).astype(np.float32), texture)
+
+
+def _follow(extrapolator: FovExtrapolator, images: Sequence[np.ndarray]
+            ) -> tuple[list[float], dict[str, float]]:
+    """Return the milliseconds of every image but the first, and the share that was guided."""
+    extrapolator.expand(images[0])
+    durations, guided = [], []
+    for image in images[1:]:
+        started = time.perf_counter()
+        guided.append(extrapolator.expand(image).guided)
+        durations.append(1e3 * (time.perf_counter() - started))
+    return durations, {'guided': float(np.mean(guided))}
+
+
+def level_pose(position: np.ndarray, yaw: float) -> CameraPose:
+    """Return the pose of a level camera at (3,) metres, yaw in radians."""
+    x, y, z = position.tolist()
+    return CameraPose.from_planar(x, y, z, yaw)

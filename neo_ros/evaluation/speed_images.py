@@ -1,0 +1,38 @@
+"""The images that a model is measured with: what its camera would see, as far as that is known."""
+import math
+from pathlib import Path
+
+from neo_ros.geometry import CameraPose, Intrinsics
+from neo_ros.runtime import read_model_card
+from neo_ros.scenes.demo_flat import build_demo_flat, walking_paths
+import numpy as np
+
+SEED = 0
+# The walks of the demo flat have 6 frames a second; so they have 30.
+FINER = 5
+
+
+def noise_image(view: Intrinsics) -> np.ndarray:
+    """Return uint8 RGB (h, w, 3) of the camera's size, the same every time."""
+    return np.random.default_rng(SEED).integers(0, 256, (view.height, view.width, 3), np.uint8)
+
+
+def camera_images(model: Path, frames: int) -> np.ndarray:
+    """
+    Return uint8 RGB (N, h, w, 3) of the size that a model takes.
+
+    For a model with a memory of the demo flat a walk through it at 30 Hz; else one noise image.
+    """
+    card = read_model_card(model)
+    view = card.expansion.source
+    if card.memory is None or card.scene_id != 'demo_flat':
+        return noise_image(view)[None]
+    flat = build_demo_flat()
+    return np.stack([flat.render(view, pose)[0] for pose in walk_at_30_hz(frames)])
+
+
+def walk_at_30_hz(frames: int) -> list[CameraPose]:
+    """Return `frames` poses of a robot that walks through the demo flat at 0.5 m/s."""
+    poses = walking_paths(build_demo_flat(), 1, math.ceil(frames / FINER) + 1, SEED)[0]
+    return [poses[index // FINER].interpolated(poses[index // FINER + 1], index % FINER / FINER)
+            for index in range(frames)]
