@@ -38,6 +38,7 @@ SCENE = 'demo_flat'
 # A walk of its own: neither the test frames' seed nor a training pose.
 WALK_SEED = 2026
 WIDE_TOPIC = '/camera/wide/image'
+DISCOVERY_S = 2.0
 OTHER_TOPICS = ('/camera/wide/mask', '/camera/wide/confidence', '/camera/wide/camera_info')
 
 
@@ -149,7 +150,9 @@ class _Graph:
 
     def play(self, bag: Path, subscribers: int) -> None:
         """Play a bag to its end; raises NeoError if a process of the graph has failed."""
-        command = ['play', str(bag), '--wait-for-subscribers', str(subscribers)]
+        # The node widens only for subscribers: its outputs must have been discovered, too.
+        command = ['play', str(bag), '--wait-for-subscribers', str(subscribers),
+                   '--delay', str(DISCOVERY_S)]
         with self.process('player', command) as player:
             player.wait(timeout=300)
             codes = {name: process.poll() for name, process in self._running.items()}

@@ -112,3 +112,16 @@ def test_what_is_no_pose(matrix: np.ndarray, message: str) -> None:
 def test_what_is_no_quaternion(quaternion: tuple[float, ...]) -> None:
     with pytest.raises(GeometryError, match='quaternion: expected a unit'):
         CameraPose.from_quaternion(np.zeros(3), np.array(quaternion))
+
+
+def test_the_nearest_pose_mends_a_rotation_that_has_drifted() -> None:
+    pose = CameraPose.from_planar(1.0, 2.0, 1.5, 0.7)
+    drifted = pose.T_world_cam + np.pad(np.full((3, 3), 0.004), ((0, 1), (0, 1)))
+    with pytest.raises(GeometryError):
+        CameraPose(drifted)
+    mended = CameraPose.nearest(drifted)
+    np.testing.assert_allclose(mended.T_world_cam, pose.T_world_cam, atol=0.01)
+    R = mended.T_world_cam[:3, :3]
+    np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(CameraPose.nearest(pose.T_world_cam).T_world_cam,
+                               pose.T_world_cam, atol=1e-12)

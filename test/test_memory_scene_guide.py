@@ -69,6 +69,15 @@ def test_a_camera_is_found_anywhere_and_followed() -> None:
         assert np.abs(found.image - wide)[ring].mean() < 5
 
 
+def test_a_camera_is_followed_for_a_long_time() -> None:
+    guide = SceneGuide(MEMORY, EXPANSION)
+    for step in range(150):
+        phase = step / 12
+        pose = planar(1.9 + 0.3 * np.sin(phase), 1.7 + 0.2 * np.sin(2 * phase), 30 * phase)
+        found = guide.guide(photo_at(pose))
+        assert found is not None and apart(found.pose, pose)[0] < 0.03, step
+
+
 def test_a_kidnapped_camera_is_found_again() -> None:
     guide = SceneGuide(MEMORY, EXPANSION)
     assert guide.guide(photo_at(planar(1.4, 1.5, 20))) is not None

@@ -15,6 +15,9 @@ def play(
         help='Play this topic only; may be given several times.')] = None,
     wait_for_subscribers: Annotated[int, typer.Option(
         help='Wait until the topics have so many subscriptions in total.', min=0)] = 0,
+    delay: Annotated[float, typer.Option(
+        help='Wait so many seconds more before playing: for subscribers of subscribers.', min=0,
+    )] = 0.0,
 ) -> None:
     """
     Publish a bag over ROS 2 with its timing.
@@ -33,6 +36,7 @@ def play(
         if wait_for_subscribers:
             typer.echo(f'waiting for {wait_for_subscribers} subscriptions')
             player.wait_for_subscribers(wait_for_subscribers, stop)
+        stop.wait(delay)
         while not stop.is_set():
             played = player.play(stop, rate)
             typer.echo(f'played {played.messages} messages in {played.seconds:.1f} s')

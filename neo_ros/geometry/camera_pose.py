@@ -99,6 +99,18 @@ class CameraPose:
         T[:3, 3] = -R.T @ t
         return T
 
+    @classmethod
+    def nearest(cls, matrix: np.ndarray) -> 'CameraPose':
+        """
+        Return the pose nearest to a (4, 4) matrix whose rotation is not quite one (Frobenius).
+
+        For chains of products: rounding grows in them, because the inverse takes transposes.
+        """
+        U, _, Vt = np.linalg.svd(matrix[:3, :3])
+        T = matrix.copy()
+        T[:3, :3] = U @ np.diag([1, 1, np.linalg.det(U @ Vt)]) @ Vt
+        return cls(T)
+
     def interpolated(self, other: 'CameraPose', fraction: float) -> 'CameraPose':
         """Return the pose at `fraction` in [0, 1] of the way to `other`: lerp and slerp."""
         R0, R1 = self.T_world_cam[:3, :3], other.T_world_cam[:3, :3]

@@ -65,7 +65,7 @@ class Aligner:
                 T, gain, bias = self._align_level(
                     level, photo[level], greys[level], self._depth(guide, level), T, gain, bias,
                     near)
-            pose = CameraPose(pose.T_world_cam @ np.linalg.inv(T))
+            pose = CameraPose.nearest(pose.T_world_cam @ np.linalg.inv(T))
             coarsest = min(coarsest, 1)
         return pose
 
