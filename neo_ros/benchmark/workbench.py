@@ -30,7 +30,7 @@ FIELD_SHARE = 0.25           # of the training time that goes to the field
 LEAST_NETWORK_SHARE = 0.5    # that the network has, however long the field took
 # A trial tells how long a step takes. With fewer steps a field is fog, so it has as many at least;
 # where there is no time for a trial they must do.
-TRIAL_STEPS, TIMED_STEPS, LEAST_TRIAL_SECONDS = 300, 100, 120.0
+TRIAL_STEPS, TIMED_STEPS, LEAST_TRIAL_SECONDS = 300, 100, 60.0
 
 
 @dataclass(frozen=True)

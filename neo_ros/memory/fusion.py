@@ -32,15 +32,11 @@ def fuse(image: np.ndarray, guide: Guide, network_image: np.ndarray | None,
     """
     rows, columns = expansion.observed
     inside = guide.known[rows, columns]
-    difference = np.zeros((*inside.shape, 4), np.float32)
-    difference[..., :3] = image.astype(np.float32) - guide.image[rows, columns]
-    difference[..., 3] = np.abs(difference[..., :3]).mean(-1)
-    np.clip(difference[..., :3], -MOST_HEALED, MOST_HEALED, out=difference[..., :3])
-    carried, weight = _carried_outward(difference * inside[..., None], inside, expansion)
-    # Far from the seam nothing is known of the difference: the correction fades, the error stays.
-    nearness = np.minimum(weight, 1)[..., None]
-    wide = np.clip(guide.image + carried[..., :3] * nearness + 0.5, 0, 255).astype(np.uint8)
-    error = np.maximum(carried[..., 3] / 255, LEAST_ERROR) + STRETCHED * guide.stretched
+    difference = cv2.subtract(image, guide.image[rows, columns], dtype=cv2.CV_32F)
+    correction, error = _carried_outward(difference, inside.astype(np.float32), expansion)
+    wide = cv2.add(guide.image, correction, dtype=cv2.CV_8U)
+    error = np.maximum(error / 255, np.float32(LEAST_ERROR))
+    error[guide.stretched] += STRETCHED
     if network_image is not None:
         wide[~guide.known] = network_image[~guide.known]
         error[~guide.known] = np.nan
@@ -49,21 +45,25 @@ def fuse(image: np.ndarray, guide: Guide, network_image: np.ndarray | None,
         error[~guide.known] = GAP_ERROR
     wide[rows, columns] = image
     error[rows, columns] = 0
-    return wide, error.astype(np.float32)
+    return wide, error
 
 
 def _carried_outward(difference: np.ndarray, inside: np.ndarray, expansion: ViewExpansion
                      ) -> tuple[np.ndarray, np.ndarray]:
     """
-    Spread values (h, w, C) of the observed window smoothly over the wide view.
+    Spread the differences float32 (h, w, 3) of the observed window smoothly over the wide view.
 
-    Returns (H, W, C), everywhere a mean of the nearest values, and a weight (H, W) that falls
-    from about 1 at the seam to 0 far from it.
+    inside float32 (h, w) weighs them. Returns what is to be added to the guide, float32
+    (H, W, 3): the mean of the nearest differences, fading with the distance from the seam; and
+    the mean of the nearest absolute differences, float32 (H, W), which does not fade.
     """
     target = expansion.target
-    layers = np.zeros((target.height, target.width, difference.shape[-1] + 1), np.float32)
-    layers[expansion.observed][..., :-1] = difference
-    layers[expansion.observed][..., -1] = inside
+    layers = np.zeros((target.height, target.width, 5), np.float32)
+    window = layers[expansion.observed]
+    magnitude = cv2.transform(np.abs(difference), np.full((1, 3), 1 / 3, np.float32))
+    np.clip(difference, -MOST_HEALED, MOST_HEALED, out=window[..., :3])
+    window[..., 3], window[..., 4] = magnitude, 1
+    window *= inside[..., None]
     small = (max(target.width // BLOCK, 2), max(target.height // BLOCK, 2))
     coarse = cv2.resize(layers, small, interpolation=cv2.INTER_AREA)
     spread = cv2.GaussianBlur(coarse, (0, 0), REACH * small[0] / 2)
@@ -71,9 +71,11 @@ def _carried_outward(difference: np.ndarray, inside: np.ndarray, expansion: View
     everywhere = cv2.GaussianBlur(coarse, (0, 0), small[0] / 4) + coarse.mean((0, 1)) * 1e-3
     total = spread + 1e-3 * everywhere
     mean = total[..., :-1] / np.maximum(total[..., -1:], 1e-9)
+    # Far from the seam nothing is known of the difference: the correction fades, the error stays.
+    mean[..., :3] *= np.minimum(2 * spread[..., -1:], 1)
     full = (target.width, target.height)
-    return (cv2.resize(mean, full, interpolation=cv2.INTER_LINEAR),
-            cv2.resize(2 * spread[..., -1], full, interpolation=cv2.INTER_LINEAR))
+    return (cv2.resize(mean[..., :3], full, interpolation=cv2.INTER_LINEAR),
+            cv2.resize(mean[..., 3], full, interpolation=cv2.INTER_LINEAR))
 
 
 def _filled(image: np.ndarray, known: np.ndarray) -> np.ndarray:

@@ -18,8 +18,9 @@ LEAST_AGREEMENT = 0.85
 # 40 % of the held-out photos hidden it is 0.98 and more.
 LEAST_PARTIAL = 0.97
 EXPECTED_METRES, EXPECTED_COSINE = 0.15, 0.99
-# A search takes as long as ten frames: while it finds nothing, it is tried every so many frames.
-SEARCH_EVERY = 5
+# A search takes as long as several frames: a lost camera is searched for every so many frames, one
+# whose pose is believed, but not sure, now and then.
+SEARCH_EVERY, DOUBT_EVERY = 5, 30
 # Keyframes that are drawn.
 SHOWN = 3
 # Places that a lost camera is compared with closely, and how far apart they are at least.
@@ -86,11 +87,8 @@ class SceneGuide:
         set_num_threads(self._threads)
         photo = self.aligner.pyramid(image)
         best = self._track(photo)
-        # A camera that has just been lost is searched for at once.
-        slipped = best is not None and not best.believed
         self._since_search += 1
-        if (best is None or best.agreement < SURE) and (
-                slipped or self._since_search >= SEARCH_EVERY):
+        if self._search_is_due(best):
             self._since_search = 0
             best = better(best, self._search(image, photo))
         if best is None or not best.believed:
@@ -102,6 +100,13 @@ class SceneGuide:
         known = best.view.depth > 0
         return Guide(self._expose(best.view.image, known, image), known, best.view.stretched,
                      best.pose, best.agreement)
+
+    def _search_is_due(self, best: Sight | None) -> bool:
+        if best is None:
+            return self._since_search >= SEARCH_EVERY
+        if not best.believed:
+            return True  # Just lost.
+        return best.agreement < SURE and self._since_search >= DOUBT_EVERY
 
     def warm_up(self) -> None:
         """Compile what is compiled at first use, which takes seconds on a new machine."""
@@ -171,9 +176,9 @@ class SceneGuide:
     def _expose(self, guide: np.ndarray, known: np.ndarray, image: np.ndarray) -> np.ndarray:
         """Give the guide the brightness and colour balance of the image."""
         rows, columns = self.expansion.observed
-        seen = known[rows, columns]
-        inside = guide[rows, columns][seen]
-        gain = np.clip(image[seen].mean(0) / np.maximum(inside.mean(0), 1), 0.5, 2)
+        seen = known[rows, columns].astype(np.uint8)
+        inside = np.array(cv2.mean(guide[rows, columns], seen)[:3])
+        gain = np.clip(np.array(cv2.mean(image, seen)[:3]) / np.maximum(inside, 1), 0.5, 2)
         return guide * gain.astype(np.float32)
 
 
