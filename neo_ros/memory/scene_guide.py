@@ -57,6 +57,10 @@ class Sight:
     agreement: float
     believed: bool
 
+    def rank(self) -> tuple[bool, float]:
+        """Return what tells the better of two sights."""
+        return self.believed, self.agreement
+
 
 class SceneGuide:
     """
@@ -86,15 +90,16 @@ class SceneGuide:
         """Find the pose of an image, uint8 RGB (h, w, 3), and draw the wide view; None if lost."""
         set_num_threads(self._threads)
         photo = self.aligner.pyramid(image)
-        best = self._track(photo)
+        # Whatever goes wrong with this image, the next one starts anew.
+        last, self._last = self._last, None
+        best = self._track(photo, last) if last is not None else None
         self._since_search += 1
         if self._search_is_due(best):
             self._since_search = 0
             best = better(best, self._search(image, photo))
         if best is None or not best.believed:
-            self._last = None
             return None
-        self._motion = (self._last.inverse() @ best.pose.T_world_cam if self._last is not None
+        self._motion = (last.inverse() @ best.pose.T_world_cam if last is not None
                         else np.eye(4))
         self._last = best.pose
         known = best.view.depth > 0
@@ -116,15 +121,14 @@ class SceneGuide:
         self.aligner.align(photo, pose, rounds=1)
         self.reset()
 
-    def _track(self, photo: list[np.ndarray]) -> Sight | None:
+    def _track(self, photo: list[np.ndarray], last: CameraPose) -> Sight:
         """Begin where a camera in steady motion would be now; if it is not there, where it was."""
-        if self._last is None:
-            return None
-        expected = CameraPose(self._last.T_world_cam @ self._motion)
+        expected = CameraPose(last.T_world_cam @ self._motion)
         found = self._look(photo, self.aligner.align(photo, expected, 1, near=True), expected)
         if found.agreement >= SURE or found.believed:
             return found
-        return better(found, self._look(photo, self.aligner.align(photo, self._last, 3)))
+        again = self._look(photo, self.aligner.align(photo, last, 3))
+        return max(found, again, key=Sight.rank)
 
     def _look(self, photo: list[np.ndarray], pose: CameraPose,
               expected: CameraPose | None = None) -> Sight:
@@ -186,7 +190,7 @@ def better(one: Sight | None, other: Sight | None) -> Sight | None:
     """Return the sight that is believed, or else the one that agrees more with the image."""
     if one is None or other is None:
         return one or other
-    return max(one, other, key=lambda sight: (sight.believed, sight.agreement))
+    return max(one, other, key=Sight.rank)
 
 
 def normalized(pictures: np.ndarray) -> np.ndarray:
