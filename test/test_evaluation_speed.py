@@ -217,4 +217,4 @@ def test_the_command_shows_a_table_and_writes_the_file(tmp_path):
     records = json.loads(out.read_text())['records']
     assert len(records) == 4
     assert all(f'{record["median_ms"]:.3g}' in result.output for record in records)
-    assert set(BENCHMARKS) == {'expand', 'messages', 'replay', 'field', 'node'}
+    assert set(BENCHMARKS) == {'expand', 'messages', 'guided', 'replay', 'field', 'node'}
