@@ -140,6 +140,15 @@ def test_a_bag_of_the_scene_is_replayed_with_its_model(
         [frame['ring_psnr'] for frame in frames[:3]])
 
 
+def test_inspect_checks_the_scene_memory(tiny_run: TrainingRun, tmp_path: Path) -> None:
+    shown = CliRunner().invoke(app, ['inspect', str(tiny_run.model_path)], env={'COLUMNS': '200'})
+    assert shown.exit_code == 0 and 'scene.memory: ' in shown.output
+    alone = tmp_path / 'scene.onnx'
+    alone.write_bytes(tiny_run.model_path.read_bytes())
+    missing = CliRunner().invoke(app, ['inspect', str(alone)])
+    assert 'keep it beside the model' in str(missing.exception)
+
+
 def test_bags_need_test_frames_and_a_free_place(
         tiny_run: TrainingRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
         capsys: pytest.CaptureFixture[str]) -> None:

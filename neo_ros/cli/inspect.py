@@ -40,6 +40,13 @@ def inspect(
     table.add_row('arithmetic', f'{gflop:.2f} GFLOP per image' if gflop else
                   'not known: the card does not say, and counting needs the package onnx')
     table.add_row('file size', f'{model.stat().st_size / 1e6:.2f} MB')
+    if extrapolator.card.memory is not None:
+        from neo_ros.memory.scene_memory import SceneMemory
+
+        path = model.with_name(extrapolator.card.memory.file)
+        memory = SceneMemory.read(path, extrapolator.card.memory.sha256)
+        table.add_row('scene memory', f'{escape(path.name)}: {len(memory.positions)} keyframes, '
+                      f'{path.stat().st_size / 1e6:.2f} MB')
     table.add_row('time per image', f'{statistics.median(milliseconds):.2f} ms '
                   f'(network alone, median of {TIMED_RUNS}, CPU, {threads or "all"} threads)')
     rich.print(table)
