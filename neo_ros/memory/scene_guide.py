@@ -18,8 +18,8 @@ LEAST_AGREEMENT = 0.85
 # 40 % of the held-out photos hidden it is 0.98 and more.
 LEAST_PARTIAL = 0.97
 EXPECTED_METRES, EXPECTED_COSINE = 0.15, 0.99
-# A search takes as long as several frames: a camera that is lost, or whose pose is believed, but not
-# sure, is searched for every so many frames.
+# A search takes as long as several frames: a camera that is lost, or whose pose is believed, but
+# not sure, is searched for every so many frames.
 SEARCH_EVERY = 5
 # Keyframes that are drawn.
 SHOWN = 3
