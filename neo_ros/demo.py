@@ -38,7 +38,7 @@ SCENE = 'demo_flat'
 # A walk of its own: neither the test frames' seed nor a training pose.
 WALK_SEED = 2026
 WIDE_TOPIC = '/camera/wide/image'
-DISCOVERY_S = 2.0
+DISCOVERY_S = 4.0
 OTHER_TOPICS = ('/camera/wide/mask', '/camera/wide/confidence', '/camera/wide/camera_info')
 
 
