@@ -14,7 +14,6 @@ import os
 from pathlib import Path
 import re
 import shutil
-import signal
 import subprocess
 import sys
 import time
@@ -25,6 +24,7 @@ from neo_ros.bags.demo_bag import IMAGE_TOPIC, TRUTH_TOPIC, write_demo_bag
 from neo_ros.errors import BagError, ModelError, NeoError
 from neo_ros.evaluation.metrics import score_frame
 from neo_ros.evaluation.output import make_output_folder, write_bytes
+from neo_ros.evaluation.processes import end_process
 from neo_ros.evaluation.report import Table, Text, write_report
 from neo_ros.evaluation.strips import frame_strip, Strip, write_strip_png
 from neo_ros.geometry import ViewExpansion
@@ -172,12 +172,7 @@ class _Graph:
             yield process
         finally:
             del self._running[name]
-            process.send_signal(signal.SIGINT)
-            try:
-                process.wait(timeout=10)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+            end_process(process)
 
 
 def score_recording(bag: Path, recorded: Path, expansion: ViewExpansion, out: Path) -> DemoResult:

@@ -1,4 +1,4 @@
-"""What holds for all tests: no clock in hypothesis, no log files in the home folder."""
+"""What tests share, and what holds for all: no clock in hypothesis, no logs at home."""
 from collections.abc import Iterator
 from typing import Any
 
@@ -16,6 +16,16 @@ def ros_logs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as environment:
         environment.setenv('ROS_LOG_DIR', str(tmp_path_factory.mktemp('ros_logs')))
         yield
+
+
+@pytest.fixture(scope='module')
+def one_thread() -> Iterator[None]:
+    """Compute on one torch thread: of many small operations several would only wait."""
+    import torch
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
 
 
 @pytest.fixture(scope='session')

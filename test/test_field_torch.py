@@ -1,5 +1,4 @@
 """The field on a torch device shows, fits and marks what the compiled kernels do."""
-from collections.abc import Iterator
 import os
 from pathlib import Path
 import socket
@@ -21,6 +20,8 @@ from plain_field import CENTRE, random_rays, room_field, standing
 import pytest
 import torch
 
+pytestmark = pytest.mark.usefixtures('one_thread')
+
 CAMERA = Intrinsics.from_hfov(24, 20, 1.6)
 POSES = np.stack([standing(0.4 * np.cos(3 * yaw), 0.3 * np.sin(2 * yaw), yaw).T_world_cam
                   for yaw in np.linspace(0, 2 * np.pi, 12, endpoint=False)])
@@ -31,15 +32,6 @@ ALL: dict[str, Any] = {
 # What is quick to fit, to a picture of the room.
 QUICK: dict[str, Any] = {'voxels': 4000, 'steps': 40, 'pixels_per_step': 256, 'margin': 1.5,
                          'learning_rate': 0.6}
-
-
-@pytest.fixture(scope='module', autouse=True)
-def one_thread() -> Iterator[None]:
-    """Many small operations are fastest on one thread."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 def room(sh_degree: int = 0) -> RadianceField:

@@ -17,14 +17,11 @@ NETWORK = NetworkConfig(patch=4, width=8, depth=2, memory=16)
 
 
 @pytest.fixture(scope='module', autouse=True)
-def one_thread() -> Iterator[None]:
-    """Small tensors on a shared machine: threads would only wait for one another."""
-    before = torch.get_num_threads(), fitting.THREADS
-    torch.set_num_threads(1)
-    fitting.THREADS = 1
-    yield
-    torch.set_num_threads(before[0])
-    fitting.THREADS = before[1]
+def trainer_on_one_thread(one_thread: None) -> Iterator[None]:
+    """Keep the trainer from setting the threads to all again."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(fitting, 'THREADS', 1)
+        yield
 
 
 def trainer(seed: int = 0, **changes: Any) -> OutpaintTrainer:

@@ -1,6 +1,6 @@
 """The three networks behind one interface: shapes, memory of the whole view, learning, export."""
 from pathlib import Path
-from typing import Any, Iterator
+from typing import Any
 
 from hypothesis import given, settings, strategies as st
 from neo_ros.errors import ConfigError
@@ -17,20 +17,13 @@ import onnxruntime
 import pytest
 import torch
 
+pytestmark = pytest.mark.usefixtures('one_thread')
+
 CONFIGS = {
     'neo_fast': NetworkConfig(patch=4, width=8, depth=2, memory=16),
     'neo_fast, few recalled': NetworkConfig(patch=4, width=8, depth=2, memory=16, recall=2),
     'mat': NetworkConfig(name='mat', patch=4, width=16, depth=2, window=4),
     'lama': NetworkConfig(name='lama', width=8, depth=2, blocks=2)}
-
-
-@pytest.fixture(scope='module', autouse=True)
-def one_thread() -> Iterator[None]:
-    """Small tensors on a shared machine: threads would only wait for one another."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 def expansion(width: int, height: int, *growth: int) -> ViewExpansion:

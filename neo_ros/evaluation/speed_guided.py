@@ -11,9 +11,10 @@ import tempfile
 import time
 
 import cv2
-from neo_ros.evaluation.speed_images import walk_at_30_hz
+from neo_ros.evaluation.speed_images import PAPER_VIEW, walk_at_30_hz
 from neo_ros.evaluation.speed_model import write_stand_in_model
 from neo_ros.evaluation.speed_record import Effort, Record, time_calls
+from neo_ros.evaluation.speed_runtime import size_name
 from neo_ros.field.memory_baking import keyframe_glances, keyframe_size
 from neo_ros.field.panorama import view_band
 from neo_ros.geometry import Band, CameraPose, Intrinsics, ViewExpansion
@@ -24,7 +25,6 @@ from neo_ros.scenes.demo_flat import build_demo_flat, DemoFlat
 import numpy as np
 
 SMALL_VIEW = ViewExpansion.to_size(Intrinsics.from_hfov(128, 128, np.pi / 2), 256, 256)
-PAPER_VIEW = ViewExpansion.to_size(Intrinsics.from_hfov(256, 256, np.pi / 2), 512, 512)
 KEYFRAME_EVERY = 0.5  # metres: no place of the walk is farther than 0.3 from a keyframe
 SIDES = 8             # pinhole views that a panorama is put together from
 
@@ -34,8 +34,7 @@ def measure_guided(effort: Effort, views: Sequence[ViewExpansion] = (SMALL_VIEW,
     """Time `expand` with a memory: for a camera that is followed, and one that is found anew."""
     poses = walk_at_30_hz(effort.frames)
     for view in views:
-        source, target = view.source, view.target
-        name = f'{source.width}x{source.height} to {target.width}x{target.height}'
+        name = size_name(view)
         with tempfile.TemporaryDirectory() as folder:
             extrapolator = FovExtrapolator.load(write_guided_stand_in(Path(folder), view, poses))
         images = [build_demo_flat().render(view.source, pose)[0] for pose in poses]

@@ -2,12 +2,13 @@
 import math
 from pathlib import Path
 
-from neo_ros.geometry import CameraPose, Intrinsics
+from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
 from neo_ros.runtime import read_model_card
 from neo_ros.scenes.demo_flat import build_demo_flat, walking_paths
 import numpy as np
 
 SEED = 0
+PAPER_VIEW = ViewExpansion.to_size(Intrinsics.from_hfov(256, 256, np.pi / 2), 512, 512)
 # The walks of the demo flat have 6 frames a second; so they have 30.
 FINER = 5
 

@@ -4,15 +4,15 @@ from importlib.util import find_spec
 import json
 import os
 from pathlib import Path
-import signal
 import subprocess
 import sys
 import tempfile
 from typing import Any
 
 from neo_ros.errors import NeoError
+from neo_ros.evaluation.processes import end_process
 from neo_ros.evaluation.speed_host import Machine
-from neo_ros.evaluation.speed_images import camera_images, walk_at_30_hz
+from neo_ros.evaluation.speed_images import camera_images, PAPER_VIEW, walk_at_30_hz
 from neo_ros.evaluation.speed_model import count_flops, write_stand_in_model
 from neo_ros.evaluation.speed_record import Effort, Record, Work
 from neo_ros.evaluation.speed_runtime import size_name
@@ -21,7 +21,6 @@ from neo_ros.runtime import read_model_card
 import numpy as np
 
 RATE_HZ = 30.0
-PAPER_VIEW = ViewExpansion.to_size(Intrinsics.from_hfov(256, 256, np.pi / 2), 512, 512)
 VGA_VIEW = ViewExpansion.horizontal(Intrinsics.from_hfov(640, 480, np.pi / 2), 960)
 STAGES = ('queue', 'decode', 'infer', 'check', 'publish', 'total')
 
@@ -109,21 +108,12 @@ def run_graph(model: Path, images: np.ndarray, seconds: float,
                 timeout=seconds + 90, check=False)
             ended = node.poll()
         finally:
-            _end(node)
+            end_process(node)
         if probe.returncode or ended is not None:
             log.seek(0)
             raise NeoError(f'node: the measurement failed (probe {probe.returncode}, node '
                            f'{ended}):\n{log.read()[-2000:]}')
     return json.loads(probe.stdout.splitlines()[-1])
-
-
-def _end(process: subprocess.Popen) -> None:
-    process.send_signal(signal.SIGINT)
-    try:
-        process.wait(timeout=10)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
 
 
 def _stages(diagnostics: dict[str, str]) -> dict[str, dict[str, float]]:

@@ -18,9 +18,9 @@ LEAST_AGREEMENT = 0.85
 # 40 % of the held-out photos hidden it is 0.98 and more.
 LEAST_PARTIAL = 0.97
 EXPECTED_METRES, EXPECTED_COSINE = 0.15, 0.99
-# A search takes as long as several frames: a camera that is lost, or whose pose is believed, but
-# not sure, is searched for every so many frames.
-SEARCH_EVERY = 5
+# A search takes as long as several frames: a lost camera is searched for every so many frames, one
+# whose pose is believed, but not sure, now and then.
+SEARCH_EVERY, DOUBT_EVERY = 5, 30
 # Keyframes that are drawn.
 SHOWN = 3
 # Places that a lost camera is compared with closely, and how far apart they are at least.
@@ -107,10 +107,11 @@ class SceneGuide:
                      best.pose, best.agreement)
 
     def _search_is_due(self, best: Sight | None) -> bool:
-        if best is not None and not best.believed:
+        if best is None:
+            return self._since_search >= SEARCH_EVERY
+        if not best.believed:
             return True  # Just lost.
-        unsure = best is None or best.agreement < SURE
-        return unsure and self._since_search >= SEARCH_EVERY
+        return best.agreement < SURE and self._since_search >= DOUBT_EVERY
 
     def warm_up(self) -> None:
         """Compile what is compiled at first use, which takes seconds on a new machine."""
