@@ -232,16 +232,23 @@ def _check_pasted(method: Method, narrow_image: np.ndarray, wide_image: np.ndarr
 
 
 def commit() -> str | None:
-    """Return the commit of the source checkout, None for an installed package."""
+    """
+    Return the commit of the source checkout, None for an installed package.
+
+    With -dirty where code or settings differ from it; results that a run writes do not count.
+    """
     root = Path(__file__).resolve().parents[2]
     if not (root / '.git').exists():
         return None
-    command = ['git', '-C', str(root), 'describe', '--always', '--dirty', '--exclude=*']
     try:
-        result = subprocess.run(command, capture_output=True, text=True, timeout=10)
-    except (OSError, subprocess.TimeoutExpired):
+        name, changed = (subprocess.run(
+            ['git', '-C', str(root), *command], capture_output=True, text=True, timeout=10,
+            check=True).stdout.strip() for command in (
+                ('rev-parse', '--short', 'HEAD'),
+                ('status', '--porcelain', 'neo_ros', 'config')))
+    except (OSError, subprocess.SubprocessError):
         return None
-    return result.stdout.strip() or None
+    return f'{name}-dirty' if changed else name
 
 
 def host() -> str:
