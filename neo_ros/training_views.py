@@ -6,6 +6,7 @@ from neo_ros.evaluation.pose_map import COUNTS_FILE, draw_poses, write_poses
 from neo_ros.field.free_space import find_free_floor
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.outpaint.pair_stream import FIRST, PairStream, source_view_enlarged
+from neo_ros.outpaint.panorama_cache import PanoramaCache
 from neo_ros.outpaint.real_centres import RealCentres, same_focal_length
 from neo_ros.scenes.pose_sampling import PoseSampler
 import numpy as np
@@ -40,8 +41,11 @@ def make_stream(run: 'TrainingRun', field: RadianceField, seed: int) -> PairStre
             else source_view_enlarged(expansion))
     real = (RealCentres(field, run.fitted, expansion, experiment.scale)
             if config.real_centre > 0 else None)
+    # Processes that train together differ in their seeds, and so in their panoramas.
+    cache = (PanoramaCache(run.out / f'panoramas_{seed}', 1e9 * experiment.sampling.cache_gb)
+             if experiment.sampling.cache_gb else None)
     stream = PairStream(field, make_sampler(run, field), view, experiment.sampling.positions,
-                        seed, real, config.real_centre)
+                        seed, real, config.real_centre, cache)
     sharp_only = experiment.sampling.sharp_only
     if sharp_only or (sharp_only is None and _area(run) == 'photos'):
         stream.pool.require_sharpness(run.fitted, experiment.scale)

@@ -93,19 +93,20 @@ def test_a_frozen_split_is_known_again_and_any_change_is_named(split, tmp_path):
         check_split('hall', checksums, frozen)
 
 
-def test_the_shipped_suite_names_frozen_scenes(tmp_path):
-    suite = read_suite('quarter')
+@pytest.mark.parametrize('name, scale, frames', [
+    ('quarter', 'quarter', None), ('full', 'full', 100)])
+def test_the_shipped_suites_name_frozen_scenes(tmp_path, name, scale, frames):
+    suite = read_suite(name)
     frozen = json.loads((config_folder() / SPLITS_FILE).read_text())
     assert suite.scenes.keys() <= frozen.keys()
-    assert len(suite.scenes) == 4
-    for name in suite.scenes:
-        folder = tmp_path / name
-        write_capture(folder, 1)
+    for scene in suite.scenes:
+        write_capture(tmp_path / scene, 1)
     jobs = suite_jobs(suite, [tmp_path])
     assert [job.scene for job in jobs.values()] == [str(tmp_path / n) for n in suite.scenes]
     assert jobs['redkitchen'].protocol == 'horizontal'
     assert jobs['redkitchen'].settings['field']['exposure'] is True
     assert jobs['living_room'].settings['field']['voxels'] > 0
+    assert (jobs['living_room'].scale, jobs['living_room'].most_frames) == (scale, frames)
 
 
 def test_missing_scenes_are_named_at_once(tmp_path, monkeypatch):

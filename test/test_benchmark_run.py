@@ -1,7 +1,9 @@
 """A benchmark of a tiny scene from end to end: resumed, with its files, by the command too."""
 import json
+import tarfile
 
-from neo_ros.benchmark import scoring
+from neo_ros.benchmark import bundle, run, scoring
+from neo_ros.benchmark.bundle import write_bundle
 from neo_ros.benchmark.methods import make_method, METHODS
 from neo_ros.benchmark.run import run_jobs
 from neo_ros.benchmark.scoring import fill_gap_closed, run_benchmark
@@ -160,6 +162,50 @@ def test_the_command_scores_a_scene_folder(scene, tmp_path):
     assert result.exit_code == 0, result.output
     assert [row['n_frames'] for row in json.loads((tmp_path / 'x.json').read_text())] == [2, 2]
     assert (tmp_path / 'work/flat.html').is_file()
+
+
+def test_a_method_whose_package_is_missing_is_left_out_and_named(scene, tmp_path, monkeypatch):
+    monkeypatch.setattr(run, 'find_spec', lambda package: None)
+    said = []
+    run_jobs({'flat': job(scene, most_frames=2)}, ['edge_replication', 'relocalized'],
+             tmp_path / 'work', tmp_path / 'rows.json', 'flat', False,
+             lambda stage, done, total, note: said.append(f'{stage}: {note}'))
+    rows = json.loads((tmp_path / 'rows.json').read_text())
+    assert [row['method'] for row in rows] == ['edge_replication']
+    assert 'without relocalized: pycolmap is not installed' in said
+
+
+def test_a_bundle_is_cut_into_files_that_are_one_archive(tmp_path, monkeypatch):
+    monkeypatch.setattr(bundle, 'PART_BYTES', 4000)
+    rows_file, work = tmp_path / 'full.json', tmp_path / 'work'
+    content = {'full.json': b'[]', 'full.md': b'table', 'flat/job.json': b'{}',
+               'flat/neo_fast/flat.onnx': bytes(range(256)) * 40,
+               'flat/neo_fast/flat.memory': b'\7' * 5000}
+    rows_file.write_bytes(content['full.json'])
+    for name, text in (*content.items(), ('flat/field/field.npz', b'can be made again')):
+        if name != 'full.json':
+            (work / name).parent.mkdir(parents=True, exist_ok=True)
+            (work / name).write_bytes(text)
+    (tmp_path / 'bundle').mkdir()
+    (tmp_path / 'bundle/full.tar.77').write_bytes(b'of an earlier call')
+    parts = write_bundle(tmp_path / 'bundle', rows_file, work)
+    assert sorted((tmp_path / 'bundle').iterdir()) == parts
+    assert all(path.stat().st_size == 4000 for path in parts[:-1])
+    whole = tmp_path / 'whole.tar'
+    whole.write_bytes(b''.join(path.read_bytes() for path in parts))
+    with tarfile.open(whole) as archive:
+        assert {member.name: archive.extractfile(member).read() for member in archive} == content
+
+
+def test_a_broken_off_run_leaves_its_bundle(scene, tmp_path, monkeypatch):
+    monkeypatch.setattr(scoring, 'make_method', lambda name, bench: 1 / 0)
+    result = CliRunner().invoke(app, [
+        'benchmark', '--scene', str(scene), '--methods', 'edge_replication', '--scale', 'full',
+        '--out', str(tmp_path / 'x.json'), '--work', str(tmp_path / 'work'),
+        '--bundle', str(tmp_path / 'bundle')])
+    assert isinstance(result.exception, ZeroDivisionError)
+    with tarfile.open(tmp_path / 'bundle/x.tar.00') as archive:
+        assert archive.getnames() == ['flat_square_full/job.json']
 
 
 @pytest.mark.parametrize('arguments, message', [

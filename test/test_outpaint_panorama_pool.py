@@ -1,13 +1,16 @@
 import math
 from pathlib import Path
+from unittest.mock import Mock
 
 import cv2
-from neo_ros.errors import SceneError
+from neo_ros.errors import NeoError, SceneError
 from neo_ros.evaluation.pose_map import draw_poses, pose_sections, write_poses
 from neo_ros.evaluation.report import Picture, Table
 from neo_ros.field.rendering import render_view, to_uint8
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import Intrinsics
+from neo_ros.outpaint import panorama_pool
+from neo_ros.outpaint.panorama_cache import PanoramaCache
 from neo_ros.outpaint.panorama_pool import PanoramaPool
 from neo_ros.scenes.pose_sampling import PoseSampler
 from neo_ros.scenes.posed_images import PosedImages
@@ -35,10 +38,10 @@ def field() -> RadianceField:
 
 
 def pool(field: RadianceField, *offsets: tuple[float, float], positions: int = 6,
-         height: float = float(CENTRE[2])) -> PanoramaPool:
+         height: float = float(CENTRE[2]), cache: PanoramaCache | None = None) -> PanoramaPool:
     sampler = PoseSampler(CENTRE[:2] + np.array(offsets or [(0.0, 0.0), (0.5, 0.3)]),
                           (-math.pi, 2 * math.pi), LEVEL, (height, 0.0), 8)
-    return PanoramaPool(field, sampler, VIEW, positions, seed=0)
+    return PanoramaPool(field, sampler, VIEW, positions, seed=0, cache=cache)
 
 
 def photos(field: RadianceField, folder: Path) -> PosedImages:
@@ -66,9 +69,58 @@ def test_places_where_nothing_is_are_refused() -> None:
     air.grid[0, 0] = 40
     air.update_occupancy()
     nowhere = pool(air)
-    with pytest.raises(SceneError, match='positions in a row show nothing that a photo saw'):
+    with pytest.raises(SceneError, match='in a row show nothing that a photo saw .nothing there.'):
         nowhere.fill(1)
-    assert set(nowhere.refused) == {'nothing there'}
+
+
+def test_a_cache_gives_the_same_panoramas_without_rendering_them_again(
+        field: RadianceField, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    places = (0, 0), (float(WALLS[0]) + 0.25, 0.0)
+    plain, kept = pool(field, *places), pool(field, *places, cache=PanoramaCache(tmp_path, 1e9))
+    for filled in (plain, kept):
+        filled.fill(6)
+    # A kill leaves a partial file, and a damaged one may be there: both are made again.
+    (tmp_path / '000006.partial').write_bytes(b'half')
+    (tmp_path / '000002.npy').unlink()  # the panorama that is in use stays whole
+    (tmp_path / '000002.npy').write_bytes(b'damaged')
+    rendered = Mock(side_effect=panorama_pool.render_panorama)
+    monkeypatch.setattr(panorama_pool, 'render_panorama', rendered)
+    again = pool(field, *places, cache=PanoramaCache(tmp_path, 1e9))
+    again.fill(6)
+    assert 1 <= rendered.call_count < 6 + kept.refused.total()
+    assert not list(tmp_path.glob('*.partial'))
+    for others in (kept, again):
+        assert others.refused == plain.refused and plain.refused.total() > 0
+        assert np.array_equal(others.refused_positions, plain.refused_positions)
+        for one, other in zip(plain.panoramas, others.panoramas, strict=True):
+            assert np.array_equal(one.image, other.image)
+            assert np.array_equal(one.position, other.position)
+            assert (one.opacity, one.blocked) == (other.opacity, other.blocked)
+        assert np.array_equal(plain.draw_view(3, np.random.default_rng(1)),
+                              others.draw_view(3, np.random.default_rng(1)))
+
+
+def test_a_cache_keeps_to_its_limit_and_the_rest_stays_in_memory(
+        field: RadianceField, tmp_path: Path) -> None:
+    one = pool(field)
+    one.fill(1)
+    limit = 2.5 * one.panoramas[0].image.nbytes
+    kept = pool(field, cache=PanoramaCache(tmp_path, limit))
+    assert kept.fill(6) == 6
+    assert len(list(tmp_path.glob('*.npy'))) == 2
+    assert sum(path.stat().st_size for path in tmp_path.iterdir()) < 1.1 * limit
+    # Also what an earlier run left counts.
+    assert PanoramaCache(tmp_path, limit).used > 0.7 * limit
+
+
+def test_a_full_disk_is_named(field: RadianceField, tmp_path: Path,
+                              monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*arguments: object) -> None:
+        raise OSError(28, 'No space left on device')
+
+    monkeypatch.setattr(np, 'save', full)
+    with pytest.raises(NeoError, match='No space left on device; make room'):
+        pool(field, cache=PanoramaCache(tmp_path, 1e9)).fill(1)
 
 
 def test_blurred_views_are_drawn_again(field: RadianceField, tmp_path: Path) -> None:

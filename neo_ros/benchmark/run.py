@@ -1,5 +1,6 @@
 """From jobs to files: rows, tables in Markdown, the page; what `neo benchmark` does."""
 from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
 
 from neo_ros.benchmark.page import write_benchmark_report
@@ -20,11 +21,13 @@ def run_jobs(jobs: dict[str, Job], names: Sequence[str], work: Path, rows_file: 
     Benchmark scenes one after the other; returns the tables.
 
     jobs by scene name; `frozen` compares every scene with its frozen split before any work.
+    Methods whose packages are not installed are left out, and `progress` is told.
     Leaves the rows in `rows_file`, written again after every scene, TITLE.md and TITLE.html in
     `work`; in a source checkout a suite's tables also go into docs/benchmarks.md.
     """
     make_output_folder(work)
     make_output_folder(rows_file.parent)
+    names = [name for name in names if _can_run(name, progress)]
     benches = []
     for name, job in jobs.items():
         folder = work / f'{name}_{job.protocol}_{job.scale}'
@@ -46,6 +49,13 @@ def run_jobs(jobs: dict[str, Job], names: Sequence[str], work: Path, rows_file: 
     if frozen and document.is_file():
         put_between_markers(document, title, table)
     return table
+
+
+def _can_run(method: str, progress: Progress) -> bool:
+    if method != 'relocalized' or find_spec('pycolmap') is not None:
+        return True
+    progress('without relocalized', 0, 1, 'pycolmap is not installed')
+    return False
 
 
 def _staged(name: str, progress: Progress) -> Progress:

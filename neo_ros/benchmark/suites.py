@@ -17,12 +17,17 @@ DEMO = 'demo_flat'
 
 @dataclass(frozen=True)
 class SuiteScene:
-    """How one scene is benchmarked; `minutes` is the training time of NEO."""
+    """
+    How one scene is benchmarked.
+
+    minutes is the training time of NEO; frames: score only so many, spread evenly; null: all.
+    """
 
     __pydantic_config__ = {'extra': 'forbid'}
     protocol: str
     scale: str
     minutes: float
+    frames: int | None = None
     settings: dict[str, Any] | None = None
 
 
@@ -74,6 +79,7 @@ def suite_jobs(suite: Suite, folders: list[Path]) -> dict[str, Job]:
             missing.append(name)
             continue
         jobs[name] = Job(str(found), entry.protocol, entry.scale, entry.minutes,
+                         most_frames=entry.frames,
                          settings=merged(suite.settings, entry.settings or {}))
     if missing:
         raise ConfigError(

@@ -21,7 +21,7 @@ from neo_ros.evaluation.local_features import PhotoBank, read_photo_bank
 from neo_ros.evaluation.output import make_output_folder, write_bytes
 from neo_ros.evaluation.sparse_model import read_sparse_model, SparseModel
 from neo_ros.experiment import Experiment, experiment_from
-from neo_ros.field.fitting import FieldTrainer
+from neo_ros.field.device import field_trainer
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.pipeline import claim, fit_field_step, Progress, train, TrainingRun
 from neo_ros.scenes.scene import read_scene
@@ -166,19 +166,25 @@ class Workbench:
         seconds = 60 * self.job.minutes * FIELD_SHARE
         if seconds < LEAST_TRIAL_SECONDS:
             return TRIAL_STEPS
-        run = TrainingRun(self.scene, self.base, self.folder, self.progress)
-        trainer = FieldTrainer(
-            run.fitted.read_images(self.base.scale),
-            run.fitted.intrinsics.scaled(self.base.scale), run.fitted.T_world_cam,
-            replace(self.base.field, steps=TRIAL_STEPS), self.base.seed)
-        started = time.monotonic()
-        for done in range(TRIAL_STEPS):
-            if done == TRIAL_STEPS - TIMED_STEPS:  # by then its air is empty, its grid fine
-                started = time.monotonic()
-            trainer.train_step()
-            self.progress('trial', done + 1, TRIAL_STEPS, '')
-        each = (time.monotonic() - started) / TIMED_STEPS
-        return max(TRIAL_STEPS, int(seconds / each))
+        return field_steps_within(
+            TrainingRun(self.scene, self.base, self.folder, self.progress), seconds)
+
+
+def field_steps_within(run: TrainingRun, seconds: float) -> int:
+    """Measure how long a step of the run's field takes; returns how many fit into the time."""
+    scale = run.experiment.scale
+    trainer = field_trainer(
+        run.fitted.read_images(scale), run.fitted.intrinsics.scaled(scale),
+        run.fitted.T_world_cam, replace(run.experiment.field, steps=TRIAL_STEPS),
+        run.experiment.seed)
+    started = time.monotonic()
+    for done in range(TRIAL_STEPS):
+        if done == TRIAL_STEPS - TIMED_STEPS:  # by then its air is empty, its grid fine
+            started = time.monotonic()
+        trainer.train_step()
+        run.progress('trial', done + 1, TRIAL_STEPS, '')
+    each = (time.monotonic() - started) / TIMED_STEPS
+    return max(TRIAL_STEPS, int(seconds / each))
 
 
 def _link(source: Path, target: Path) -> None:

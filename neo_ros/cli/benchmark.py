@@ -32,6 +32,9 @@ def benchmark(
         help='File for the rows; default: results/<suite>.json or results/<scene>.json.')] = None,
     work: Annotated[Path, typer.Option(
         help='Folder for fields, models, scores and the report.')] = Path('out/benchmark'),
+    bundle: Annotated[Optional[Path], typer.Option(
+        help='Also leave rows, tables, page and models in this folder, as one archive in files '
+        'below 16 MB, also of a run that was broken off: for a borrowed machine.')] = None,
 ) -> None:
     """
     Score NEO beside its rivals (naive, warping, relocalised) and the bounds on the test frames.
@@ -41,6 +44,7 @@ def benchmark(
     """
     from neo_ros.cli.progress import stage_progress
     from neo_ros.errors import ConfigError
+    from neo_ros.benchmark.bundle import write_bundle
     from neo_ros.benchmark.methods import check_methods
     from neo_ros.benchmark.run import run_jobs
     from neo_ros.benchmark.suites import prepare_demo, read_suite, suite_jobs
@@ -62,8 +66,13 @@ def benchmark(
             name = scene.resolve().name
             jobs = {name: Job(str(scene), protocol, scale, budget_minutes,
                               str(test_scene) if test_scene else None, frames)}
-        table = run_jobs(jobs, names, work, out or Path('results') / f'{name}.json', name,
-                         frozen=suite is not None, progress=show)
+        rows_file = out or Path('results') / f'{name}.json'
+        try:
+            table = run_jobs(jobs, names, work, rows_file, name, frozen=suite is not None,
+                             progress=show)
+        finally:
+            if bundle is not None:
+                write_bundle(bundle, rows_file, work)
     rich.print(escape(table))
-    rich.print(f'Written: {escape(str(out or Path("results") / f"{name}.json"))}, '
+    rich.print(f'Written: {escape(str(rows_file))}, '
                f'{escape(str(work / name))}.md and {escape(str(work / name))}.html')

@@ -10,6 +10,7 @@ from neo_ros.cli.compare import compare
 from neo_ros.cli.demo import demo
 from neo_ros.cli.evaluate import evaluate
 from neo_ros.cli.export import export
+from neo_ros.cli.field_curve import field_curve
 from neo_ros.cli.floor import floor
 from neo_ros.cli.import_scene import import_scene
 from neo_ros.cli.inspect import inspect
@@ -43,6 +44,7 @@ app.command(rich_help_panel=PREPARE)(evaluate)
 app.command(rich_help_panel=PREPARE)(export)
 app.command(rich_help_panel=PREPARE)(compare)
 app.command(rich_help_panel=PREPARE)(benchmark)
+app.command('field-curve', rich_help_panel=PREPARE)(field_curve)
 app.command(rich_help_panel=RUN)(inspect)
 app.command(rich_help_panel=RUN)(replay)
 app.command(rich_help_panel=RUN)(play)

@@ -1,8 +1,9 @@
-"""Narrow/wide training pairs, rendered on the fly; nothing is written to disk."""
+"""Narrow/wide training pairs, rendered on the fly."""
 from typing import Optional
 
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import Intrinsics, ViewExpansion
+from neo_ros.outpaint.panorama_cache import PanoramaCache
 from neo_ros.outpaint.panorama_pool import PanoramaPool
 from neo_ros.outpaint.real_centres import RealCentres
 from neo_ros.scenes.pose_sampling import PoseSampler
@@ -23,14 +24,15 @@ class PairStream:
     Panoramas are rendered one at a time as training goes on and kept, up to `positions`;
     every batch draws new orientations at the positions that are there. Batch n is the same
     whether the training ran through or was broken off and resumed. A share of the views,
-    `real_share`, has a real photo in its middle.
+    `real_share`, has a real photo in its middle. Nothing is written to disk but the panoramas,
+    where there is a cache for them.
     """
 
     def __init__(self, field: RadianceField, sampler: PoseSampler, view: Intrinsics,
                  positions: int, seed: int, real: Optional[RealCentres] = None,
-                 real_share: float = 0.0) -> None:
+                 real_share: float = 0.0, cache: Optional[PanoramaCache] = None) -> None:
         self.seed = seed
-        self.pool = PanoramaPool(field, sampler, view, positions, seed)
+        self.pool = PanoramaPool(field, sampler, view, positions, seed, cache)
         self.real, self.real_share = real, real_share
         self.real_order = np.random.default_rng([seed, 5]).permutation(len(real) if real else 0)
 

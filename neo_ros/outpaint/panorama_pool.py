@@ -6,6 +6,7 @@ from neo_ros.errors import SceneError
 from neo_ros.field.panorama import Panorama, render_panorama, view_band
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import Intrinsics
+from neo_ros.outpaint.panorama_cache import DrawnPanorama, PanoramaCache
 from neo_ros.scenes.pose_sampling import PoseSampler
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.sharpness import blur_threshold, relative_sharpness
@@ -30,13 +31,13 @@ class PanoramaPool:
 
     Positions inside matter, where there is nothing, and where photos saw too little are drawn
     again; so are views of which photos saw too little, and after `require_sharpness` the blurred
-    ones. `refused` counts positions by reason.
+    ones. `refused` counts positions by reason. A cache keeps them in files.
     """
 
     def __init__(self, field: RadianceField, sampler: PoseSampler, view: Intrinsics,
-                 positions: int, seed: int) -> None:
+                 positions: int, seed: int, cache: Optional[PanoramaCache] = None) -> None:
         self.field, self.sampler, self.view = field, sampler, view
-        self.positions, self.seed = positions, seed
+        self.positions, self.seed, self.cache = positions, seed, cache
         self.least_sharpness = 0.0
         self.panoramas: list[Panorama] = []
         self.refused: Counter[str] = Counter()
@@ -45,7 +46,6 @@ class PanoramaPool:
         self.band = view_band(
             view, np.stack([sampler.draw_rotation(random) for _ in range(500)]),
             sampler.yaw_range)
-        self.position_random = np.random.default_rng([seed, 1])
         self.glance_rotations = [sampler.draw_rotation(random) for _ in range(20)]
 
     def require_sharpness(self, photos: PosedImages, scale: float) -> None:
@@ -100,17 +100,30 @@ class PanoramaPool:
             'least_sharpness': self.least_sharpness}
 
     def _add_position(self) -> None:
+        index = len(self.panoramas)
+        drawn = self.cache.read(index, self.band) if self.cache else None
+        if drawn is None:
+            drawn = self._draw(index)
+            if self.cache:
+                drawn = self.cache.write(index, drawn)
+        self.panoramas.append(drawn.panorama)
+        self.refused.update(reason for reason, _ in drawn.refused)
+        self.refused_positions += [position for _, position in drawn.refused]
+
+    def _draw(self, index: int) -> DrawnPanorama:
+        # A generator per panorama: those that come out of the cache need not be drawn again.
+        random = np.random.default_rng([self.seed, 1, index])
+        refused: list[tuple[str, np.ndarray]] = []
         for _ in range(TRIES):
-            position = self.sampler.draw_position(self.position_random)
+            position = self.sampler.draw_position(random)
             panorama = render_panorama(self.field, position, self.view, self.band)
             reason = self._refusal(panorama)
             if reason is None:
-                self.panoramas.append(panorama)
-                return
-            self.refused[reason] += 1
-            self.refused_positions.append(position)
+                return DrawnPanorama(panorama, refused)
+            refused.append((reason, position))
+        found = ', '.join(sorted({reason for reason, _ in refused}))
         raise SceneError(
-            f'pair stream: {TRIES} positions in a row show nothing that a photo saw; '
+            f'pair stream: {TRIES} positions in a row show nothing that a photo saw ({found}); '
             'does the floor map belong to this scene?')
 
     def _refusal(self, panorama: Panorama) -> Optional[str]:

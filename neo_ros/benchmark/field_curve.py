@@ -1,0 +1,146 @@
+"""
+How good a radiance field is after how many minutes, beside a public implementation.
+
+Every point is a training of its own, as its schedule depends on its length. Where nerfstudio is
+installed, its nerfacto (see `neo_ros.benchmark.nerfacto`) trains for the same time on the same
+photos.
+"""
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from importlib.util import find_spec
+import json
+from pathlib import Path
+import tempfile
+import time
+from typing import Any
+
+from neo_ros.benchmark.protocols import SCALES
+from neo_ros.benchmark.workbench import field_steps_within
+from neo_ros.errors import ModelError
+from neo_ros.evaluation.evaluate import commit, host, Scorer, TruthFrames
+from neo_ros.evaluation.field_view import colour_gain
+from neo_ros.evaluation.lpips import Lpips
+from neo_ros.evaluation.metrics import psnr, score_frame
+from neo_ros.evaluation.output import make_output_folder, write_bytes
+from neo_ros.experiment import Experiment
+from neo_ros.field.device import chosen_device, field_trainer
+from neo_ros.field.rendering import render_view
+from neo_ros.geometry import CameraPose, Intrinsics
+from neo_ros.pipeline import Progress, TrainingRun
+from neo_ros.scenes.scene import read_scene
+import numpy as np
+
+# Shows float32 RGB (H, W, 3) in [0, 1] of a view at a pose.
+Renderer = Callable[[Intrinsics, CameraPose], np.ndarray]
+# Test views and held-out photos that are looked at: enough for a mean, evenly spread.
+MOST_VIEWS = 25
+
+
+def measure_field_curve(scene: Path, experiment: Experiment, scale: str,
+                        minutes: Sequence[float], out: Path, progress: Progress) -> str:
+    """
+    Train the experiment's field for each of the times, and score it; returns a table.
+
+    scale: full, half or quarter of the photos. Rows go into the JSON file `out`; those that it
+    has are not measured again. Raises NeoError where scene or settings are wrong.
+    """
+    make_output_folder(out.parent)
+    rows: list[dict[str, Any]] = json.loads(out.read_text()) if out.exists() else []
+    fitters = {'neo_ros': fit_own}
+    if find_spec('nerfstudio') is not None:
+        from neo_ros.benchmark.nerfacto import fit_nerfacto
+        fitters['nerfacto'] = fit_nerfacto
+    with tempfile.TemporaryDirectory() as folder:
+        run = TrainingRun(read_scene(scene), replace(experiment, scale=SCALES[scale]),
+                          Path(folder), progress)
+        scorers = load_scorers(progress)
+        for budget in minutes:
+            for name, fit in fitters.items():
+                key = {'scene': run.scene.name, 'scale': scale, 'implementation': name,
+                       'budget_minutes': budget}
+                if any(key.items() <= row.items() for row in rows):
+                    continue
+                stage = f'{run.scene.name}, {name}, {budget:g} min'
+                render, measured = fit(run, 60 * budget, stage)
+                rows.append({**key, **measured, **score(run, render, scorers, stage),
+                             'commit': commit(), 'host': host()})
+                write_bytes(out, (json.dumps(rows, indent=1) + '\n').encode())
+    return markdown(rows)
+
+
+def fit_own(run: TrainingRun, seconds: float, stage: str) -> tuple[Renderer, dict[str, Any]]:
+    """Fit our field for about so many seconds; returns it with its steps and minutes."""
+    steps = field_steps_within(run, seconds)
+    config = replace(run.experiment.field, steps=steps)
+    images = run.fitted.read_images(run.experiment.scale)
+    trainer = field_trainer(images, run.fitted.intrinsics.scaled(run.experiment.scale),
+                            run.fitted.T_world_cam, config, run.experiment.seed)
+    started = time.monotonic()
+    for done in range(steps):
+        trainer.train_step()
+        run.progress(stage, done + 1, steps, f'{trainer.psnr:.2f} dB on its photos')
+    field = trainer.finished()
+    field.device = chosen_device(config.device)
+    return (lambda view, pose: render_view(field, view, pose).image,
+            {'steps': steps, 'minutes': (time.monotonic() - started) / 60})
+
+
+def load_scorers(progress: Progress) -> list[Scorer]:
+    """Return PSNR with SSIM, and LPIPS where its weights can be had."""
+    try:
+        return [score_frame, Lpips('vgg')]
+    except ModelError as error:
+        progress('without LPIPS', 0, 1, str(error))
+        return [score_frame]
+
+
+def score(run: TrainingRun, render: Renderer, scorers: Sequence[Scorer],
+          stage: str) -> dict[str, float]:
+    """
+    Score what a field shows at true poses, nothing pasted; means over the views.
+
+    Returns held_out_psnr (photos that were not fitted) and whole_* and ring_* of the wide test
+    frames. One gain per channel, from the observed window, takes out differences of exposure.
+    """
+    scores: list[dict[str, float]] = []
+    scale = run.experiment.scale
+    if run.held_out is not None:
+        camera = run.held_out.intrinsics.scaled(scale)
+        for index in _spread(len(run.held_out)):
+            photo = run.held_out.read_image(index, scale)
+            shown = 255 * render(camera, run.held_out.poses[index])
+            scores.append({'held_out_psnr': psnr(photo, _gained(shown, shown, photo))})
+    frames = TruthFrames(run.scene.test, run.expansion)
+    chosen = _spread(len(frames))
+    for done, index in enumerate(chosen, 1):
+        narrow_image, truth = frames.read(index)
+        shown = 255 * render(run.expansion.target, frames.images.poses[index])
+        image = _gained(shown, run.expansion.crop(shown), narrow_image)
+        scores.append({name: value for scorer in scorers
+                       for name, value in scorer(truth, image, run.expansion).items()})
+        run.progress(f'{stage}: views', done, len(chosen), '')
+    names = sorted({name for one in scores for name in one})
+    return {name: float(np.mean([one[name] for one in scores if name in one])) for name in names}
+
+
+def markdown(rows: list[dict[str, Any]]) -> str:
+    """Return the rows as a table."""
+    lines = ['| scene | field | minutes | held-out photos, dB | wide views, dB | SSIM | LPIPS |',
+             '|---|---|---|---|---|---|---|']
+    for row in sorted(rows, key=lambda row: (
+            row['scene'], row['implementation'] != 'neo_ros', row['minutes'])):
+        figures = ' | '.join(
+            '' if row.get(name) is None else f'{row[name]:.{digits}f}'
+            for name, digits in (('minutes', 1), ('held_out_psnr', 2), ('whole_psnr', 2),
+                                 ('whole_ssim', 3), ('whole_lpips_vgg', 3)))
+        lines.append(f'| {row["scene"]} | {row["implementation"]} | {figures} |')
+    return '\n'.join(lines)
+
+
+def _gained(shown: np.ndarray, window: np.ndarray, observed: np.ndarray) -> np.ndarray:
+    return np.clip(shown * colour_gain(window, observed) + 0.5, 0, 255).astype(np.uint8)
+
+
+def _spread(count: int) -> list[int]:
+    chosen = np.linspace(0, count - 1, min(count, MOST_VIEWS)).round().astype(int)
+    return [int(index) for index in chosen]

@@ -1,0 +1,78 @@
+"""Panoramas in files: for machines whose memory is small, and trainings that are broken off."""
+from dataclasses import dataclass
+import json
+import os
+from pathlib import Path
+from typing import Optional
+
+from neo_ros.errors import NeoError
+from neo_ros.field.panorama import Panorama
+from neo_ros.geometry import Band
+import numpy as np
+
+
+@dataclass(frozen=True)
+class DrawnPanorama:
+    """A panorama, and the positions (3,) that were refused before it, with the reasons."""
+
+    panorama: Panorama
+    refused: list[tuple[str, np.ndarray]]
+
+
+class PanoramaCache:
+    """
+    A folder of panoramas that holds at most `limit` bytes.
+
+    Files appear whole or not at all, so a killed training loses the one that it was writing. They
+    are read as the system pages them in.
+    """
+
+    def __init__(self, folder: Path, limit: float) -> None:
+        self.folder, self.limit = folder, limit
+        folder.mkdir(parents=True, exist_ok=True)
+        for partial in folder.glob('*.partial'):
+            partial.unlink()
+        self.used = sum(path.stat().st_size for path in folder.iterdir())
+
+    def read(self, index: int, band: Band) -> Optional[DrawnPanorama]:
+        """Return panorama `index`, None where it is not there or damaged."""
+        try:
+            notes = json.loads(self._path(index, 'json').read_text())
+            image = np.load(self._path(index, 'npy'), mmap_mode='r')
+        except (OSError, ValueError):
+            return None
+        return DrawnPanorama(
+            Panorama(np.array(notes['position']), image, band, notes['opacity'],
+                     notes['blocked']),
+            [(reason, np.array(position)) for reason, position in notes['refused']])
+
+    def write(self, index: int, drawn: DrawnPanorama) -> DrawnPanorama:
+        """
+        Keep panorama `index`; returns it as it is in the file, or as it came where that is full.
+
+        Raises NeoError where it cannot be written.
+        """
+        panorama = drawn.panorama
+        if self.used + panorama.image.nbytes > self.limit:
+            return drawn
+        notes = json.dumps({
+            'position': panorama.position.tolist(), 'opacity': panorama.opacity,
+            'blocked': panorama.blocked,
+            'refused': [(reason, position.tolist()) for reason, position in drawn.refused]})
+        partial = self.folder / f'{index:06d}.partial'
+        try:
+            # The notes come last: where they are, the image is whole.
+            with open(partial, 'wb') as file:
+                np.save(file, panorama.image)
+            os.replace(partial, self._path(index, 'npy'))
+            partial.write_text(notes)
+            os.replace(partial, self._path(index, 'json'))
+        except OSError as error:
+            raise NeoError(
+                f'{self.folder}: cannot keep panoramas: {error.strerror}; make room and start '
+                'the training again, or lower sampling.cache_gb') from error
+        self.used += panorama.image.nbytes
+        return self.read(index, panorama.band) or drawn
+
+    def _path(self, index: int, suffix: str) -> Path:
+        return self.folder / f'{index:06d}.{suffix}'

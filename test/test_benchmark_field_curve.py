@@ -1,0 +1,78 @@
+"""Quality of the field over training time, and the public field beside it."""
+from importlib.util import find_spec
+import json
+
+from neo_ros.benchmark import field_curve
+from neo_ros.benchmark.field_curve import measure_field_curve
+from neo_ros.benchmark.workbench import TRIAL_STEPS
+from neo_ros.cli.main import app
+from neo_ros.errors import ConfigError
+from neo_ros.evaluation.metrics import score_frame
+from neo_ros.experiment import experiment_from
+import numpy as np
+import pytest
+from tiny_training import write_tiny_scene
+from typer.testing import CliRunner
+
+EXPERIMENT = experiment_from({'field': {'voxels': 20_000, 'pixels_per_step': 512}}, 'test')
+
+
+@pytest.fixture(scope='module')
+def scene(tmp_path_factory):
+    folder = tmp_path_factory.mktemp('scenes') / 'flat'
+    write_tiny_scene(folder)
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def short(monkeypatch):
+    """Leave out LPIPS, whose weights are a download."""
+    monkeypatch.setattr(field_curve, 'load_scorers', lambda progress: [score_frame])
+
+
+def measure(scene, minutes, out, monkeypatch, rival=False):
+    monkeypatch.setattr(field_curve, 'find_spec', lambda name: True if rival else None)
+    seen = []
+    table = measure_field_curve(scene, EXPERIMENT, 'full', minutes, out,
+                                lambda stage, done, total, note: seen.append(stage))
+    return table, set(seen)
+
+
+def test_longer_trainings_are_better_and_nothing_is_measured_twice(scene, tmp_path, monkeypatch):
+    out = tmp_path / 'results/curve.json'
+    _, seen = measure(scene, (0.002,), out, monkeypatch)
+    assert {'trial', 'flat, neo_ros, 0.002 min', 'flat, neo_ros, 0.002 min: views'} <= seen
+    table, seen = measure(scene, (0.002, 0.1), out, monkeypatch)
+    assert 'flat, neo_ros, 0.002 min' not in seen
+    short, long = json.loads(out.read_text())
+    assert (short['scene'], short['scale'], short['implementation']) == (
+        'flat', 'full', 'neo_ros')
+    assert short['steps'] == TRIAL_STEPS < long['steps']
+    assert 0 < short['minutes'] < long['minutes']
+    # What it was fitted to looks the other way than the test frames: only those must gain.
+    assert long['whole_psnr'] > short['whole_psnr'] + 1
+    assert long['held_out_psnr'] > 15 and long['ring_psnr'] > 10
+    assert table.count('| flat | neo_ros |') == 2
+    assert f'{long["whole_psnr"]:.2f}' in table
+
+
+@pytest.mark.skipif(find_spec('nerfstudio') is None, reason='nerfstudio is not installed')
+def test_nerfacto_learns_the_same_photos(scene, tmp_path, monkeypatch):
+    out = tmp_path / 'curve.json'
+    measure(scene, (0.3,), out, monkeypatch, rival=True)
+    rows = {row['implementation']: row for row in json.loads(out.read_text())}
+    assert rows['nerfacto']['steps'] > 3
+    assert 0.3 <= rows['nerfacto']['minutes'] < 0.5
+    assert rows['nerfacto']['held_out_psnr'] > 12
+
+
+def test_the_exposure_of_the_observed_window_is_taken_out():
+    shown = np.full((8, 8, 3), 100.0)
+    observed = np.full((4, 4, 3), 120.0)
+    assert (field_curve._gained(shown, shown[2:6, 2:6], observed) == 120).all()
+
+
+def test_the_command_names_a_wrong_scale(scene):
+    result = CliRunner().invoke(app, ['field-curve', str(scene), '--scale', 'eighth'])
+    assert isinstance(result.exception, ConfigError)
+    assert 'expected full, half, quarter' in str(result.exception)
