@@ -44,19 +44,23 @@ class Row:
 
 
 def compare(scene_folder: Path, configs: Sequence[Path], out: Path,
-            minutes: Optional[float] = None, steps: Optional[int] = None,
+            minutes: Sequence[float] = (), steps: Optional[int] = None,
             progress: Progress = lambda stage, done, total, note: None) -> list[Row]:
     """
     Train every experiment in its own folder of `out`, and write comparison.html and .json.
 
-    minutes or steps, where given, replace those of all experiments; none has a scene memory.
+    minutes or steps, where given, replace those of all experiments; with several minutes each is
+    trained once for each of them. None has a scene memory.
     Experiments whose fields agree share the first one's. What is finished is not done again: a
     run that was broken off goes on. Raises ConfigError for files of one name.
     """
     names = [path.stem for path in configs]
     if len(set(names)) != len(names):
         raise ConfigError(f'configs: expected files of different names, got {names}')
-    experiments = {path.stem: _prepared(read_experiment(path), minutes, steps) for path in configs}
+    experiments = {
+        path.stem + (f'_{length:g}min' if len(minutes) > 1 else ''): _prepared(
+            read_experiment(path), length, steps)
+        for path in configs for length in minutes or (None,)}
     make_output_folder(out)
     rows: list[Row] = []
     fields: dict[str, Path] = {}
@@ -69,7 +73,7 @@ def compare(scene_folder: Path, configs: Sequence[Path], out: Path,
         write_bytes(out / 'comparison.json', json.dumps(
             [asdict(row) for row in written], indent=1).encode())
         write_report(out / 'comparison.html', f'Experiments on {read_scene(scene_folder).name}',
-                     _sections(written))
+                     _sections(written, len(minutes) > 1))
     return marked_front(rows)
 
 
@@ -146,7 +150,7 @@ def _quality(row: Row) -> float:
     return 0.0
 
 
-def _sections(rows: Sequence[Row]) -> list[Section]:
+def _sections(rows: Sequence[Row], timed: bool) -> list[Section]:
     def decibels(value: Optional[float]) -> str:
         return '' if value is None else f'{value:.2f}'
 
@@ -160,4 +164,15 @@ def _sections(rows: Sequence[Row]) -> list[Section]:
     plot = Plot('Arithmetic and quality', 'GFLOP per image', 'ring PSNR, held-out photos, dB',
                 [Series(row.name, [row.gflop], [_quality(row)]) for row in rows], 'points')
     return [Text('Front: no other experiment is better and cheaper at once. Time is the median '
-                 'of one image on all cores of this machine.'), table, plot]
+                 'of one image on all cores of this machine.'), table, plot,
+            *([_time_plot(rows)] if timed else [])]
+
+
+def _time_plot(rows: Sequence[Row]) -> Plot:
+    """Draw a line for each experiment that was trained for several times."""
+    lines: dict[str, list[Row]] = {}
+    for row in sorted(rows, key=lambda row: row.minutes):
+        lines.setdefault(row.name.rsplit('_', 1)[0], []).append(row)
+    return Plot('Training time and quality', 'minutes', 'ring PSNR, held-out photos, dB', [
+        Series(name, [row.minutes for row in line], [_quality(row) for row in line])
+        for name, line in lines.items()])

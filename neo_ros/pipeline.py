@@ -73,6 +73,7 @@ class TrainingRun:
     experiment: Experiment
     out: Path
     progress: Progress
+    cache_gb: float = 0.0         # of panoramas in files; 0: all of them are in memory
     seconds: float = 0.0
     samples: int = 0              # wide views that the outpainter saw
     outpaint_seconds: float = 0.0
@@ -109,15 +110,17 @@ class TrainingRun:
 
 
 def train(scene_folder: Path, experiment: Experiment, out: Path,
-          progress: Progress = lambda stage, done, total, note: None) -> TrainingRun:
+          progress: Progress = lambda stage, done, total, note: None,
+          cache_gb: float = 0.0) -> TrainingRun:
     """
     Run the three steps on a scene folder and leave model, report and scores in `out`.
 
-    progress(stage, done, total, note) is called as work goes on. Raises NeoError for scenes and
+    progress(stage, done, total, note) is called as work goes on; up to cache_gb GB of panoramas
+    are kept in files instead of in memory. Raises NeoError for scenes and
     settings that cannot be trained, and where `out` holds a run of other settings.
     """
     scene = stood_up(read_scene(scene_folder))
-    run = TrainingRun(scene, experiment, out, progress)
+    run = TrainingRun(scene, experiment, out, progress, cache_gb)
     with process_group() as rank:
         if rank == 0:
             make_output_folder(out)

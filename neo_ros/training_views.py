@@ -42,8 +42,8 @@ def make_stream(run: 'TrainingRun', field: RadianceField, seed: int) -> PairStre
     real = (RealCentres(field, run.fitted, expansion, experiment.scale)
             if config.real_centre > 0 else None)
     # Processes that train together differ in their seeds, and so in their panoramas.
-    cache = (PanoramaCache(run.out / f'panoramas_{seed}', 1e9 * experiment.sampling.cache_gb)
-             if experiment.sampling.cache_gb else None)
+    cache = (PanoramaCache(run.out / f'panoramas_{seed}', 1e9 * run.cache_gb)
+             if run.cache_gb else None)
     stream = PairStream(field, make_sampler(run, field), view, experiment.sampling.positions,
                         seed, real, config.real_centre, cache)
     sharp_only = experiment.sampling.sharp_only

@@ -61,6 +61,16 @@ def test_experiments_share_a_field_and_are_not_trained_twice(
     assert not stages and [found.name for found in again] == ['fast', 'lama']
 
 
+def test_several_training_times_make_a_curve(tiny_run: TrainingRun, tmp_path: Path) -> None:
+    config, out = tmp_path / 'fast.yaml', tmp_path / 'out'
+    config.write_text(SHORT % '{width: 8, memory: 32}')
+    rows = compare(tiny_run.out.parent / 'scene', [config], out, minutes=(0.002, 0.03))
+    assert [found.name for found in rows] == ['fast_0.002min', 'fast_0.03min']
+    assert 0 < rows[0].samples < rows[1].samples
+    page = (out / 'comparison.html').read_text()
+    assert 'Training time and quality' in page and '<polyline' in page
+
+
 def test_files_of_one_name_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match='expected files of different names'):
         compare(tmp_path, [tmp_path / 'a' / 'x.yaml', tmp_path / 'b' / 'x.yaml'], tmp_path / 'o')

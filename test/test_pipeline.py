@@ -162,6 +162,14 @@ def test_a_killed_training_goes_on_to_the_same_model(
     assert resumed.seconds > 0
 
 
+def test_panoramas_in_files_make_the_same_model(tiny_run: TrainingRun, tmp_path: Path) -> None:
+    scene, out = tiny_run.out.parent / 'scene', tmp_path / 'out'
+    run = train_tiny(scene, out, cache_gb=1.0)
+    kept = list(out.glob('panoramas_*/*.npy'))
+    assert len(kept) == 8
+    assert graph_of(run) == graph_of(tiny_run)
+
+
 def test_a_finished_training_is_not_trained_again(
         tiny_run: TrainingRun, tmp_path: Path) -> None:
     shutil.copytree(tiny_run.out, tmp_path / 'out')

@@ -22,6 +22,7 @@ def write_tiny_scene(folder: Path) -> None:
 
 
 def train_tiny(scene: Path, out: Path, experiment: Experiment = TINY,
-               progress: Progress = lambda stage, done, total, note: None) -> TrainingRun:
+               progress: Progress = lambda stage, done, total, note: None,
+               cache_gb: float = 0.0) -> TrainingRun:
     """Train on a scene of `write_tiny_scene`."""
-    return train(scene, experiment, out, progress)
+    return train(scene, experiment, out, progress, cache_gb)

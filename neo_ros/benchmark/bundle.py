@@ -8,8 +8,7 @@ from neo_ros.evaluation.output import make_output_folder, write_bytes
 
 PART_BYTES = 15_000_000
 # Below the working folder; fields and features can be made again and stay behind.
-KEPT = ('*.md', '*.html', '*/*.json', '*/scores/*.json', '*/*/*.onnx', '*/*/*.memory',
-        '*/*/*.json')
+KEPT = ('*.md', '*.html', '*/*.json', '*/*/*.json', '*/*/*.onnx', '*/*/*.memory')
 
 
 def write_bundle(folder: Path, rows_file: Path, work: Path) -> list[Path]:

@@ -2,10 +2,11 @@
 The public field that ours is measured against: nerfstudio's nerfacto, its torch implementation.
 
 Put together from nerfstudio's own parts (Tancik et al., 2023; its NerfactoModel would download
-weights for a measure that is not needed here), with its defaults. nerfstudio 1.1.5 asks for
-hundreds of packages, most of which a CPU has no use for: install it beside neo_ros with
+weights for a measure that is not needed here), with its defaults but for the rays in a step.
+nerfstudio asks for hundreds of packages; these are what its nerfacto needs beside neo_ros:
 
-    pip install --no-deps nerfstudio nerfacc && pip install jaxtyping tyro torchmetrics nerfacc
+    pip install --no-deps nerfstudio==1.1.5 nerfacc jaxtyping wadler-lindig tyro docstring-parser \
+        typeguard torchmetrics lightning-utilities gsplat viser splines msgspec websockets
 """
 import time
 from typing import Any, TYPE_CHECKING

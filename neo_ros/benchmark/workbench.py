@@ -28,9 +28,10 @@ from neo_ros.scenes.scene import read_scene
 
 FIELD_SHARE = 0.25           # of the training time that goes to the field
 LEAST_NETWORK_SHARE = 0.5    # that the network has, however long the field took
-# A trial tells how long a step takes. With fewer steps a field is fog, so it has as many at least;
-# where there is no time for a trial they must do.
-TRIAL_STEPS, TIMED_STEPS, LEAST_TRIAL_SECONDS = 300, 100, 60.0
+# A trial, a short training of its own, tells how long a step takes; its first steps may compile.
+# With fewer steps a field is fog, so it has as many at least; where there is no time for a trial
+# they must do.
+TRIAL_STEPS, FIRST_TIMED_STEP, LEAST_TRIAL_SECONDS = 300, 10, 60.0
 
 
 @dataclass(frozen=True)
@@ -179,11 +180,11 @@ def field_steps_within(run: TrainingRun, seconds: float) -> int:
         run.experiment.seed)
     started = time.monotonic()
     for done in range(TRIAL_STEPS):
-        if done == TRIAL_STEPS - TIMED_STEPS:  # by then its air is empty, its grid fine
+        if done == FIRST_TIMED_STEP:
             started = time.monotonic()
         trainer.train_step()
         run.progress('trial', done + 1, TRIAL_STEPS, '')
-    each = (time.monotonic() - started) / TIMED_STEPS
+    each = (time.monotonic() - started) / (TRIAL_STEPS - FIRST_TIMED_STEP)
     return max(TRIAL_STEPS, int(seconds / each))
 
 

@@ -10,8 +10,9 @@ def compare(
     configs: Annotated[list[Path], typer.Argument(
         help='Experiment files (YAML), for example config/experiments/networks/*.yaml.')],
     out: Annotated[Path, typer.Option(help='Folder: one run in it for each experiment.')],
-    minutes: Annotated[Optional[float], typer.Option(
-        help='Train every outpainter for so many minutes, instead of what its file says.')] = None,
+    minutes: Annotated[Optional[list[float]], typer.Option(
+        help='Train every outpainter for so many minutes, instead of what its file says; may be '
+        'repeated, to see what more time brings.')] = None,
     steps: Annotated[Optional[int], typer.Option(
         min=1, help='Train every outpainter for so many steps.')] = None,
 ) -> None:
@@ -28,7 +29,7 @@ def compare(
     from rich.table import Table
 
     with stage_progress() as show:
-        rows = run_comparison(scene, configs, out, minutes, steps, show)
+        rows = run_comparison(scene, configs, out, minutes or (), steps, show)
     table = Table('experiment', 'GFLOP', 'ms', 'samples', 'held out dB', 'test dB', 'front')
     for row in rows:
         scores = ('' if score is None else f'{score:.2f}'

@@ -13,6 +13,9 @@ def train(
     config: Annotated[Optional[Path], typer.Option(
         help='Experiment file (YAML), see config/experiments; default: the default settings.',
     )] = None,
+    cache_gb: Annotated[float, typer.Option(
+        help='Keep up to so many GB of panoramas in files of OUT instead of in memory; a training '
+        'that was broken off reads them back.', min=0)] = 0.0,
 ) -> None:
     """
     Fit the scene, render wide views of it, train the outpainter, make the memory, export.
@@ -28,7 +31,7 @@ def train(
 
     experiment = read_experiment(config) if config is not None else Experiment()
     with stage_progress() as show:
-        run = run_pipeline(scene, experiment, out, show)
+        run = run_pipeline(scene, experiment, out, show, cache_gb)
     for name, value in run.figures.items():
         rich.print(f'{name}: {value:.2f} dB')
     files = [run.model_path, run.model_path.with_suffix('.memory')]

@@ -70,7 +70,7 @@ class PanoramaCache:
         except OSError as error:
             raise NeoError(
                 f'{self.folder}: cannot keep panoramas: {error.strerror}; make room and start '
-                'the training again, or lower sampling.cache_gb') from error
+                'the training again, or lower --cache-gb') from error
         self.used += panorama.image.nbytes
         return self.read(index, panorama.band) or drawn
 

@@ -24,7 +24,6 @@ class SamplingConfig:
     camera_height: Optional[float] = None  # z of the camera; default: the map's or the photos'
     radius: float = 0.3      # metres around the photos that a hand-held camera can be
     positions: int = 1000    # positions to render, drawn from the grid
-    cache_gb: float = 0.0    # panoramas in files of the output folder, up to so much; 0: in memory
     sharp_only: Optional[bool] = None  # draw blurred views again; default: for `photos` only
 
     def __post_init__(self) -> None:
@@ -35,9 +34,9 @@ class SamplingConfig:
         if self.area not in ('auto', 'walkable', 'free_space', 'photos'):
             raise ConfigError('sampling.area: expected auto, walkable, free_space or photos, got '
                               f'{self.area!r}')
-        if not (self.yaws >= 0 and self.robot_radius >= 0 and self.cache_gb >= 0):
-            raise ConfigError('sampling: expected yaws, robot_radius and cache_gb >= 0, got '
-                              f'{self.yaws}, {self.robot_radius}, {self.cache_gb}')
+        if not (self.yaws >= 0 and self.robot_radius >= 0):
+            raise ConfigError('sampling: expected yaws and robot_radius >= 0, got '
+                              f'{self.yaws}, {self.robot_radius}')
         if self.camera_height is not None and not math.isfinite(self.camera_height):
             raise ConfigError('sampling.camera_height: expected metres, got '
                               f'{self.camera_height}')
