@@ -34,5 +34,5 @@ def field_curve(
     experiment = read_experiment(config) if config else Experiment()
     with stage_progress() as show:
         table = measure_field_curve(scene, experiment, scale, minutes or (1.0, 5.0), out, show)
-    rich.print(escape(table))
+    print(table)
     rich.print(f'Written: {escape(str(out))}')
