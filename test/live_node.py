@@ -57,6 +57,7 @@ class Camera:
         if self.infos is None:
             self.infos = self.graph.node.create_publisher(CameraInfo, '/robot/camera_info', 10)
             self.graph.spin_until(self.infos.get_subscription_count)
+            self.graph.spin_for(0.3)  # The node sees our publisher a moment later.
         self.infos.publish(CameraInfo(**(camera_info_fields(camera) | changes)))
         self.graph.spin_for(0.1)
 

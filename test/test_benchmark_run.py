@@ -38,7 +38,7 @@ def scene(tmp_path_factory):
 @pytest.fixture(autouse=True)
 def plain_scores(monkeypatch):
     """Do without LPIPS, whose weights are a download, and without a process per method."""
-    monkeypatch.setattr(scoring, 'load_scorers', lambda bench: [score_frame])
+    monkeypatch.setattr(scoring, 'load_scorers', lambda progress: [score_frame])
     monkeypatch.setattr(scoring, 'measure_memory', lambda folder, name: 12.5)
 
 
@@ -117,15 +117,15 @@ def test_a_working_folder_belongs_to_one_benchmark(scene, tmp_path):
         Workbench(job(scene, minutes=3.0), tmp_path, quiet)
 
 
-def test_without_the_weights_of_lpips_the_rest_is_scored(scene, tmp_path, monkeypatch):
+def test_without_the_weights_of_lpips_the_rest_is_scored(monkeypatch):
     def refuse(backbone):
         raise ModelError('offline')
 
     monkeypatch.undo()
     monkeypatch.setattr(lpips, 'Lpips', refuse)
     said = []
-    bench = Workbench(job(scene), tmp_path, lambda stage, done, total, note: said.append(note))
-    assert scoring.load_scorers(bench) == [score_frame]
+    assert scoring.load_scorers(
+        lambda stage, done, total, note: said.append(note)) == [score_frame]
     assert 'offline' in said
 
 

@@ -11,8 +11,8 @@ from scene_files import write_capture
 from typer.testing import CliRunner
 
 COMMANDS = ['bag', 'bag-info', 'bench', 'benchmark', 'compare', 'demo', 'evaluate', 'export',
-            'field-curve', 'floor', 'import', 'inspect', 'play', 'record', 'replay', 'soak', 'train',
-            'view']
+            'field-curve', 'floor', 'import', 'inspect', 'play', 'record', 'replay', 'soak',
+            'train', 'view']
 
 
 def run_main(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:

@@ -15,12 +15,11 @@ import time
 from typing import Any
 
 from neo_ros.benchmark.protocols import SCALES
+from neo_ros.benchmark.scoring import load_scorers
 from neo_ros.benchmark.workbench import field_steps_within
-from neo_ros.errors import ModelError
 from neo_ros.evaluation.evaluate import commit, host, Scorer, TruthFrames
 from neo_ros.evaluation.field_view import colour_gain
-from neo_ros.evaluation.lpips import Lpips
-from neo_ros.evaluation.metrics import psnr, score_frame
+from neo_ros.evaluation.metrics import psnr
 from neo_ros.evaluation.output import make_output_folder, write_bytes
 from neo_ros.experiment import Experiment
 from neo_ros.field.device import chosen_device, field_trainer
@@ -83,15 +82,6 @@ def fit_own(run: TrainingRun, seconds: float, stage: str) -> tuple[Renderer, dic
     field.device = chosen_device(config.device)
     return (lambda view, pose: render_view(field, view, pose).image,
             {'steps': steps, 'minutes': (time.monotonic() - started) / 60})
-
-
-def load_scorers(progress: Progress) -> list[Scorer]:
-    """Return PSNR with SSIM, and LPIPS where its weights can be had."""
-    try:
-        return [score_frame, Lpips('vgg')]
-    except ModelError as error:
-        progress('without LPIPS', 0, 1, str(error))
-        return [score_frame]
 
 
 def score(run: TrainingRun, render: Renderer, scorers: Sequence[Scorer],

@@ -24,6 +24,7 @@ from neo_ros.evaluation.metrics import Estimate, score_frame
 from neo_ros.evaluation.output import write_bytes
 from neo_ros.evaluation.stability import DepthOf, flicker, stored_depths, WarpingError
 from neo_ros.evaluation.true_depth import demo_depth, field_depth, is_demo_flat
+from neo_ros.pipeline import Progress
 from neo_ros.scenes.posed_images import read_rgb_image
 import numpy as np
 
@@ -44,7 +45,7 @@ def run_benchmark(bench: Workbench, names: Sequence[str],
         if stored is None:
             method = make_method(name, bench)
             if scorers is None:
-                scorers, depth_of = load_scorers(bench), true_depth(bench, names)
+                scorers, depth_of = load_scorers(bench.progress), true_depth(bench, names)
             stored = _score(bench, method, scorers, depth_of)
             _write_scores(bench, stored)
         results.append(stored)
@@ -53,14 +54,14 @@ def run_benchmark(bench: Workbench, names: Sequence[str],
     return results
 
 
-def load_scorers(bench: Workbench) -> list[Scorer]:
+def load_scorers(progress: Progress) -> list[Scorer]:
     """Return PSNR with SSIM, and LPIPS (VGG and Alex) where its weights can be had."""
     from neo_ros.evaluation.lpips import Lpips
     scorers: list[Scorer] = [score_frame]
     try:
         scorers += [Lpips('vgg'), Lpips('alex')]
     except ModelError as error:
-        bench.progress('without LPIPS', 0, 1, str(error))
+        progress('without LPIPS', 0, 1, str(error))
     return scorers
 
 
