@@ -1,5 +1,6 @@
 """What tests share, and what holds for all: no clock in hypothesis, no logs at home."""
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 from hypothesis import settings
@@ -35,3 +36,12 @@ def tiny_run(tmp_path_factory: pytest.TempPathFactory) -> Any:
     folder = tmp_path_factory.mktemp('tiny_training')
     write_tiny_scene(folder / 'scene')
     return train_tiny(folder / 'scene', folder / 'out')
+
+
+@pytest.fixture(scope='session')
+def flat_scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a scene of `write_tiny_scene` in a folder called flat; nobody writes there."""
+    from tiny_training import write_tiny_scene
+    folder = tmp_path_factory.mktemp('scenes') / 'flat'
+    write_tiny_scene(folder)
+    return folder

@@ -7,14 +7,15 @@ from neo_ros.benchmark.bundle import write_bundle
 from neo_ros.benchmark.methods import make_method, METHODS
 from neo_ros.benchmark.run import run_jobs
 from neo_ros.benchmark.scoring import fill_gap_closed, run_benchmark
+from neo_ros.benchmark.tables import markdown
 from neo_ros.benchmark.workbench import Job, Workbench
 from neo_ros.cli.main import app
 from neo_ros.errors import ConfigError, ModelError
 from neo_ros.evaluation import lpips
-from neo_ros.evaluation.evaluate import ROW_KEYS
+from neo_ros.evaluation.baselines import NeoModel
+from neo_ros.evaluation.evaluate import evaluate, ROW_KEYS, TruthFrames
 from neo_ros.evaluation.metrics import score_frame
 import pytest
-from tiny_training import write_tiny_scene
 from typer.testing import CliRunner
 
 SETTINGS = {
@@ -26,13 +27,6 @@ TRAINED = ['edge_replication', 'mean_image', 'naive', 'warping', 'neo_fast', 'or
 
 def quiet(stage, done, total, note):
     pass
-
-
-@pytest.fixture(scope='module')
-def scene(tmp_path_factory):
-    folder = tmp_path_factory.mktemp('scenes') / 'flat'
-    write_tiny_scene(folder)
-    return folder
 
 
 @pytest.fixture(autouse=True)
@@ -48,9 +42,9 @@ def job(scene, **changed):
 
 
 @pytest.mark.timeout(300)  # a field and two networks; seconds on an idle machine
-def test_all_that_can_be_trained_on_a_tiny_scene_is_scored(scene, tmp_path):
+def test_all_that_can_be_trained_on_a_tiny_scene_is_scored(flat_scene, tmp_path):
     rows_file = tmp_path / 'results/flat.json'
-    table = run_jobs({'flat': job(scene)}, TRAINED, tmp_path / 'work', rows_file, 'flat',
+    table = run_jobs({'flat': job(flat_scene)}, TRAINED, tmp_path / 'work', rows_file, 'flat',
                      False, quiet)
     rows = json.loads(rows_file.read_text())
     assert [row['method'] for row in rows] == TRAINED
@@ -71,12 +65,13 @@ def test_all_that_can_be_trained_on_a_tiny_scene_is_scored(scene, tmp_path):
     page = (tmp_path / 'work/flat.html').read_text()
     assert page.count('<h3>') == 3 * len(TRAINED)
     assert 'Ring PSNR over milliseconds a frame' in page
+    assert 'The true images have a warping error of' in table
     assert '| oracle |' in table and '25.94 / 0.868 / 0.217' in table
     assert (tmp_path / 'work/flat.md').read_text() == table
 
 
-def test_what_is_scored_is_not_scored_again(scene, tmp_path, monkeypatch):
-    bench = Workbench(job(scene), tmp_path, quiet)
+def test_what_is_scored_is_not_scored_again(flat_scene, tmp_path, monkeypatch):
+    bench = Workbench(job(flat_scene), tmp_path, quiet)
     first = run_benchmark(bench, ['edge_replication'])
     made = []
     real = scoring.make_method
@@ -84,19 +79,19 @@ def test_what_is_scored_is_not_scored_again(scene, tmp_path, monkeypatch):
                         lambda name, bench: made.append(name) or real(name, bench))
     seen = []
     names = ['edge_replication', 'mean_image']
-    again = run_benchmark(Workbench(job(scene), tmp_path, quiet), names,
+    again = run_benchmark(Workbench(job(flat_scene), tmp_path, quiet), names,
                           lambda results: seen.append(len(results)))
     assert made == ['mean_image']
     assert seen == [1, 2]
     assert again[0].frames == first[0].frames
     assert again[0].estimates == first[0].estimates
     # Other frames are another question.
-    fewer = run_benchmark(Workbench(job(scene, most_frames=2), tmp_path, quiet), names[:1])
+    fewer = run_benchmark(Workbench(job(flat_scene, most_frames=2), tmp_path, quiet), names[:1])
     assert made == ['mean_image', 'edge_replication']
     assert fewer[0].row['n_frames'] == 2
 
 
-def test_a_run_that_dies_keeps_what_was_through(scene, tmp_path, monkeypatch):
+def test_a_run_that_dies_keeps_what_was_through(flat_scene, tmp_path, monkeypatch):
     def break_off(name, bench):
         if name == 'mean_image':
             raise KeyboardInterrupt
@@ -105,16 +100,16 @@ def test_a_run_that_dies_keeps_what_was_through(scene, tmp_path, monkeypatch):
     real = scoring.make_method
     monkeypatch.setattr(scoring, 'make_method', break_off)
     with pytest.raises(KeyboardInterrupt):
-        run_jobs({'flat': job(scene)}, ['edge_replication', 'mean_image'], tmp_path / 'work',
+        run_jobs({'flat': job(flat_scene)}, ['edge_replication', 'mean_image'], tmp_path / 'work',
                  tmp_path / 'rows.json', 'flat', False, quiet)
     rows = json.loads((tmp_path / 'rows.json').read_text())
     assert [row['method'] for row in rows] == ['edge_replication']
 
 
-def test_a_working_folder_belongs_to_one_benchmark(scene, tmp_path):
-    Workbench(job(scene), tmp_path, quiet)
+def test_a_working_folder_belongs_to_one_benchmark(flat_scene, tmp_path):
+    Workbench(job(flat_scene), tmp_path, quiet)
     with pytest.raises(ConfigError, match='other minutes'):
-        Workbench(job(scene, minutes=3.0), tmp_path, quiet)
+        Workbench(job(flat_scene, minutes=3.0), tmp_path, quiet)
 
 
 def test_without_the_weights_of_lpips_the_rest_is_scored(monkeypatch):
@@ -129,18 +124,25 @@ def test_without_the_weights_of_lpips_the_rest_is_scored(monkeypatch):
     assert 'offline' in said
 
 
-def test_memory_is_measured_in_a_process_of_its_own(scene, tmp_path):
+def test_memory_is_measured_in_a_process_of_its_own(flat_scene, tmp_path):
     from neo_ros.benchmark.method_memory import measure_memory
-    Workbench(job(scene), tmp_path, quiet)
+    Workbench(job(flat_scene), tmp_path, quiet)
     megabytes = measure_memory(tmp_path, 'edge_replication')
     assert megabytes is not None and 0 <= megabytes < 500
     assert measure_memory(tmp_path, 'no_such_method') is None
 
 
-def test_an_unknown_method_is_not_taken_for_another(scene, tmp_path):
+def test_an_unknown_method_is_not_taken_for_another(flat_scene, tmp_path):
     with pytest.raises(ConfigError, match='got no_such_method'):
-        make_method('no_such_method', Workbench(job(scene), tmp_path, quiet))
+        make_method('no_such_method', Workbench(job(flat_scene), tmp_path, quiet))
     assert not (tmp_path / 'field').exists()
+
+
+def test_a_table_says_how_often_the_memory_knew_the_scene(tiny_run):
+    frames = TruthFrames(tiny_run.scene.test, tiny_run.expansion)
+    results = evaluate('flat', frames, [NeoModel(tiny_run.model_path)])
+    known = sum(frame['guided'] for frame in results[0].frames)
+    assert f'- guided: the memory knew {known:.0f} of 6 frames' in markdown([results])
 
 
 def test_the_gap_needs_both_of_its_ends():
@@ -153,9 +155,9 @@ def test_the_gap_needs_both_of_its_ends():
     assert [row['oracle_gap_closed'] for row in rows] == [0.0, 0.3, 1.0]
 
 
-def test_the_command_scores_a_scene_folder(scene, tmp_path):
+def test_the_command_scores_a_scene_folder(flat_scene, tmp_path):
     result = CliRunner().invoke(app, [
-        'benchmark', '--scene', str(scene), '--protocol', 'square', '--scale', 'full',
+        'benchmark', '--scene', str(flat_scene), '--protocol', 'square', '--scale', 'full',
         '--methods', 'edge_replication,mean_image', '--frames', '2',
         '--out', str(tmp_path / 'x.json'), '--work', str(tmp_path / 'work')],
         catch_exceptions=False)
@@ -164,10 +166,10 @@ def test_the_command_scores_a_scene_folder(scene, tmp_path):
     assert (tmp_path / 'work/flat.html').is_file()
 
 
-def test_a_method_whose_package_is_missing_is_left_out_and_named(scene, tmp_path, monkeypatch):
+def test_a_method_whose_package_is_missing_is_left_out(flat_scene, tmp_path, monkeypatch):
     monkeypatch.setattr(run, 'find_spec', lambda package: None)
     said = []
-    run_jobs({'flat': job(scene, most_frames=2)}, ['edge_replication', 'relocalized'],
+    run_jobs({'flat': job(flat_scene, most_frames=2)}, ['edge_replication', 'relocalized'],
              tmp_path / 'work', tmp_path / 'rows.json', 'flat', False,
              lambda stage, done, total, note: said.append(f'{stage}: {note}'))
     rows = json.loads((tmp_path / 'rows.json').read_text())
@@ -197,10 +199,11 @@ def test_a_bundle_is_cut_into_files_that_are_one_archive(tmp_path, monkeypatch):
         assert {member.name: archive.extractfile(member).read() for member in archive} == content
 
 
-def test_a_broken_off_run_leaves_its_bundle(scene, tmp_path, monkeypatch):
+def test_a_broken_off_run_leaves_its_bundle(flat_scene, tmp_path, monkeypatch):
     monkeypatch.setattr(scoring, 'make_method', lambda name, bench: 1 / 0)
     result = CliRunner().invoke(app, [
-        'benchmark', '--scene', str(scene), '--methods', 'edge_replication', '--scale', 'full',
+        'benchmark', '--scene', str(flat_scene), '--scale', 'full',
+        '--methods', 'edge_replication',
         '--out', str(tmp_path / 'x.json'), '--work', str(tmp_path / 'work'),
         '--bundle', str(tmp_path / 'bundle')])
     assert isinstance(result.exception, ZeroDivisionError)

@@ -55,6 +55,18 @@ def test_a_scene_is_scored_beside_the_floors(scene, model, tmp_path):
     assert 'mean_image' in (out / 'report.html').read_text()
 
 
+def test_what_the_memory_knew_is_said(tiny_run, tmp_path):
+    scene, out = tiny_run.out.parent / 'scene', tmp_path / 'out'
+    result = CliRunner().invoke(APP, [
+        str(scene), '--model', str(tiny_run.model_path), '--out', str(out)])
+    assert result.exit_code == 0, result.output
+    guided, alone = json.loads((out / 'scores.json').read_text())['methods'][:2]
+    known = [frame['guided'] for frame in guided['frames']]
+    assert len(known) == 6 and set(known) <= {0.0, 1.0}
+    assert 'guided' not in alone['estimates']
+    assert f'guided: the memory knew {sum(known) / 6:.0%} of the frames' in result.output
+
+
 def test_a_scene_without_test_frames_says_so(scene, model):
     (scene / 'transforms_test.json').unlink()
     result = CliRunner().invoke(APP, [str(scene), '--model', str(model)])

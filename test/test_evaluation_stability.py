@@ -41,7 +41,7 @@ class Painted:
 def errors_of(frames, wide_images):
     watcher = WarpingError(frames, demo_depth(frames))
     scored = score_frames(frames, Painted(frames, wide_images), watchers=[watcher])
-    return [frame.get('warping_error') for frame in scored]
+    return [(frame.get('warping_error'), frame.get('truth_warping_error')) for frame in scored]
 
 
 def test_the_truth_is_steady_and_noise_is_not(frames):
@@ -49,7 +49,9 @@ def test_the_truth_is_steady_and_noise_is_not(frames):
     random = np.random.default_rng(0)
     noisy = [np.clip(wide + random.normal(0, 40, wide.shape), 0, 255).astype(np.uint8)
              for wide in truth]
-    steady, shaking = errors_of(frames, truth), errors_of(frames, noisy)
+    steady, of_truth = zip(*errors_of(frames, truth))
+    shaking, of_same_truth = zip(*errors_of(frames, noisy))
+    assert steady == of_truth == of_same_truth
     # The first frame of a walk has none before it.
     assert [error is None for error in steady] == [True, False, False] * 2
     assert all(error < 0.01 for error in steady if error is not None)

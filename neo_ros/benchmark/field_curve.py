@@ -2,8 +2,8 @@
 How good a radiance field is after how many minutes, beside a public implementation.
 
 Every point is a training of its own, as its schedule depends on its length. Where nerfstudio is
-installed, its nerfacto (see `neo_ros.benchmark.nerfacto`) trains for the same time on the same
-photos.
+installed, its nerfacto (see `neo_ros.benchmark.nerfacto`) trains on the same photos for the
+minutes that ours really took.
 """
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -54,16 +54,19 @@ def measure_field_curve(scene: Path, experiment: Experiment, scale: str,
                           Path(folder), progress)
         scorers = load_scorers(progress)
         for budget in minutes:
+            seconds = 60 * budget
             for name, fit in fitters.items():
                 key = {'scene': run.scene.name, 'scale': scale, 'implementation': name,
                        'budget_minutes': budget}
-                if any(key.items() <= row.items() for row in rows):
-                    continue
-                stage = f'{run.scene.name}, {name}, {budget:g} min'
-                render, measured = fit(run, 60 * budget, stage)
-                rows.append({**key, **measured, **score(run, render, scorers, stage),
-                             'commit': commit(), 'host': host()})
-                write_bytes(out, (json.dumps(rows, indent=1) + '\n').encode())
+                row = next((row for row in rows if key.items() <= row.items()), None)
+                if row is None:
+                    stage = f'{run.scene.name}, {name}, {budget:g} min'
+                    render, measured = fit(run, seconds, stage)
+                    row = {**key, **measured, **score(run, render, scorers, stage),
+                           'commit': commit(), 'host': host()}
+                    rows.append(row)
+                    write_bytes(out, (json.dumps(rows, indent=1) + '\n').encode())
+                seconds = 60 * row['minutes']
     return markdown(rows)
 
 

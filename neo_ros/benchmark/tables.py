@@ -105,10 +105,19 @@ def _remarks(results: Sequence[MethodScores]) -> list[str]:
     for result in results:
         if any('pose_error_cm' in frame for frame in result.frames):
             lines.append(pose_remark(result))
+        if 'guided' in result.estimates:
+            found = sum(frame['guided'] > 0 for frame in result.frames)
+            lines.append(f'{result.method}: the memory knew {found} of {len(result.frames)} '
+                         'frames; the others are from the network alone.')
         if 'uncovered' in result.estimates:
             share = result.estimates['uncovered'].mean
             lines.append(f'{result.method}: no photo covered {share:.0%} of the ring; it is '
                          'extended from its edges.')
+    truth = next((result.estimates['truth_warping_error'].mean for result in results
+                  if 'truth_warping_error' in result.estimates), None)
+    if truth is not None:
+        lines.append(f'The true images have a warping error of {truth * 1e3:.2f} x 10^-3 '
+                     'themselves: things that move or shine, and errors of the depth.')
     for score, words in (('ring_psnr', 'ring PSNR'), ('ring_lpips_vgg', 'ring LPIPS')):
         best = best_practical(results, score)
         if best is not None:

@@ -56,4 +56,8 @@ def evaluate(
         table.add_row(result.method, *(f'{result.row[key]:.{digits}f}'
                                        for key, (_, digits) in columns.items()))
     rich.print(table)
+    for result in results:
+        if 'guided' in result.estimates:
+            rich.print(f'{result.method}: the memory knew '
+                       f'{result.estimates["guided"].mean:.0%} of the frames')
     rich.print(f'Written: {escape(str(folder))}/scores.json and report.html')

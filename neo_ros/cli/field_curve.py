@@ -19,7 +19,7 @@ def field_curve(
     """
     Train a field for several times, and score each on held-out photos and wide test views.
 
-    Where nerfstudio is installed, its nerfacto trains beside it for the same times.
+    Where nerfstudio is installed, its nerfacto trains for the minutes that ours took.
     """
     from neo_ros.benchmark.field_curve import measure_field_curve
     from neo_ros.benchmark.protocols import SCALES

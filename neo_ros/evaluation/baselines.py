@@ -8,7 +8,7 @@ from typing import Iterable, Protocol
 
 import cv2
 from neo_ros.errors import SceneError
-from neo_ros.geometry import ViewExpansion
+from neo_ros.geometry import CameraPose, ViewExpansion
 from neo_ros.runtime.fov_extrapolator import FovExtrapolator
 import numpy as np
 
@@ -109,7 +109,12 @@ class NeoModel:
 
     def expand(self, narrow_image: np.ndarray) -> np.ndarray:
         """Widen (h, w, 3) RGB uint8 to (H, W, 3) RGB uint8."""
-        return self._extrapolator.expand(narrow_image).wide_image
+        self._last = self._extrapolator.expand(narrow_image)
+        return self._last.wide_image
+
+    def notes(self, true_pose: CameraPose) -> dict[str, float]:
+        """Return whether the scene memory knew where the camera of the last frame was."""
+        return {'guided': float(self._last.guided)} if self.guided else {}
 
     def reset(self) -> None:
         """Forget the frames before."""

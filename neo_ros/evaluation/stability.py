@@ -26,24 +26,29 @@ class WarpingError:
     Score every wide image against the last one of its walk; a watcher of `score_frames`.
 
     depth_of(index) is the true depth of a frame: float (H, W), metres along the optical axis.
+    The truth is scored beside it: what changes in the scene, and what is wrong with the depth, is
+    an error of every faithful method.
     """
 
     def __init__(self, frames: TruthFrames, depth_of: DepthOf) -> None:
         self.frames, self.depth_of = frames, depth_of
-        self.last: tuple[int, np.ndarray] | None = None
+        self.last: tuple[int, tuple[np.ndarray, np.ndarray]] | None = None
 
     def __call__(self, index: int, wide_image: np.ndarray) -> dict[str, float]:
-        """Return warping_error, or nothing for the first frame of a walk."""
-        last, self.last = self.last, (index, wide_image)
+        """Return warping_error and truth_warping_error; nothing for a walk's first frame."""
+        now = wide_image, self.frames.read(index)[1]
+        last, self.last = self.last, (index, now)
         images = self.frames.images
         if last is None or images.path_ids[last[0]] != images.path_ids[index]:
             return {}
         T_last_now = images.poses[last[0]].inverse() @ images.poses[index].T_world_cam
         where, visible = follow_points(self.frames.expansion.target, self.depth_of(index),
                                        self.depth_of(last[0]), T_last_now)
-        error = warping_error(wide_image, last[1], where,
-                              visible & self.frames.expansion.extrapolated_mask)
-        return {} if error is None else {'warping_error': error}
+        counted = visible & self.frames.expansion.extrapolated_mask
+        names = ('warping_error', 'truth_warping_error')
+        errors = {name: warping_error(image, before, where, counted)
+                  for name, image, before in zip(names, now, last[1])}
+        return {name: error for name, error in errors.items() if error is not None}
 
 
 def follow_points(camera: Intrinsics, depth: np.ndarray, last_depth: np.ndarray,

@@ -21,8 +21,6 @@ EXPECTED_METRES, EXPECTED_COSINE = 0.15, 0.99
 # A search takes as long as several frames: a lost camera is searched for every so many frames, one
 # whose pose is believed, but not sure, now and then.
 SEARCH_EVERY, DOUBT_EVERY = 5, 30
-# What the best pixels may fit worse by, where all of them together fit better.
-PARTIAL_LOSS = 0.005
 # Keyframes that are drawn.
 SHOWN = 3
 # Places that a lost camera is compared with closely, and how far apart they are at least.
@@ -51,13 +49,12 @@ class Sight:
     """
     A pose, what the memory shows from it, and how well that agrees with the image.
 
-    partial: the agreement of the pixels that fit best. believed: good enough to be shown.
+    believed: good enough to be shown.
     """
 
     pose: CameraPose
     view: GuideView
     agreement: float
-    partial: float
     believed: bool
 
     def rank(self) -> tuple[bool, float]:
@@ -128,16 +125,10 @@ class SceneGuide:
         """Begin where a camera in steady motion would be now; if it is not there, where it was."""
         expected = CameraPose(last.T_world_cam @ self._motion)
         found = self._look(photo, self.aligner.align(photo, expected, 1, near=True), expected)
-        if found.agreement >= SURE:
+        if found.believed:
             return found
-        if not found.believed:
-            again = self._look(photo, self.aligner.align(photo, last, 3))
-            return max(found, again, key=Sight.rank)
-        # Where the memory is poor a pose creeps away, a little with every frame. A closer look
-        # holds it; but what somebody in the image pulls at fits the rest of it worse.
-        again = self._look(photo, self.aligner.align(photo, expected, 3), expected)
-        held = again.partial >= found.partial - PARTIAL_LOSS
-        return again if held and again.rank() > found.rank() else found
+        again = self._look(photo, self.aligner.align(photo, last, 3))
+        return max(found, again, key=Sight.rank)
 
     def _look(self, photo: list[np.ndarray], pose: CameraPose,
               expected: CameraPose | None = None) -> Sight:
@@ -154,7 +145,7 @@ class SceneGuide:
         there = expected is not None and (
             np.linalg.norm(pose.position - expected.position) < EXPECTED_METRES
             and pose.forward @ expected.forward > EXPECTED_COSINE)
-        return Sight(pose, view, whole, partial,
+        return Sight(pose, view, whole,
                      whole >= LEAST_AGREEMENT or bool(there and partial >= LEAST_PARTIAL))
 
     def _search(self, image: np.ndarray, photo: list[np.ndarray]) -> Sight | None:
