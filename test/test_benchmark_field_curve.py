@@ -25,7 +25,7 @@ def short(monkeypatch):
 def measure(flat_scene, minutes, out, monkeypatch, rival=False):
     monkeypatch.setattr(field_curve, 'find_spec', lambda name: True if rival else None)
     seen = []
-    table = measure_field_curve(flat_scene, EXPERIMENT, 'full', minutes, out,
+    table = measure_field_curve(flat_scene, EXPERIMENT, 'full', minutes, 3, out,
                                 lambda stage, done, total, note: seen.append(stage))
     return table, set(seen)
 

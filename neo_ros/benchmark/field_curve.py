@@ -31,17 +31,17 @@ import numpy as np
 
 # Shows float32 RGB (H, W, 3) in [0, 1] of a view at a pose.
 Renderer = Callable[[Intrinsics, CameraPose], np.ndarray]
-# Test views and held-out photos that are looked at: enough for a mean, evenly spread.
-MOST_VIEWS = 25
 
 
 def measure_field_curve(scene: Path, experiment: Experiment, scale: str,
-                        minutes: Sequence[float], out: Path, progress: Progress) -> str:
+                        minutes: Sequence[float], views: int, out: Path,
+                        progress: Progress) -> str:
     """
     Train the experiment's field for each of the times, and score it; returns a table.
 
-    scale: full, half or quarter of the photos. Rows go into the JSON file `out`; those that it
-    has are not measured again. Raises NeoError where scene or settings are wrong.
+    scale: full, half or quarter of the photos. views: test frames, and held-out photos, that
+    are looked at, evenly spread. Rows go into the JSON file `out`; those that it has are not
+    measured again. Raises NeoError where scene or settings are wrong.
     """
     make_output_folder(out.parent)
     rows: list[dict[str, Any]] = json.loads(out.read_text()) if out.exists() else []
@@ -57,12 +57,12 @@ def measure_field_curve(scene: Path, experiment: Experiment, scale: str,
             seconds = 60 * budget
             for name, fit in fitters.items():
                 key = {'scene': run.scene.name, 'scale': scale, 'implementation': name,
-                       'budget_minutes': budget}
+                       'budget_minutes': budget, 'views': views}
                 row = next((row for row in rows if key.items() <= row.items()), None)
                 if row is None:
                     stage = f'{run.scene.name}, {name}, {budget:g} min'
                     render, measured = fit(run, seconds, stage)
-                    row = {**key, **measured, **score(run, render, scorers, stage),
+                    row = {**key, **measured, **score(run, render, views, scorers, stage),
                            'commit': commit(), 'host': host()}
                     rows.append(row)
                     write_bytes(out, (json.dumps(rows, indent=1) + '\n').encode())
@@ -87,7 +87,7 @@ def fit_own(run: TrainingRun, seconds: float, stage: str) -> tuple[Renderer, dic
             {'steps': steps, 'minutes': (time.monotonic() - started) / 60})
 
 
-def score(run: TrainingRun, render: Renderer, scorers: Sequence[Scorer],
+def score(run: TrainingRun, render: Renderer, views: int, scorers: Sequence[Scorer],
           stage: str) -> dict[str, float]:
     """
     Score what a field shows at true poses, nothing pasted; means over the views.
@@ -99,12 +99,12 @@ def score(run: TrainingRun, render: Renderer, scorers: Sequence[Scorer],
     scale = run.experiment.scale
     if run.held_out is not None:
         camera = run.held_out.intrinsics.scaled(scale)
-        for index in _spread(len(run.held_out)):
+        for index in _spread(len(run.held_out), views):
             photo = run.held_out.read_image(index, scale)
             shown = 255 * render(camera, run.held_out.poses[index])
             scores.append({'held_out_psnr': psnr(photo, _gained(shown, shown, photo))})
     frames = TruthFrames(run.scene.test, run.expansion)
-    chosen = _spread(len(frames))
+    chosen = _spread(len(frames), views)
     for done, index in enumerate(chosen, 1):
         narrow_image, truth = frames.read(index)
         shown = 255 * render(run.expansion.target, frames.images.poses[index])
@@ -134,6 +134,6 @@ def _gained(shown: np.ndarray, window: np.ndarray, observed: np.ndarray) -> np.n
     return np.clip(shown * colour_gain(window, observed) + 0.5, 0, 255).astype(np.uint8)
 
 
-def _spread(count: int) -> list[int]:
-    chosen = np.linspace(0, count - 1, min(count, MOST_VIEWS)).round().astype(int)
+def _spread(count: int, most: int) -> list[int]:
+    chosen = np.linspace(0, count - 1, min(count, most)).round().astype(int)
     return [int(index) for index in chosen]

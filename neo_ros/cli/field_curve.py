@@ -12,6 +12,8 @@ def field_curve(
         help='Training time; may be repeated. Default: 1 and 5.', min=0.01)] = None,
     config: Annotated[Optional[Path], typer.Option(
         help='Experiment file (YAML) with the settings of the field.')] = None,
+    views: Annotated[int, typer.Option(
+        min=1, help='Test frames, and held-out photos, to look at, evenly spread.')] = 25,
     out: Annotated[Path, typer.Option(
         help='JSON file of the rows; those that it has are not measured again.')] = Path(
         'results/field_curve.json'),
@@ -33,6 +35,7 @@ def field_curve(
         raise ConfigError(f'scale: expected {", ".join(SCALES)}, got {scale!r}')
     experiment = read_experiment(config) if config else Experiment()
     with stage_progress() as show:
-        table = measure_field_curve(scene, experiment, scale, minutes or (1.0, 5.0), out, show)
+        table = measure_field_curve(
+            scene, experiment, scale, minutes or (1.0, 5.0), views, out, show)
     print(table)
     rich.print(f'Written: {escape(str(out))}')

@@ -24,6 +24,9 @@ def import_scene(
         help='Keep the sharpest frame of every so many metres.')] = None,
     keyframe_angle: Annotated[Optional[float], typer.Option(
         help='Keep the sharpest frame of every so many degrees.')] = None,
+    test_runs: Annotated[int, typer.Option(
+        help='Hold a tenth of the photos back as test frames, in so many runs, to measure how '
+             'good a model of this capture is.', min=0)] = 0,
     level: Annotated[bool, typer.Option(
         '--level', help='Turn the world so that z points up, as the photos were held.')] = False,
     size: Annotated[int, typer.Option(
@@ -41,6 +44,7 @@ def import_scene(
     from neo_ros.evaluation.capture_report import REPORT_FILE, write_capture_report
     from neo_ros.scenes.demo_captures import write_demo_scene
     from neo_ros.scenes.formats import CaptureFormat, detect_format
+    from neo_ros.scenes.held_out_runs import hold_out_runs
     from neo_ros.scenes.importing import import_transforms
     from neo_ros.scenes.scene import read_scene
     import rich
@@ -48,6 +52,8 @@ def import_scene(
 
     with stage_progress() as show:
         if source == 'demo':
+            if test_runs:
+                raise ConfigError('--test-runs: leave it out, the demo has wide test frames')
             write_demo_scene(scene, image_size=size, n_train=photos,
                              progress=lambda done, total: show('images', done, total))
             notes: list[str] = []
@@ -66,6 +72,10 @@ def import_scene(
                 notes = _import_capture(
                     Path(source), scene, format_, image_topic, pose_topic, keyframe_distance,
                     keyframe_angle, level, show)
+        if test_runs:
+            train, test = hold_out_runs(scene, test_runs)
+            notes.append(f'{len(test)} photos in {test_runs} runs are test frames; their middle '
+                         f'columns will be widened; {len(train)} photos are left to train with')
         found = read_scene(scene)
         verdict = write_capture_report(scene, found, notes,
                                        lambda done, total: show('capture report', done, total))

@@ -1,0 +1,64 @@
+"""Runs of photos that are held back for tests."""
+from neo_ros.cli.main import app
+from neo_ros.errors import ConfigError, SceneError
+from neo_ros.geometry import Intrinsics
+from neo_ros.scenes.held_out_runs import GAP, middle_columns, split_runs
+from neo_ros.scenes.scene import read_scene
+from neo_ros.scenes.transforms_json import read_transforms
+import pytest
+from scene_files import write_capture
+from typer.testing import CliRunner
+
+
+@pytest.fixture
+def capture(tmp_path):
+    write_capture(tmp_path / 'capture', 60)
+    return tmp_path / 'capture'
+
+
+def test_runs_and_their_neighbours_are_kept_from_training(capture):
+    photos = read_transforms(capture / 'transforms_train.json')
+    train, test = split_runs(photos, 3)
+    names = [path.name for path in photos.image_paths]
+    held = [names.index(path.name) for path in test.image_paths]
+    assert held == [9, 10, 29, 30, 49, 50]
+    assert test.path_ids == (0, 0, 1, 1, 2, 2)
+    kept = [names.index(path.name) for path in train.image_paths]
+    assert min(abs(a - b) for a in kept for b in held) == GAP + 1
+    assert len(kept) == 60 - 3 * (2 + 2 * GAP)
+
+
+def test_a_short_capture_is_refused(capture):
+    photos = read_transforms(capture / 'transforms_train.json')
+    with pytest.raises(SceneError, match='more than half of the 60 photos'):
+        split_runs(photos, 4)
+
+
+@pytest.mark.parametrize(('width', 'source'), [(320, 160), (640, 320), (1296, 656), (30, 28)])
+def test_the_view_is_the_middle_of_the_columns(width, source):
+    expansion = middle_columns(Intrinsics.from_hfov(width, 40, 1.2))
+    assert (expansion.source.width, expansion.source.height) == (source, 40)
+    assert expansion.left == expansion.right and expansion.target.width == width
+
+
+def test_the_import_holds_runs_back_again_and_again(capture, tmp_path):
+    scene = tmp_path / 'scene'
+    for _ in range(2):
+        result = CliRunner().invoke(app, ['import', str(capture), str(scene), '--test-runs', '2'])
+        assert result.exit_code == 0, result.output
+        assert '6 photos in 2 runs are test frames' in ' '.join(result.output.split())
+    found = read_scene(scene)
+    assert len(found.train) == 60 - 2 * (3 + 2 * GAP) and len(found.test) == 6
+    assert not set(found.train.image_paths) & set(found.test.image_paths)
+    assert found.expansion.source.width < found.expansion.target.width
+    # A scene is a capture, too: settings are tuned on runs of its training photos.
+    dev = tmp_path / 'dev'
+    result = CliRunner().invoke(app, ['import', str(scene), str(dev), '--test-runs', '1'])
+    assert result.exit_code == 0, result.output
+    trained = {path.name for path in found.train.image_paths}
+    assert {path.name for path in read_scene(dev).test.image_paths} <= trained
+
+
+def test_the_demo_has_test_frames_already(tmp_path):
+    result = CliRunner().invoke(app, ['import', 'demo', str(tmp_path), '--test-runs', '2'])
+    assert isinstance(result.exception, ConfigError)
