@@ -163,7 +163,7 @@ def _fit_field(run: TrainingRun, path: Path, writes: bool) -> None:
     trainer = field_trainer(images, run.fitted.intrinsics.scaled(scale), run.fitted.T_world_cam,
                             config, run.experiment.seed)
     train_with_checkpoints(
-        run, trainer, checkpoint, 'field', lambda: (trainer.step, config.steps),
+        run, trainer, checkpoint, 'field', lambda: trainer.done,
         trainer.train_step,
         lambda: f'{trainer.psnr:.2f} dB on its photos', writes=writes)
     field = trainer.finished()

@@ -4,11 +4,11 @@ import json
 
 from neo_ros.benchmark import field_curve
 from neo_ros.benchmark.field_curve import measure_field_curve
-from neo_ros.benchmark.workbench import TRIAL_STEPS
 from neo_ros.cli.main import app
 from neo_ros.errors import ConfigError
 from neo_ros.evaluation.metrics import score_frame
 from neo_ros.experiment import experiment_from
+from neo_ros.field import fitting
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -18,7 +18,8 @@ EXPERIMENT = experiment_from({'field': {'voxels': 20_000, 'pixels_per_step': 512
 
 @pytest.fixture(autouse=True)
 def short(monkeypatch):
-    """Leave out LPIPS, whose weights are a download."""
+    """Leave out LPIPS, whose weights are a download, and most steps."""
+    monkeypatch.setattr(fitting, 'LEAST_STEPS', 100)
     monkeypatch.setattr(field_curve, 'load_scorers', lambda progress: [score_frame])
 
 
@@ -33,13 +34,13 @@ def measure(flat_scene, minutes, out, monkeypatch, rival=False):
 def test_longer_trainings_are_better_and_none_is_measured_twice(flat_scene, tmp_path, monkeypatch):
     out = tmp_path / 'results/curve.json'
     _, seen = measure(flat_scene, (0.002,), out, monkeypatch)
-    assert {'trial', 'flat, neo_ros, 0.002 min', 'flat, neo_ros, 0.002 min: views'} <= seen
+    assert {'flat, neo_ros, 0.002 min', 'flat, neo_ros, 0.002 min: views'} <= seen
     table, seen = measure(flat_scene, (0.002, 0.1), out, monkeypatch)
     assert 'flat, neo_ros, 0.002 min' not in seen
     short, long = json.loads(out.read_text())
     assert (short['scene'], short['scale'], short['implementation']) == (
         'flat', 'full', 'neo_ros')
-    assert short['steps'] == TRIAL_STEPS < long['steps']
+    assert short['steps'] == 100 < long['steps']
     assert 0 < short['minutes'] < long['minutes']
     # What it was fitted to looks the other way than the test frames: only those must gain.
     assert long['whole_psnr'] > short['whole_psnr'] + 1

@@ -4,7 +4,8 @@ from neo_ros.evaluation.evaluate import score_frames, TruthFrames
 from neo_ros.evaluation.field_view import colour_gain, FieldView, Oracle
 from neo_ros.evaluation.image_fill import blend_bands, extend_edges
 from neo_ros.evaluation.local_features import find_features, match_features, read_photo_bank
-from neo_ros.evaluation.relocalized import pose_error, Relocalized, Relocalizer
+from neo_ros.evaluation.relocalized import (
+    Localization, pose_error, Relocalized, RelocalizedNeo, Relocalizer)
 from neo_ros.evaluation.sparse_model import epipolar_distance, read_sparse_model
 from neo_ros.evaluation.warping import on_planes, smooth_warp, Warping
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
@@ -77,6 +78,33 @@ def test_b3_finds_the_pose_and_renders_there(corner, bank):
     frame = score_frames(corner[2], method)[0]
     assert frame['pose_failed'] == 0
     assert frame['pose_error_cm'] == pytest.approx(error['pose_error_cm'])
+
+
+def test_b3_and_neo_fill_in_for_each_other():
+    class Grey:
+        train_minutes, model_mb = 4.0, 2.0
+
+        def expand(self, narrow_image):
+            return EXPANSION.paste(narrow_image, np.full((192, 192, 3), 90, np.uint8))
+
+    class Finder:
+
+        def locate(self, narrow_image):
+            return Localization(standing(), 0, failed=not narrow_image.any())
+
+    field = room_field()
+    lower = np.arange(len(field.grid)) % field.shape[2] < field.shape[2] // 2
+    field.seen = lower.astype(np.uint8)
+    b3 = Relocalized(Finder(), FieldView(field, EXPANSION, 1), 1.0, 3.0)
+    method = RelocalizedNeo(b3, Grey())
+    assert (method.train_minutes, method.model_mb) == (4.0, 5.0)
+    narrow_image = np.full((96, 96, 3), 128, np.uint8)
+    wide, shown = method.expand(narrow_image), b3.expand(narrow_image)
+    made_up = (wide == 90).all(2)
+    assert made_up[:40].mean() > 0.9 and made_up[150:].mean() < 0.1
+    np.testing.assert_array_equal(wide[~made_up], shown[~made_up])
+    lost = method.expand(np.zeros((96, 96, 3), np.uint8))
+    assert (lost[EXPANSION.extrapolated_mask] == 90).all()
 
 
 def test_b3_falls_back_to_the_most_similar_photo(corner, bank):

@@ -2,7 +2,7 @@ from typing import Any
 
 from neo_ros.errors import ConfigError, SceneError
 from neo_ros.evaluation.metrics import psnr
-from neo_ros.field.fitting import FieldConfig, FieldTrainer
+from neo_ros.field.fitting import FieldConfig, FieldTrainer, STAGES
 from neo_ros.field.rendering import render_view, to_uint8
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import Intrinsics
@@ -52,7 +52,7 @@ def copied(state: dict[str, Any]) -> dict[str, Any]:
 def assert_same_state(first: FieldTrainer, second: FieldTrainer) -> None:
     a, b = first.state(), second.state()
     assert a.keys() == b.keys()
-    for key in a:
+    for key in a.keys() - {'seconds'}:
         np.testing.assert_array_equal(a[key], b[key], err_msg=key)
 
 
@@ -77,6 +77,39 @@ def test_a_broken_fit_goes_on_to_the_same_bits(
     while resumed.step < 60:
         resumed.train_step()
     assert_same_state(resumed, unbroken)
+
+
+def test_a_fit_may_end_by_the_clock(images: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
+    now = 0.0
+
+    def tick() -> float:
+        nonlocal now
+        now += 0.125
+        return now
+
+    monkeypatch.setattr('neo_ros.field.fitting.time.monotonic', tick)
+    monkeypatch.setattr('neo_ros.field.fitting.LEAST_STEPS', 20)
+    fit = trainer(images, minutes=0.125)
+    shares, stages = [], []
+    while fit.done[0] < fit.done[1]:
+        fit.train_step()
+        shares.append(fit.share)
+        stages.append(fit.stage)
+    # Seven seconds and a half, an eighth of a second a step.
+    assert fit.step == 60 and fit.seconds == 7.5
+    assert shares == sorted(shares) and fit.done == (8, 8)
+    assert stages[-1] == len(STAGES) - 1 and sorted(set(stages)) == [0, 1, 2, 3]
+    monkeypatch.setattr('neo_ros.field.fitting.LEAST_STEPS', 90)
+    hurried = trainer(images, minutes=0.125)
+    while hurried.done[0] < hurried.done[1]:
+        hurried.train_step()
+    assert hurried.step == 90 and hurried.stage == 3
+
+
+@pytest.mark.parametrize('minutes', [0.0, -1.0, float('nan'), float('inf')])
+def test_no_time_is_refused(minutes: float) -> None:
+    with pytest.raises(ConfigError, match='field.minutes'):
+        FieldConfig(minutes=minutes)
 
 
 @pytest.mark.skipif(get_num_threads() < 2, reason='one processor')

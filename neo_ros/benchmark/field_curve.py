@@ -11,12 +11,10 @@ from importlib.util import find_spec
 import json
 from pathlib import Path
 import tempfile
-import time
 from typing import Any
 
 from neo_ros.benchmark.protocols import SCALES
 from neo_ros.benchmark.scoring import load_scorers
-from neo_ros.benchmark.workbench import field_steps_within
 from neo_ros.evaluation.evaluate import commit, host, Scorer, TruthFrames
 from neo_ros.evaluation.field_view import colour_gain
 from neo_ros.evaluation.metrics import psnr
@@ -71,20 +69,18 @@ def measure_field_curve(scene: Path, experiment: Experiment, scale: str,
 
 
 def fit_own(run: TrainingRun, seconds: float, stage: str) -> tuple[Renderer, dict[str, Any]]:
-    """Fit our field for about so many seconds; returns it with its steps and minutes."""
-    steps = field_steps_within(run, seconds)
-    config = replace(run.experiment.field, steps=steps)
+    """Fit our field for so many seconds; returns it with its steps and minutes."""
+    config = replace(run.experiment.field, minutes=seconds / 60)
     images = run.fitted.read_images(run.experiment.scale)
     trainer = field_trainer(images, run.fitted.intrinsics.scaled(run.experiment.scale),
                             run.fitted.T_world_cam, config, run.experiment.seed)
-    started = time.monotonic()
-    for done in range(steps):
+    while trainer.done[0] < trainer.done[1]:
         trainer.train_step()
-        run.progress(stage, done + 1, steps, f'{trainer.psnr:.2f} dB on its photos')
+        run.progress(stage, *trainer.done, f'{trainer.psnr:.2f} dB on its photos')
     field = trainer.finished()
     field.device = chosen_device(config.device)
     return (lambda view, pose: render_view(field, view, pose).image,
-            {'steps': steps, 'minutes': (time.monotonic() - started) / 60})
+            {'steps': trainer.step, 'minutes': trainer.seconds / 60})
 
 
 def score(run: TrainingRun, render: Renderer, views: int, scorers: Sequence[Scorer],

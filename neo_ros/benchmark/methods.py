@@ -1,27 +1,27 @@
-"""The methods that can be benchmarked, by name; adding one is one file and one line here."""
+"""The methods that can be benchmarked, by name; adding one is one file and one entry here."""
+from collections.abc import Callable
+from dataclasses import dataclass
+
 from neo_ros.benchmark.workbench import Workbench
 from neo_ros.errors import ConfigError
 from neo_ros.evaluation.baselines import EdgeReplication, MeanImage, Method, NeoModel
 from neo_ros.evaluation.field_view import FieldView, Oracle
-from neo_ros.evaluation.relocalized import Relocalized, Relocalizer
+from neo_ros.evaluation.relocalized import Relocalized, RelocalizedNeo, Relocalizer
 from neo_ros.evaluation.warping import Warping
 
-# Name and what it is, in the order of the tables.
-METHODS = {
-    'edge_replication': 'floor: the outermost observed pixels, repeated',
-    'mean_image': 'floor: the mean training photo',
-    'naive': 'B1: the same network, trained on resized photos',
-    'warping': 'B2: similar photos, warped and blended',
-    'relocalized': 'B3: estimated pose, the field renders',
-    'neo_fast': 'NEO, fully connected middle',
-    'mat': 'NEO, transformer after MAT',
-    'lama': 'NEO, Fourier convolutions after LaMa',
-    'guided': 'neo_fast with its scene memory: aligned to what it keeps of the scene',
-    'oracle': 'upper bound: the field at the true pose',
-}
-NETWORKS = ('neo_fast', 'mat', 'lama')
-WITHOUT_FIELD = ('edge_replication', 'mean_image', 'naive', 'warping')
-BOUNDS = ('edge_replication', 'mean_image', 'oracle')  # no rivals: floors and upper bound
+
+@dataclass(frozen=True)
+class Entry:
+    """
+    What a method is, in words, and how it is made: `make` trains or builds what it needs.
+
+    bound: a floor or an upper bound, no rival. field: it needs the radiance field.
+    """
+
+    words: str
+    make: Callable[[Workbench], Method]
+    bound: bool = False
+    field: bool = True
 
 
 def check_methods(names: list[str]) -> list[str]:
@@ -36,34 +36,57 @@ def check_methods(names: list[str]) -> list[str]:
 def make_method(name: str, bench: Workbench) -> Method:
     """Train or build what a method needs, and return it ready to run."""
     check_methods([name])
-    if name == 'edge_replication':
-        return EdgeReplication(bench.expansion)
-    if name == 'mean_image':
-        photos, scale = bench.scene.train, bench.base.scale
-        return MeanImage(bench.expansion, (
-            photos.read_image(index, scale) for index in range(len(photos))))
-    if name == 'naive':
-        return NeoModel(bench.naive(), name, guided=False)
-    if name in NETWORKS:
-        return NeoModel(bench.model(name), name, guided=False)
-    if name == 'guided':
-        return guided_model(bench)
-    if name == 'warping':
-        return Warping(bench.bank(), bench.expansion)
-    field, minutes, megabytes = bench.field()
-    view = FieldView(field, bench.expansion)
-    if name == 'oracle':
-        return Oracle(view, minutes, megabytes)
-    bank = bench.bank()
-    model = bench.sparse_model(bank)
-    return Relocalized(Relocalizer(bank, model, bench.expansion.source), view, minutes,
-                       megabytes + bank.megabytes)
+    return METHODS[name].make(bench)
 
 
-def guided_model(bench: Workbench) -> NeoModel:
-    """Return NEO with its memory; ConfigError where the model has none."""
+def _mean_image(bench: Workbench) -> Method:
+    photos, scale = bench.scene.train, bench.base.scale
+    return MeanImage(bench.expansion, (
+        photos.read_image(index, scale) for index in range(len(photos))))
+
+
+def _network(name: str) -> Callable[[Workbench], NeoModel]:
+    return lambda bench: NeoModel(bench.model(name), name, guided=False)
+
+
+def _guided(bench: Workbench) -> Method:
     method = NeoModel(bench.model('neo_fast'), 'guided')
     if not method.guided:
         raise ConfigError('guided: the model of this scene has no memory; '
                           'leave it out of --methods')
     return method
+
+
+def _relocalized(bench: Workbench) -> Relocalized:
+    field, minutes, megabytes = bench.field()
+    bank = bench.bank()
+    relocalizer = Relocalizer(bank, bench.sparse_model(bank), bench.expansion.source)
+    return Relocalized(relocalizer, FieldView(field, bench.expansion), minutes,
+                       megabytes + bank.megabytes)
+
+
+def _oracle(bench: Workbench) -> Method:
+    field, minutes, megabytes = bench.field()
+    return Oracle(FieldView(field, bench.expansion), minutes, megabytes)
+
+
+# In the order of the tables.
+METHODS = {
+    'edge_replication': Entry('floor: the outermost observed pixels, repeated',
+                              lambda bench: EdgeReplication(bench.expansion), True, False),
+    'mean_image': Entry('floor: the mean training photo', _mean_image, True, False),
+    'naive': Entry('B1: the same network, trained on resized photos',
+                   lambda bench: NeoModel(bench.naive(), 'naive', guided=False), field=False),
+    'warping': Entry('B2: similar photos, warped and blended',
+                     lambda bench: Warping(bench.bank(), bench.expansion), field=False),
+    'relocalized': Entry('B3: estimated pose, the field renders', _relocalized),
+    'neo_fast': Entry('NEO, fully connected middle', _network('neo_fast')),
+    'mat': Entry('NEO, transformer after MAT', _network('mat')),
+    'lama': Entry('NEO, Fourier convolutions after LaMa', _network('lama')),
+    'relocalized_neo': Entry(
+        'B3 and NEO: neo_fast where the field saw nothing or the pose is not found',
+        lambda bench: RelocalizedNeo(_relocalized(bench), _network('neo_fast')(bench))),
+    'guided': Entry('neo_fast with its scene memory: aligned to what it keeps of the scene',
+                    _guided),
+    'oracle': Entry('upper bound: the field at the true pose', _oracle, bound=True),
+}

@@ -39,13 +39,15 @@ def _scene_sections(bench: Workbench, results: Sequence[MethodScores]) -> list[S
     strong = next((i for i, result in enumerate(results) if result.method == best), None)
     sections: list[Section] = [
         Text(heading, bench.scene.name),
-        Table(['method', *(title for _, title, _, _ in _COLUMNS)], [
-            [result.method, *(_cell(result, *column) for column in _COLUMNS)]
-            for result in results], note='The best of the methods that a robot could run is '
-            'marked.', strong_row=strong)]
+        Table(['method', *(title for _, title, _, _ in _COLUMNS), 'pasted'], [
+            [result.method, *(_cell(result, *column) for column in _COLUMNS),
+             'yes' if result.observed_pasted else 'no'] for result in results],
+            note='The best of the methods that a robot could run is marked.',
+            strong_row=strong)]
     sections += _cost_plots(results)
     for result in results:
-        remark = METHODS[result.method].capitalize() + '.'
+        words = METHODS[result.method].words
+        remark = words[0].upper() + words[1:] + '.'
         if any('pose_error_cm' in frame for frame in result.frames):
             remark += ' ' + pose_remark(result)
         sections.append(Text(remark, f'{bench.scene.name}: {result.method}'))

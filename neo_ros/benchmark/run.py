@@ -52,9 +52,9 @@ def run_jobs(jobs: dict[str, Job], names: Sequence[str], work: Path, rows_file: 
 
 
 def _can_run(method: str, progress: Progress) -> bool:
-    if method != 'relocalized' or find_spec('pycolmap') is not None:
+    if not method.startswith('relocalized') or find_spec('pycolmap') is not None:
         return True
-    progress('without relocalized', 0, 1, 'pycolmap is not installed')
+    progress(f'without {method}', 0, 1, 'pycolmap is not installed')
     return False
 
 

@@ -9,11 +9,12 @@ import json
 import os
 from pathlib import Path
 import shutil
+import time
 from typing import Any, Callable, Sequence
 
 import cv2
 from neo_ros.benchmark.method_memory import measure_memory
-from neo_ros.benchmark.methods import make_method, WITHOUT_FIELD
+from neo_ros.benchmark.methods import make_method, METHODS
 from neo_ros.benchmark.workbench import Workbench
 from neo_ros.errors import ModelError
 from neo_ros.evaluation.baselines import Method
@@ -43,10 +44,13 @@ def run_benchmark(bench: Workbench, names: Sequence[str],
     for name in names:
         stored = _read_scores(bench, name)
         if stored is None:
+            started = time.monotonic()
             method = make_method(name, bench)
             if scorers is None:
                 scorers, depth_of = load_scorers(bench.progress), true_depth(bench, names)
             stored = _score(bench, method, scorers, depth_of)
+            # What an interrupted run had trained before is not in it.
+            stored.figures['minutes'] = (time.monotonic() - started) / 60
             _write_scores(bench, stored)
         results.append(stored)
         fill_gap_closed([result.row for result in results])
@@ -122,7 +126,7 @@ def true_depth(bench: Workbench, names: Sequence[str]) -> DepthOf | None:
     frames = bench.frames
     if is_demo_flat(Path(bench.job.test_scene or bench.job.scene)):
         render = demo_depth(frames)
-    elif set(names) - set(WITHOUT_FIELD):
+    elif any(METHODS[name].field for name in names):
         render = field_depth(frames, bench.field()[0])
     else:
         return None

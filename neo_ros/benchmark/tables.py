@@ -3,9 +3,10 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from neo_ros.benchmark.methods import BOUNDS, METHODS
+from neo_ros.benchmark.methods import METHODS
 from neo_ros.benchmark.paper_figures import PAPER, PAPER_SCENES
 from neo_ros.evaluation.evaluate import MethodScores
+from neo_ros.evaluation.metrics import summarise
 from neo_ros.evaluation.output import write_bytes
 
 _SCORES = (('ring_psnr', 'ring PSNR, dB', 2), ('ring_ssim', 'ring SSIM', 3),
@@ -62,7 +63,7 @@ def best_practical(results: Sequence[MethodScores], score: str = 'ring_psnr') ->
     """Return the method with the best score among those a robot could run, None if unscored."""
     lowest = 'lpips' in score
     rivals = {result.method: result.row[score] for result in results
-              if result.method not in BOUNDS and result.row[score] is not None}
+              if not METHODS[result.method].bound and result.row[score] is not None}
     if not rivals:
         return None
     return (min if lowest else max)(rivals, key=rivals.__getitem__)
@@ -119,11 +120,32 @@ def _remarks(results: Sequence[MethodScores]) -> list[str]:
         lines.append(f'The true images have a warping error of {truth * 1e3:.2f} x 10^-3 '
                      'themselves: things that move or shine, and errors of the depth.')
     for score, words in (('ring_psnr', 'ring PSNR'), ('ring_lpips_vgg', 'ring LPIPS')):
-        best = best_practical(results, score)
-        if best is not None:
-            lines.append(f'First of the methods that a robot could run, by {words}: {best} '
-                         f'({METHODS[best]}).')
+        lines += _first(results, score, words)
+    minutes = sum(result.figures.get('minutes', 0) for result in results)
+    commits = sorted({str(result.row['commit']) for result in results})
+    lines.append(f'Trained and scored in {minutes:.0f} minutes; commit {", ".join(commits)}.')
     return ['\n'.join(f'- {line}' for line in lines)] if lines else []
+
+
+def _first(results: Sequence[MethodScores], score: str, words: str) -> list[str]:
+    """Say which method that a robot could run is first, and how far the next one is behind."""
+    best = best_practical(results, score)
+    if best is None:
+        return []
+    line = (f'First of the methods that a robot could run, by {words}: {best} '
+            f'({METHODS[best].words})')
+    others = [result for result in results if result.method != best]
+    second = best_practical(others, score)
+    if second is not None:
+        frames = {result.method: result.frames for result in results}
+        ahead = summarise([
+            {'path_id': mine['path_id'], 'ahead': mine[score] - other[score]}
+            for mine, other in zip(frames[best], frames[second])])['ahead']
+        digits = 3 if 'lpips' in score else 2
+        line += f'; {best} minus {second}, frame by frame: {ahead.mean:.{digits}f}'
+        if ahead.low is not None:
+            line += f' ({ahead.low:.{digits}f} to {ahead.high:.{digits}f})'
+    return [line + '.']
 
 
 def pose_remark(result: MethodScores) -> str:

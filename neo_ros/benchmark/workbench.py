@@ -9,7 +9,6 @@ import json
 import os
 from pathlib import Path
 import shutil
-import time
 from typing import Any, Optional
 
 from neo_ros.benchmark.naive import train_naive
@@ -21,17 +20,14 @@ from neo_ros.evaluation.local_features import PhotoBank, read_photo_bank
 from neo_ros.evaluation.output import make_output_folder, write_bytes
 from neo_ros.evaluation.sparse_model import read_sparse_model, SparseModel
 from neo_ros.experiment import Experiment, experiment_from
-from neo_ros.field.device import field_trainer
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.pipeline import claim, fit_field_step, Progress, train, TrainingRun
+from neo_ros.scenes.levelling import stood_up
 from neo_ros.scenes.scene import read_scene
 
-FIELD_SHARE = 0.25           # of the training time that goes to the field
-LEAST_NETWORK_SHARE = 0.5    # that the network has, however long the field took
-# A trial, a short training of its own, tells how long a step takes; its first steps may compile.
-# With fewer steps a field is fog, so it has as many at least; where there is no time for a trial
-# they must do.
-TRIAL_STEPS, FIRST_TIMED_STEP, LEAST_TRIAL_SECONDS = 300, 10, 60.0
+# Of the training time that goes to the field, which is also B3's: in half of six minutes it comes
+# within 0.3 dB of where it ends (docs/training.md).
+FIELD_SHARE = 0.5
 
 
 @dataclass(frozen=True)
@@ -64,16 +60,17 @@ class Workbench:
 
     def __init__(self, job: Job, folder: Path, progress: Progress) -> None:
         self.job, self.folder, self.progress = job, folder, progress
-        self.scene = read_scene(Path(job.scene))
-        test, stated = self.scene.test, self.scene.expansion
+        scene = read_scene(Path(job.scene))
         if job.test_scene is not None:
-            other = read_scene(Path(job.test_scene))
-            test, stated = other.train, None
-        if test is None:
+            scene = replace(scene, test=read_scene(Path(job.test_scene)).train, expansion=None)
+        if scene.test is None:
             raise ConfigError(
                 f'{job.scene}: expected test frames (transforms_test.json) with the wide truth, '
                 'there are none; name a folder of them with --test-scene')
-        self.checksums = split_checksums(self.scene.train, test, stated)
+        self.checksums = split_checksums(scene.train, scene.test, scene.expansion)
+        self.scene = stood_up(scene)  # As the training does it.
+        test, stated = self.scene.test, self.scene.expansion
+        assert test is not None
         base = experiment_from({'scale': SCALES[job.scale], **(job.settings or {})},
                                'benchmark settings')
         view = choose_view(self.scene, test, stated, job.protocol, SCALES[job.scale])
@@ -85,23 +82,16 @@ class Workbench:
         self._claim()
 
     @property
-    def field_experiment(self) -> Experiment:
-        """The settings of the field, with as many steps as its share of the budget allows."""
-        note = self.folder / 'budget.json'
-        if not note.exists():
-            write_bytes(note, json.dumps({'field_steps': self._field_steps()}).encode())
-        steps = json.loads(note.read_text())['field_steps']
-        return replace(self.base, field=replace(self.base.field, steps=steps))
-
-    def experiment(self, field_minutes: float) -> Experiment:
-        """Return the settings of a network: it has what time the field has left of the budget."""
-        left = max(self.job.minutes - field_minutes, LEAST_NETWORK_SHARE * self.job.minutes)
-        experiment = self.field_experiment
-        return replace(experiment, outpaint=replace(experiment.outpaint, minutes=left))
+    def experiment(self) -> Experiment:
+        """The settings, with the times that field and network have; B1 has the network's."""
+        minutes = self.job.minutes
+        return replace(
+            self.base, field=replace(self.base.field, minutes=FIELD_SHARE * minutes),
+            outpaint=replace(self.base.outpaint, minutes=(1 - FIELD_SHARE) * minutes))
 
     def field(self) -> tuple[RadianceField, float, float]:
         """Return the field, its training minutes and its size in MB."""
-        run = self._run(self.field_experiment, self.folder / 'field')
+        run = self._run(self.experiment, self.folder / 'field')
         field = fit_field_step(run)
         return field, run.seconds / 60, (run.out / 'field.npz').stat().st_size / 1e6
 
@@ -110,19 +100,20 @@ class Workbench:
         out = self.folder / network
         path = out / f'{self.scene.name}.onnx'
         if not (out / 'done').exists():
-            experiment = self.experiment(self.field()[1])
-            experiment = replace(experiment, network=replace(experiment.network, name=network))
-            run = self._run(experiment, out)
+            self.field()
+            named = replace(self.experiment.network, name=network)
+            memory = self.base.memory if network == 'neo_fast' else None  # One scene, one memory.
+            run = self._run(replace(self.experiment, network=named, memory=memory), out)
             for name in ('field.npz', 'field.json'):
                 if not (out / name).exists():
                     _link(self.folder / 'field' / name, out / name)
-            train(Path(self.job.scene), experiment, run.out, self.progress)
+            train(Path(self.job.scene), run.experiment, run.out, self.progress)
             (out / 'done').touch()
         return path
 
     def naive(self) -> Path:
         """Return the model file of B1; it may take the time that NEO's network takes."""
-        run = self._run(self.experiment(FIELD_SHARE * self.job.minutes), self.folder / 'naive')
+        run = self._run(self.experiment, self.folder / 'naive')
         if not (run.out / 'done').exists():
             train_naive(run)
             (run.out / 'done').touch()
@@ -161,31 +152,6 @@ class Workbench:
                     f'{self.folder}: holds a benchmark with other {", ".join(differ)}; '
                     'choose another --work folder or delete this one')
         write_bytes(note, text.encode())
-
-    def _field_steps(self) -> int:
-        """Measure how long a step takes, and return how many the field's share has room for."""
-        seconds = 60 * self.job.minutes * FIELD_SHARE
-        if seconds < LEAST_TRIAL_SECONDS:
-            return TRIAL_STEPS
-        return field_steps_within(
-            TrainingRun(self.scene, self.base, self.folder, self.progress), seconds)
-
-
-def field_steps_within(run: TrainingRun, seconds: float) -> int:
-    """Measure how long a step of the run's field takes; returns how many fit into the time."""
-    scale = run.experiment.scale
-    trainer = field_trainer(
-        run.fitted.read_images(scale), run.fitted.intrinsics.scaled(scale),
-        run.fitted.T_world_cam, replace(run.experiment.field, steps=TRIAL_STEPS),
-        run.experiment.seed)
-    started = time.monotonic()
-    for done in range(TRIAL_STEPS):
-        if done == FIRST_TIMED_STEP:
-            started = time.monotonic()
-        trainer.train_step()
-        run.progress('trial', done + 1, TRIAL_STEPS, '')
-    each = (time.monotonic() - started) / (TRIAL_STEPS - FIRST_TIMED_STEP)
-    return max(TRIAL_STEPS, int(seconds / each))
 
 
 def _link(source: Path, target: Path) -> None:

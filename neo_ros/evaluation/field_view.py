@@ -17,14 +17,18 @@ class FieldView:
         self.field, self.expansion, self.supersample = field, expansion, supersample
 
     def widen(self, narrow_image: np.ndarray, pose: CameraPose) -> np.ndarray:
+        """Return the field's wide view (H, W, 3) uint8 at a pose, the observed pixels pasted."""
+        return self.show(narrow_image, pose)[0]
+
+    def show(self, narrow_image: np.ndarray, pose: CameraPose) -> tuple[np.ndarray, np.ndarray]:
         """
-        Return the field's wide view (H, W, 3) uint8 at a pose, with the observed pixels pasted.
+        Return what `widen` does, and how much of each pixel some photo saw, float (H, W).
 
         One gain per channel, from the window that both show, takes out differences of exposure.
         """
-        image = render_view(self.field, self.expansion.target, pose, self.supersample).image
-        gain = colour_gain(self.expansion.crop(image) * 255, narrow_image)
-        return self.expansion.paste(narrow_image, to_uint8(image * gain))
+        view = render_view(self.field, self.expansion.target, pose, self.supersample)
+        gain = colour_gain(self.expansion.crop(view.image) * 255, narrow_image)
+        return self.expansion.paste(narrow_image, to_uint8(view.image * gain)), view.coverage
 
 
 def colour_gain(shown: np.ndarray, observed: np.ndarray) -> np.ndarray:

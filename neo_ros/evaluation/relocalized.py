@@ -5,6 +5,7 @@ Retrieval, 2D-3D matches, PnP with RANSAC and refinement, as hloc does (Sarlin e
 """
 from typing import Any, NamedTuple
 
+from neo_ros.evaluation.baselines import NeoModel
 from neo_ros.evaluation.field_view import FieldView
 from neo_ros.evaluation.local_features import Features, find_features, match_features, PhotoBank
 from neo_ros.evaluation.sparse_model import SparseModel
@@ -15,6 +16,7 @@ RETRIEVED = 20       # photos whose points are matched
 RATIO = 0.9
 PNP_PIXELS = 2.0     # a match within so many pixels of its point's projection is an inlier
 LEAST_INLIERS = 8    # with fewer, the pose counts as not found
+LEAST_COVERAGE = 0.5  # of a pixel, that some photo saw
 
 
 class Localization(NamedTuple):
@@ -111,6 +113,29 @@ class Relocalized:
         assert self.last is not None
         return {**pose_error(self.last.pose, true_pose), 'pnp_inliers': float(self.last.inliers),
                 'pose_failed': float(self.last.failed)}
+
+
+class RelocalizedNeo(Relocalized):
+    """B3 where a photo saw what the field shows; NEO elsewhere and where no pose is found."""
+
+    name = 'relocalized_neo'
+
+    def __init__(self, relocalized: Relocalized, neo: NeoModel) -> None:
+        mine, other = relocalized.model_mb, neo.model_mb
+        super().__init__(relocalized.relocalizer, relocalized.view, neo.train_minutes,
+                         None if mine is None or other is None else mine + other)
+        self.neo = neo
+
+    def expand(self, narrow_image: np.ndarray) -> np.ndarray:
+        """Widen (h, w, 3) RGB uint8 to (H, W, 3) RGB uint8."""
+        made_up = self.neo.expand(narrow_image)
+        self.last = self.relocalizer.locate(narrow_image)
+        if self.last.failed:
+            return made_up
+        shown, coverage = self.view.show(narrow_image, self.last.pose)
+        unseen = (coverage < LEAST_COVERAGE) & self.expansion.extrapolated_mask
+        shown[unseen] = made_up[unseen]
+        return shown
 
 
 def pose_error(found: CameraPose, true_pose: CameraPose) -> dict[str, float]:

@@ -1,7 +1,8 @@
 """Step 1 of the paper: fit a radiance field to posed photos of one scene."""
 from dataclasses import dataclass
 import math
-from typing import Any
+import time
+from typing import Any, Optional
 
 from neo_ros.errors import ConfigError, SceneError
 from neo_ros.field import fitting_kernels, kernels
@@ -20,7 +21,8 @@ class FieldConfig:
 
     __pydantic_config__ = {'extra': 'forbid'}
     voxels: int = 3_000_000         # grid points at the last stage
-    steps: int = 6000               # optimiser steps over all stages
+    steps: int = 6000               # optimiser steps; not read where `minutes` is given
+    minutes: Optional[float] = None  # of fitting time, instead of steps
     pixels_per_step: int = 4096     # pixels in a batch
     subrays: int = 1                # rays whose mean makes a pixel; more = sharper, slower
     sh_degree: int = 0              # view dependence: 0 none (matt), 1 or 2 for shiny scenes
@@ -45,6 +47,8 @@ class FieldConfig:
         if self.steps < 10 or self.voxels < 1000 or self.pixels_per_step < 1:
             raise ConfigError('field: expected steps >= 10, voxels >= 1000, pixels_per_step >= 1, '
                               f'got {self.steps}, {self.voxels}, {self.pixels_per_step}')
+        if self.minutes is not None and not 0 < self.minutes < math.inf:
+            raise ConfigError(f'field.minutes: expected a number > 0, got {self.minutes}')
         if self.subrays < 1 or not (self.margin > 0 and self.learning_rate > 0):
             raise ConfigError('field: expected subrays >= 1, margin > 0 and learning_rate > 0, '
                               f'got {self.subrays}, {self.margin}, {self.learning_rate}')
@@ -53,9 +57,11 @@ class FieldConfig:
                               f'{self.near}')
 
 
-# Share of the steps at which the grid is refined, and the share of voxels it then has.
+# Share of the fit at which the grid is refined, and the share of voxels it then has.
 STAGES = ((0.0, 1 / 64), (0.06, 1 / 64), (0.18, 1 / 8), (0.4, 1.0))
 OCCUPANCY_EVERY = 100
+# However short the time, with fewer steps a field is fog.
+LEAST_STEPS = 300
 
 
 class FieldTrainer:
@@ -67,8 +73,8 @@ class FieldTrainer:
         self.rotations = T_world_cam[:, :3, :3].astype(np.float32)
         self.origins = T_world_cam[:, :3, 3].astype(np.float32)
         self.seed = seed
-        self.step = 0
-        self.psnr = 0.0
+        self.step = self.stage = self.boxed_at = 0
+        self.seconds = self.psnr = 0.0
         self.log_gain = np.zeros((len(images), 3), np.float32)
         low, high = self.origins.min(0) - config.margin, self.origins.max(0) + config.margin
         self.field = RadianceField.empty(
@@ -109,8 +115,24 @@ class FieldTrainer:
         origins = np.repeat(self.origins[photo], subrays, axis=0)
         return photo, target, origins, directions.reshape(-1, 3)
 
+    @property
+    def share(self) -> float:
+        """How far the fit is: 0 at the beginning, 1 and more at the end."""
+        if self.config.minutes is None:
+            return self.step / self.config.steps
+        return min(self.seconds / 60 / self.config.minutes, self.step / LEAST_STEPS)
+
+    @property
+    def done(self) -> tuple[int, int]:
+        """How far the fit is and where it ends: steps, or seconds with `minutes`."""
+        if self.config.minutes is None:
+            return self.step, self.config.steps
+        total = math.ceil(60 * self.config.minutes)
+        return int(total * min(self.share, 1)), total
+
     def train_step(self) -> None:
         """Take one optimiser step, refining the grid and its occupancy when they are due."""
+        started = time.monotonic()
         # A generator per step: a resumed training draws what an unbroken one would.
         self.random = np.random.default_rng([self.seed, self.step])
         self._refine_when_due()
@@ -135,7 +157,7 @@ class FieldTrainer:
             fitting_kernels.add_total_variation(
                 field.grid, shape, self.touched, np.float32(config.smooth_density * pixels),
                 np.float32(config.smooth_colour * pixels), self.gradient)
-        rate = np.float32(config.learning_rate * 0.1 ** (self.step / config.steps))
+        rate = np.float32(config.learning_rate * 0.1 ** self.share)
         fitting_kernels.adam_step(
             field.grid, self.gradient, self.first, self.second, self.touched, self.updates,
             rate, rate)
@@ -145,6 +167,7 @@ class FieldTrainer:
         psnr = -10 * math.log10(max(float(error.mean()) / 3, 1e-10))
         self.psnr = smoothing * self.psnr + (1 - smoothing) * psnr
         self.step += 1
+        self.seconds += time.monotonic() - started
 
     def _update_exposure(self, photo: np.ndarray, d_log_gain: np.ndarray) -> None:
         """Descend on the photos' gains; their mean stays 1, so the field keeps its colour."""
@@ -155,15 +178,17 @@ class FieldTrainer:
         self.log_gain -= self.log_gain.mean(0)
 
     def _refine_when_due(self) -> None:
-        starts = [int(share * self.config.steps) for share, _ in STAGES]
-        if self.step in starts[1:]:
-            stage = starts.index(self.step, 1)
-            voxels = int(self.config.voxels * STAGES[stage][1])
+        if self.stage + 1 < len(STAGES) and self.share >= STAGES[self.stage + 1][0]:
+            self.stage += 1
+            voxels = int(self.config.voxels * STAGES[self.stage][1])
             self.field = self.field.resampled(voxels, *(self.content_box()))
-            if stage > 1:
+            if self.stage == 1:
+                self.boxed_at = self.step
+            else:
                 self.field.update_occupancy()
             self._allocate()
-        elif self.step > starts[1] + OCCUPANCY_EVERY and self.step % OCCUPANCY_EVERY == 0:
+        elif (self.stage and self.step > self.boxed_at + OCCUPANCY_EVERY
+              and self.step % OCCUPANCY_EVERY == 0):
             self.field.update_occupancy()
 
     @property
@@ -174,14 +199,16 @@ class FieldTrainer:
     def state(self) -> dict[str, Any]:
         """Return everything a later `restore` needs to go on."""
         field = self.field
-        return {'step': self.step, 'psnr': self.psnr, 'log_gain': self.log_gain,
+        return {'step': self.step, 'stage': self.stage, 'boxed_at': self.boxed_at,
+                'seconds': self.seconds, 'psnr': self.psnr, 'log_gain': self.log_gain,
                 'grid': field.grid, 'shape': list(field.shape), 'skip': field.skip,
                 'centre': field.centre, 'half_extent': field.half_extent,
                 'first': self.first, 'second': self.second, 'updates': self.updates}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from `state`; arrays may be tensors."""
-        self.step, self.psnr = state['step'], state['psnr']
+        for name in ('step', 'stage', 'boxed_at', 'seconds', 'psnr'):
+            setattr(self, name, state[name])
         arrays = {key: np.asarray(value) for key, value in state.items()}
         self.log_gain = arrays['log_gain']
         self.field = RadianceField(

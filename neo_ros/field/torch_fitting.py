@@ -6,6 +6,7 @@ Draws what `FieldTrainer` draws, so both follow the same path up to rounding. Se
 matrix product, so bf16 autocast would change nothing; rendering reads the grid as float16.
 """
 import math
+import time
 from typing import Any
 
 from neo_ros.field.fitting import FieldConfig, FieldTrainer
@@ -40,6 +41,7 @@ class TorchFieldTrainer(FieldTrainer):
 
     def train_step(self) -> None:
         """Take one optimiser step, as `FieldTrainer.train_step`."""
+        started = time.monotonic()
         self.random = np.random.default_rng([self.seed, self.step])
         self._refine_when_due()
         config = self.config
@@ -63,7 +65,7 @@ class TorchFieldTrainer(FieldTrainer):
             distributed.all_reduce(totals)
         if config.smooth_density or config.smooth_colour:
             self._add_total_variation(pixels)
-        self._adam(config.learning_rate * 0.1 ** (self.step / config.steps))
+        self._adam(config.learning_rate * 0.1 ** self.share)
         found = totals.cpu().numpy()
         if config.exposure:
             self._update_exposure(photo, found[:, 1:] * gain)
@@ -71,6 +73,12 @@ class TorchFieldTrainer(FieldTrainer):
         psnr = -10 * math.log10(max(float(found[:, 0].mean()) / 3, 1e-10))
         self.psnr = smoothing * self.psnr + (1 - smoothing) * psnr
         self.step += 1
+        self.seconds += time.monotonic() - started
+        if processes > 1 and config.minutes is not None:
+            # All processes refine and stop at the same step.
+            shared = torch.tensor([self.seconds], dtype=torch.float64, device=self.arrays.device)
+            distributed.broadcast(shared, 0)
+            self.seconds = float(shared)
 
     def _differentiate(self, rays_o: Tensor, rays_d: Tensor, jitter: Tensor, target: Tensor,
                        gain: Tensor, background: Tensor) -> tuple[Tensor, Tensor]:
