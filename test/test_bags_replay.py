@@ -168,6 +168,21 @@ def test_images_of_another_camera_are_rejected_until_it_is_the_right_one(
     assert (result.frames, result.rejected) == (2, {'camera': 3})
 
 
+def test_rectified_images_beside_the_camera_info_of_the_raw_ones_are_taken(
+        tmp_path, extrapolator) -> None:
+    straight = camera_info_fields(EXPANSION.source)
+    info = camera_info_fields(Intrinsics(32, 24, 20, 20, 15, 13)) | {
+        'd': np.full(5, 0.1), 'r': np.diag([1.0, -1, -1]).reshape(-1), 'p': straight['p']}
+    for topic, rejected in (('image_rect', {}), ('image_raw', {'camera_info': 1})):
+        bag = _write_images(tmp_path / topic, [(START_NS + 1, _good(0))], f'/camera/{topic}',
+                            [(START_NS, info)])
+        result = replay(bag, extrapolator, tmp_path / f'{topic}_wide')
+        assert result.rejected == rejected
+    (_, wide), = _read(tmp_path / 'image_rect_wide', '/camera/wide/camera_info')
+    for name, value in camera_info_fields(EXPANSION.target).items():
+        assert np.array_equal(getattr(wide, name), value), name
+
+
 def test_without_camera_info_the_wide_camera_is_the_models(tmp_path, extrapolator) -> None:
     bag = _write_images(tmp_path / 'bag', [(START_NS, _good(0))], topic='/picture')
     replay(bag, extrapolator, tmp_path / 'out')

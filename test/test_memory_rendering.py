@@ -1,9 +1,15 @@
 """Drawing the scene memory from new poses, against exact views of a box room."""
+import errno
+import importlib.util
+from pathlib import Path
+
 from box_room import BAND, box_memory, EXPANSION, keyframe, planar, view
 from neo_ros.geometry import CameraPose
+from neo_ros.memory import compiled, kernels
 from neo_ros.memory.rendering import MemoryRenderer
 from neo_ros.memory.scene_memory import Glances, Keyframe, SceneMemory
-from numba import get_num_threads, set_num_threads
+from numba import config, get_num_threads, set_num_threads
+from numba.core.caching import CacheImpl, IndexDataCacheFile
 import numpy as np
 import pytest
 
@@ -82,3 +88,42 @@ def test_the_number_of_threads_changes_no_bit(renderer: MemoryRenderer) -> None:
     set_num_threads(before)
     assert np.array_equal(views[0].image, views[1].image)
     assert np.array_equal(views[0].depth, views[1].depth)
+
+
+def is_empty_by_fresh_kernels() -> bool:
+    """Import the kernels once more, as a new process does, and run the quickest one."""
+    specification = importlib.util.spec_from_file_location('fresh_kernels', kernels.__file__)
+    assert specification and specification.loader
+    fresh = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(fresh)
+    return fresh._any_empty(np.zeros((4, 4), np.float32), 0, 4)
+
+
+def full_disk(*arguments: object) -> None:
+    raise OSError(errno.ENOSPC, 'No space left on device')
+
+
+@pytest.mark.parametrize('owner, name, replacement, reason', [
+    (CacheImpl, '_locator_classes', [], 'can be written'),
+    (IndexDataCacheFile, '_save_data', full_disk, 'No space left'),
+], ids=['read-only', 'full'])
+def test_a_disk_that_keeps_no_compiled_code_costs_time_only(
+        monkeypatch, tmp_path: Path, owner, name, replacement, reason) -> None:
+    monkeypatch.setattr(config, 'CACHE_DIR', str(tmp_path))
+    monkeypatch.setattr(owner, name, replacement)
+    compiled._warn.cache_clear()
+    with pytest.warns(RuntimeWarning, match=f'{reason}.*NUMBA_CACHE_DIR') as warned:
+        assert is_empty_by_fresh_kernels()
+    assert len(warned) == 1
+
+
+@pytest.mark.parametrize('pattern', ['*.nbi', '*.nbc'])
+def test_compiled_code_that_a_power_cut_broke_is_made_again(
+        monkeypatch, tmp_path: Path, pattern: str) -> None:
+    monkeypatch.setattr(config, 'CACHE_DIR', str(tmp_path))
+    assert is_empty_by_fresh_kernels()
+    broken, = tmp_path.rglob(pattern)
+    whole = broken.stat().st_size
+    broken.write_bytes(b'')
+    assert is_empty_by_fresh_kernels()
+    assert broken.stat().st_size == whole

@@ -1,11 +1,13 @@
 """The file of a scene memory: what goes in comes out, and nothing else is read."""
 import hashlib
 import io
+import os
 from pathlib import Path
 
 from box_room import BAND, box_memory
 from neo_ros.errors import ModelError
 from neo_ros.memory.scene_memory import CLOSEST, Glances, Keyframe, SceneMemory
+from neo_ros.model_bytes import MAX_BYTES
 import numpy as np
 import pytest
 
@@ -54,6 +56,20 @@ def test_another_file_is_refused(memory: SceneMemory, tmp_path: Path, change, me
         path.write_bytes(content)
     with pytest.raises(ModelError, match=message):
         SceneMemory.read(path, sha256)
+
+
+def test_what_is_no_file_of_sensible_size_is_refused_unread(tmp_path: Path) -> None:
+    paths = {name: tmp_path / name for name in ('pipe', 'link', 'folder', 'huge', 'empty')}
+    os.mkfifo(paths['pipe'])
+    paths['link'].symlink_to('/dev/zero')
+    paths['folder'].mkdir()
+    with paths['huge'].open('wb') as file:
+        file.truncate(MAX_BYTES + 1)  # Sparse: takes no space.
+    paths['empty'].touch()
+    words = {'huge': 'scene memory of at most 1024 MB', 'empty': 'the file is empty'}
+    for name, path in paths.items():
+        with pytest.raises(ModelError, match=words.get(name, 'cannot read the scene memory')):
+            SceneMemory.read(path, '0' * 64)
 
 
 def test_a_newer_schema_and_other_archives_are_refused(tmp_path: Path) -> None:

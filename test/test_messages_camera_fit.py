@@ -7,7 +7,7 @@ import cv2
 from hypothesis import given, strategies as st
 from neo_ros.errors import ImageRejected
 from neo_ros.geometry import Intrinsics, ViewExpansion
-from neo_ros.messages import camera_info_fields, CameraFit
+from neo_ros.messages import camera_info_fields, camera_info_of, CameraFit
 from neo_ros.messages.camera_fit import camera_key
 import numpy as np
 import pytest
@@ -97,6 +97,48 @@ def test_rotation_of_a_stereo_camera_is_applied_with_its_distortion_and_named_no
     assert np.abs(fit.apply(seen).astype(int) - EXPECTED).mean() < 1.5
     np.testing.assert_array_equal(fit.camera_info['r'], np.eye(3).reshape(-1))
     assert fit.camera_info['p'][3] == pytest.approx(-0.1 * MODEL.fx)
+
+
+@pytest.mark.parametrize('rectify', [False, True])
+@pytest.mark.parametrize('lens', [BARREL, FISHEYE], ids=['barrel', 'fisheye'])
+def test_images_that_image_proc_rectified_are_those_of_p(lens, rectify) -> None:
+    raw, straight = Intrinsics(200, 180, 90, 90, 99, 91), Intrinsics(200, 180, 60, 62, 104, 88)
+    rotation = cv2.Rodrigues(np.array([0.02, -0.05, 0.01]))[0]
+    p = camera_info_fields(straight)['p']
+    p[3] = -0.1 * straight.fx
+    raw_info = camera_info_message(
+        raw, distortion_model=lens[0], d=lens[1], r=rotation.reshape(-1), p=p)
+    fit = CameraFit(camera_info_of(raw_info, '/camera/image_rect'), EXPANSION, rectify)
+    seen = fit.apply(pattern(straight.pixel_rays()))
+    assert np.abs(seen.astype(int) - EXPECTED).mean() < 1.5
+    assert fit.note.startswith('resampled from 200x180')
+    wanted = camera_info_fields(EXPANSION.target)
+    for name in ('d', 'k', 'r'):
+        np.testing.assert_array_equal(fit.camera_info[name], wanted[name])
+    assert fit.camera_info['p'][3] == pytest.approx(-0.1 * MODEL.fx)
+
+
+def test_a_rectified_camera_like_the_trained_one_passes_untouched() -> None:
+    raw_info = camera_info_message(
+        MODEL.scaled(0.9).grown(3, 3, 3, 4), width=64, height=64, d=BARREL[1],
+        r=np.diag([1.0, -1, -1]).reshape(-1), p=camera_info_fields(MODEL)['p'])
+    fit = CameraFit(camera_info_of(raw_info, '/camera/image_rect_color'), EXPANSION, True)
+    image = EXPECTED.copy()
+    assert fit.apply(image) is image and fit.note == ''
+    for name, value in camera_info_fields(EXPANSION.target).items():
+        np.testing.assert_array_equal(fit.camera_info[name], value)
+
+
+@pytest.mark.parametrize('topic, rectified', [
+    ('/camera/image_rect', True), ('/left/image_rect_color/compressed', True), ('/rect', True),
+    ('/camera/rectified/image', True), ('/camera/image_raw', False), ('/direct/image', False),
+    ('/camera/image_unrectified', False), ('/rectangle/image', False),
+])
+def test_the_name_of_a_topic_says_whether_its_images_are_rectified(topic, rectified) -> None:
+    message = camera_info_message(MODEL, d=BARREL[1], p=np.zeros(12))
+    found = camera_info_of(message, topic)
+    assert found is message or (found.d.any(), list(found.k)) == (False, list(message.k))
+    assert (found is not message) == rectified
 
 
 def test_roi_and_binning_are_folded_in_before() -> None:

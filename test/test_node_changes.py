@@ -149,6 +149,22 @@ def test_a_wider_distorted_camera_is_rectified_on_request(graph, model):
     assert lines['camera'].startswith('rectified and resampled from 96x80')
 
 
+def test_the_rectified_topic_of_image_proc_is_taken_as_it_is(graph, model):
+    camera = Camera(graph)
+    camera.images = graph.node.create_publisher(Image, '/robot/image_rect', 10)
+    graph.start('-m', 'neo_ros.node.main', '--ros-args', '-r', '__ns:=/robot', '-r',
+                'image:=image_rect', '-p', f'model:={model}', '-p', 'rectify:=true')
+    camera.wait_for_node()
+    raw = Intrinsics(SOURCE.width, SOURCE.height, 20.0, 20.0, 15.0, 13.0)
+    camera.publish_info(raw, d=[-0.1, 0.01, 0.0, 0.0, 0.0], p=camera_info_fields(SOURCE)['p'],
+                        r=np.diag([1.0, -1, -1]).reshape(-1))
+    image = noise_image(SOURCE, 1)
+    wide = camera.widen(image, 1)
+    np.testing.assert_array_equal(TINY_EXPANSION.crop(pixels(wide['image'])), image)
+    for name, value in camera_info_fields(TINY_EXPANSION.target).items():
+        assert np.array_equal(getattr(wide['camera_info'], name), value), name
+
+
 def camera_message(lens, changes):
     from camera_messages import camera_info_message
     return camera_info_message(lens, **changes)
@@ -185,8 +201,11 @@ def test_reliable_may_be_asked_for_while_it_runs(graph, model):
     graph.node.destroy_publisher(camera.images)
     camera.images = graph.node.create_publisher(Image, '/robot/image', qos_profile_sensor_data)
     assert set_parameter(graph, 'reliable', True).successful
-    camera.wait_for_diagnosis(DiagnosticStatus.WARN, 'RELIABILITY.*reliable')
+    camera.wait_for_diagnosis(
+        DiagnosticStatus.WARN, '/robot/image is best effort.*reliable to false')
     assert set_parameter(graph, 'reliable', False).successful
+    camera.diagnostics.clear()
+    camera.wait_for_diagnosis(DiagnosticStatus.WARN, 'publishers: 1$')
     camera.wait_for_node()
     camera.widen(noise_image(SOURCE, 0), 1)
 

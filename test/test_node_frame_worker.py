@@ -111,6 +111,22 @@ def test_stop_in_the_middle_of_inference_publishes_nothing(bench):
     assert bench.statistics.snapshot().published == 0
 
 
+def test_a_worker_waits_for_the_network_that_a_stopped_one_still_uses(bench):
+    bench.worker.submit(frame('old'))
+    assert bench.extrapolator.entered.acquire(timeout=WAIT_S)
+    assert bench.worker.stop(0.01) is False
+    outputs = KeptOutputs()
+    successor = FrameWorker(bench.worker.processor, outputs, bench.statistics, print)
+    successor.start()
+    successor.submit(frame('new'))
+    assert not bench.extrapolator.entered.acquire(timeout=0.2)
+    for _ in range(2):
+        bench.extrapolator.gate.release()
+    assert outputs.published.acquire(timeout=WAIT_S)
+    assert successor.stop(WAIT_S)
+    assert (bench.outputs.headers, outputs.headers) == ([], ['new'])
+
+
 def test_nothing_is_done_while_nobody_subscribes():
     outputs, statistics = KeptOutputs(Wanted(*[False] * 5)), Statistics()
     extrapolator = GatedExtrapolator()

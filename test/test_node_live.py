@@ -10,12 +10,14 @@ from neo_ros.messages import camera_info_fields, image_fields
 from neo_ros.node.extrapolator_node import ExtrapolatorNode
 from neo_ros.runtime import FovExtrapolator
 import numpy as np
+import onnxruntime
 import pytest
+from rclpy.lifecycle import TransitionCallbackReturn
 import rclpy.parameter
 from rclpy.qos import qos_profile_sensor_data
 from ros_graph import ros_graph
-from sensor_msgs.msg import Image
-from std_srvs.srv import SetBool
+from sensor_msgs.msg import CameraInfo, Image
+from std_srvs.srv import SetBool, Trigger
 from tiny_model import TINY_EXPANSION, write_tiny_model
 
 SOURCE, TARGET = TINY_EXPANSION.source, TINY_EXPANSION.target
@@ -54,7 +56,7 @@ def test_frames_come_back_wide_with_their_header(graph, model):
     status = camera.wait_for_diagnosis(DiagnosticStatus.OK, 'widening')
     assert status['model scene'] == 'tiny' and status['image topic'] == '/robot/image'
     code, seconds = end(process)
-    assert code == 0 and seconds < 3, process.stdout.read()
+    assert code == 0 and seconds < 1, process.stdout.read()
 
 
 def test_bad_messages_are_counted_and_good_ones_pass(graph, model):
@@ -160,6 +162,46 @@ def test_unforeseen_error_ends_unconfigured_and_is_told(graph, model):
     node.destroy_node()
 
 
+def test_unforeseen_error_of_a_new_model_is_a_refusal_and_the_old_one_stays(graph, model):
+    broken = False
+
+    def load(path, threads, providers):
+        if broken:
+            raise RuntimeError('the disk is on fire')
+        return FovExtrapolator.load(path, threads, providers)
+
+    node = ExtrapolatorNode(load, context=graph.context, namespace='robot', parameter_overrides=[
+        rclpy.parameter.Parameter('model', value=str(model))])
+    graph.executor.add_node(node)
+    node.autostart()
+    before, broken = node._model, True
+    answer = graph.call(Trigger, f'{NODE}/reload_model', Trigger.Request())
+    assert not answer.success
+    assert answer.message == 'the model stays as it is: RuntimeError: the disk is on fire'
+    refusal = set_parameter(graph, 'threads', 1)
+    assert not refusal.successful and refusal.reason == 'RuntimeError: the disk is on fire'
+    assert node._model is before and node.state_label == 'active'
+    broken = False
+    assert set_parameter(graph, 'threads', 1).successful and node._model is not before
+    assert node.stop() is True
+    node.destroy_node()
+
+
+@pytest.mark.parametrize('claimed', [[], ['CUDAExecutionProvider', 'TensorrtExecutionProvider']],
+                         ids=['not built in', 'does not start'])
+@pytest.mark.filterwarnings('ignore:Specified provider')
+def test_without_its_gpu_it_runs_on_the_cpu_and_says_so(
+        graph, model, monkeypatch, capfd, claimed):
+    monkeypatch.setattr(
+        onnxruntime, 'get_available_providers', lambda: [*claimed, 'CPUExecutionProvider'])
+    node = ExtrapolatorNode(context=graph.context, parameter_overrides=[
+        rclpy.parameter.Parameter('model', value=str(model)),
+        rclpy.parameter.Parameter('providers', value=['tensorrt', 'cuda'])])
+    assert node.trigger_configure() == TransitionCallbackReturn.SUCCESS
+    node.destroy_node()
+    assert 'runs on CPUExecutionProvider, not here tensorrt, cuda' in capfd.readouterr().err
+
+
 SLOW_NODE = """
 import time
 from neo_ros.node.extrapolator_node import ExtrapolatorNode
@@ -185,12 +227,27 @@ def test_signal_in_the_middle_of_inference_ends_it(graph, model, number):
     camera.publish(np.zeros((SOURCE.height, SOURCE.width, 3), np.uint8), 2)
     graph.spin_for(0.3)
     code, seconds = end(process, number)
-    assert code == 0 and seconds < 3, process.stdout.read()
+    assert code == 0 and seconds < 1, process.stdout.read()
 
 
 def test_qos_conflict_is_told(graph, model):
     camera = Camera(graph)
     graph.node.destroy_publisher(camera.images)
-    graph.node.create_publisher(Image, '/robot/image', qos_profile_sensor_data)
-    camera.start_node(model, 'reliable:=true')
-    camera.wait_for_diagnosis(DiagnosticStatus.WARN, 'publishers: 1; .*RELIABILITY.*reliable')
+    other = graph.node.create_publisher(Image, '/robot/image', qos_profile_sensor_data)
+    process = camera.start_node(model, 'reliable:=true')
+    camera.wait_for_diagnosis(
+        DiagnosticStatus.WARN, 'publishers: 1; the publisher of /robot/image is best effort, this '
+        'node asks for reliable; set the parameter reliable to false')
+    graph.node.destroy_publisher(other)
+    camera.images = graph.node.create_publisher(Image, '/robot/image', 10)
+    camera.wait_for_diagnosis(DiagnosticStatus.WARN, 'publishers: [01]$')
+    camera.wait_for_node()
+    infos = graph.node.create_publisher(CameraInfo, '/robot/camera_info', qos_profile_sensor_data)
+    camera.widen(noise_image(SOURCE, 0), 1)
+    camera.wait_for_diagnosis(
+        DiagnosticStatus.WARN, 'widening .*; the publisher of /robot/camera_info is best effort')
+    graph.node.destroy_publisher(infos)
+    camera.diagnostics.clear()
+    camera.wait_for_diagnosis(DiagnosticStatus.OK, 'widening .* per second$')
+    end(process)
+    assert 'another RELIABILITY than this node asks for (reliable)' in process.stdout.read()

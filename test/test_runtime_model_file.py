@@ -4,6 +4,7 @@ from pathlib import Path
 
 from neo_ros.errors import ModelError
 from neo_ros.geometry import Intrinsics, ViewExpansion
+from neo_ros.model_bytes import MAX_BYTES
 from neo_ros.runtime import fov_extrapolator, FovExtrapolator, onnx_file, write_model_card
 from neo_ros.runtime.model_file import open_model
 from neo_ros.runtime.onnx_file import scan_onnx_file
@@ -150,7 +151,7 @@ def test_a_link_to_a_model_is_followed(tmp_path) -> None:
 def test_an_oversized_file_is_refused_unread(tmp_path, no_session) -> None:
     path = tmp_path / 'huge.onnx'
     with path.open('wb') as file:
-        file.truncate(onnx_file.MAX_BYTES + 1)  # Sparse: takes no space.
+        file.truncate(MAX_BYTES + 1)  # Sparse: takes no space.
     with pytest.raises(ModelError, match='at most 1024 MB'):
         FovExtrapolator.load(path)
 

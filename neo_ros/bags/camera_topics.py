@@ -6,7 +6,8 @@ from typing import Any, Optional
 from neo_ros.bags.reading import BagReader, BagTopic, describe_topics
 from neo_ros.errors import BagError, ImageRejected
 from neo_ros.geometry import Intrinsics
-from neo_ros.messages import image_fields, read_camera_info, read_compressed_image
+from neo_ros.messages import (
+    camera_info_of, image_fields, read_camera_info, read_compressed_image)
 from neo_ros.messages.compressed_image import compressed_size
 from neo_ros.scenes.lens import Lens
 import numpy as np
@@ -14,8 +15,6 @@ import numpy as np
 IMAGE, COMPRESSED = 'sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage'
 CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
 _BROWN, _FISHEYE = ('', 'plumb_bob', 'rational_polynomial'), ('equidistant', 'fisheye')
-_INFO_FIELDS = ('height', 'width', 'distortion_model', 'd', 'k', 'r', 'p', 'binning_x',
-                'binning_y', 'roi')
 
 
 def find_image_topic(reader: BagReader, name: Optional[str]) -> BagTopic:
@@ -148,26 +147,18 @@ def find_info_topic(reader: BagReader, image: BagTopic) -> Optional[BagTopic]:
 
 def read_lens(message: Any, image: BagTopic, where: str) -> Lens:
     """
-    Return the lens of a CameraInfo, ROI and binning folded in.
+    Return the lens of a CameraInfo for these images, ROI and binning folded in.
 
-    Images of a topic named *rect* are straight already: P holds, and D does not. Raises BagError
-    for cameras without calibration and for distortion models that are not known.
+    Raises BagError for cameras without calibration and for distortion models that are not known.
     """
-    fields = SimpleNamespace(**{name: getattr(message, name) for name in _INFO_FIELDS})
-    rectified = 'rect' in image.name
-    distortion = np.array(fields.d, np.float64).reshape(-1)
-    model = fields.distortion_model
-    if rectified:
-        distortion = np.zeros(0)
-        p = np.array(fields.p, np.float64).reshape(3, 4)
-        if p.any():
-            fields.k = p[:, :3].reshape(-1)
-    fields.d = np.zeros(5)
+    info = camera_info_of(message, image.name)
+    distortion = np.array(info.d, np.float64).reshape(-1)
+    model = info.distortion_model
     try:
-        intrinsics = read_camera_info(fields)
+        intrinsics = read_camera_info(info, distorted=True)
     except ImageRejected as error:
         raise BagError(f'{where}: {error}') from error
-    if not rectified and model in _FISHEYE:
+    if model in _FISHEYE:
         return Lens(intrinsics, tuple(map(float, distortion[:4])), fisheye=True)
     if distortion.any() and (model not in _BROWN or len(distortion) not in (4, 5, 8)):
         raise BagError(

@@ -15,7 +15,7 @@ from neo_ros.bags.transforms import stamp_of
 from neo_ros.bags.writing import BagWriter
 from neo_ros.errors import BagError, ImageRejected
 from neo_ros.geometry import ViewExpansion
-from neo_ros.messages import FrameProcessor, image_fields, read_image
+from neo_ros.messages import camera_info_of, FrameProcessor, image_fields, read_image
 from neo_ros.runtime import FovExtrapolator
 import numpy as np
 from rosbags.interfaces import QosDurability
@@ -213,7 +213,7 @@ class _Replay:
                 if self._images % self.every == 1 % self.every:
                     self._take_image(entry)
             elif topic == self._camera.info:
-                self._camera_info = entry.content
+                self._camera_info = camera_info_of(entry.content, self._camera.image.name)
             if topic == self._truth:
                 self._take_truth(entry.content)
         except ImageRejected as error:

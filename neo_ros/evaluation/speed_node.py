@@ -76,8 +76,8 @@ def measure_graph(model: Path, machine: Machine, effort: Effort) -> Record:
         'model': model.name, 'wanted_rate_hz': RATE_HZ, 'mean_rate_hz': record.rate_hz,
         'sent': result['sent'], 'missed': result['sent'] - len(times),
         'jitter_ms': float(intervals.std()), 'cpu_percent': result['cpu_percent'],
-        'rss_mb': result['rss_mb'], 'stages_ms': stages,
-        'outside_inference_ms': median['total'] - median['infer'],
+        'idle_cpu_percent': result['idle_cpu_percent'], 'rss_mb': result['rss_mb'],
+        'stages_ms': stages, 'outside_inference_ms': median['total'] - median['infer'],
         # Without the wait for the network to be done with the frame before.
         'decode_check_publish_ms': sum(median[stage] for stage in ('decode', 'check', 'publish')),
         'share_outside_inference': 1 - median['infer'] / median['total']}

@@ -1,4 +1,5 @@
 """Numba where it is installed; a machine that computes on its GPU does without."""
+from collections.abc import Callable
 from typing import Any
 
 from neo_ros.errors import ConfigError
@@ -6,7 +7,8 @@ from neo_ros.errors import ConfigError
 __all__ = ['get_num_threads', 'njit', 'prange']
 
 try:
-    from numba import get_num_threads, njit, prange
+    from neo_ros.memory.compiled import njit
+    from numba import get_num_threads, prange
 except ModuleNotFoundError:
     prange = range  # type: ignore[misc]
 
@@ -14,7 +16,7 @@ except ModuleNotFoundError:
         """Return 1: nothing is compiled here."""
         return 1
 
-    def njit(**options: Any) -> Any:  # type: ignore[no-redef]
+    def njit(**options: Any) -> Callable[[Callable], Any]:
         """Replace a kernel by a function that says what is missing when it is called."""
         def missing(*arguments: Any) -> None:
             raise ConfigError('field.device: cpu needs numba: pip install numba, or choose '

@@ -18,7 +18,7 @@ MIN_TRANSMITTANCE = 1e-4
 # (initial_alpha): without their colour's pull, bright surfaces would fade instead of forming.
 MIN_WEIGHT = 1e-6
 FAST: dict[str, Any] = {
-    'cache': True, 'fastmath': {'nsz', 'arcp', 'contract', 'afn', 'reassoc'},
+    'fastmath': {'nsz', 'arcp', 'contract', 'afn', 'reassoc'},
     'error_model': 'numpy'}
 
 

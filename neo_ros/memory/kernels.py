@@ -7,11 +7,12 @@ nearby, the mesh with the keyframe's colours on it is the scene.
 import math
 from typing import Any
 
-from numba import njit, prange
+from neo_ros.memory.compiled import njit
+from numba import prange
 import numpy as np
 
 FAST: dict[str, Any] = {
-    'cache': True, 'nogil': True, 'fastmath': {'nsz', 'arcp', 'contract', 'afn', 'reassoc'},
+    'nogil': True, 'fastmath': {'nsz', 'arcp', 'contract', 'afn', 'reassoc'},
     'error_model': 'numpy'}
 # Neighbours that parallax pulls apart by more than this, pixels, lie on two surfaces. What is
 # stretched between them is drawn only where nothing else is seen.

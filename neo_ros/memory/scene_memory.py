@@ -11,6 +11,7 @@ from zipfile import BadZipFile
 import cv2
 from neo_ros.errors import ModelError
 from neo_ros.geometry import Band
+from neo_ros.model_bytes import read_model_bytes
 import numpy as np
 
 SCHEMA = 1
@@ -114,14 +115,13 @@ class SceneMemory:
         """
         Read what `write` wrote, and only that.
 
-        Raises ModelError when the file is not there, when it is not the one that `sha256` tells
-        of, or when this version cannot read it.
+        Raises ModelError as `read_model_bytes` does, when it is not the file that `sha256` tells
+        of, and when this version cannot read it.
         """
         try:
-            content = path.read_bytes()
-        except OSError as error:
-            raise ModelError(f'{path}: cannot read the scene memory: {error.strerror}; keep it '
-                             'beside the model file') from error
+            content = read_model_bytes(path, 'scene memory')
+        except ModelError as error:
+            raise ModelError(f'{error}; copy it again and keep it beside the model file') from None
         found = hashlib.sha256(content).hexdigest()
         if found != sha256:
             raise ModelError(f'{path}: expected the scene memory with sha256 {sha256}, as the '

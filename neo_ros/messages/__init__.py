@@ -6,6 +6,7 @@ Nothing here imports rclpy or rosbags.
 from neo_ros.messages.camera_fit import CameraFit
 from neo_ros.messages.camera_info import (
     camera_info_fields,
+    camera_info_of,
     expand_camera_info,
     is_same_camera,
     read_camera_info,
@@ -20,6 +21,7 @@ from neo_ros.messages.image import image_fields, MONO8, read_image, RGB8
 
 __all__ = [
     'camera_info_fields',
+    'camera_info_of',
     'CameraFit',
     'compressed_image_size',
     'expand_camera_info',

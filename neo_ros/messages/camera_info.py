@@ -5,6 +5,8 @@ CameraInfo counts pixel centres from 0, `Intrinsics` has them at +0.5: cx_ros = 
 and nowhere else.
 """
 import math
+import re
+from types import SimpleNamespace
 from typing import Any
 
 from neo_ros.errors import GeometryError, ImageRejected
@@ -18,6 +20,28 @@ P_COLUMNS = 4
 FISHEYE = 'equidistant'
 # Distortion models of ROS and how many coefficients they may have.
 DISTORTION_MODELS = {'plumb_bob': (4, 5), 'rational_polynomial': (8,), FISHEYE: (4,)}
+# A word of its own: image_rect_color and /rectified/image are meant, /direct/image is not.
+RECTIFIED_TOPIC = re.compile(r'(^|[/_])rect(ified)?([/_]|$)')
+# What is read of a CameraInfo besides its matrices.
+INFO_FIELDS = ('width', 'height', 'binning_x', 'binning_y', 'roi')
+
+
+def camera_info_of(message: Any, image_topic: str) -> Any:
+    """
+    Return what a `sensor_msgs/CameraInfo` says of the images on a topic, by its full name.
+
+    image_proc's image_rect has the camera_info of the raw images beside it. Images of a topic
+    with the word rect or rectified in its name are straight and turned already: their K is in P,
+    where P is not all zero, and D and R are done with. Of other topics the message stays as it
+    is. Checks nothing, so that it may be called where nothing may be raised.
+    """
+    if not RECTIFIED_TOPIC.search(image_topic):
+        return message
+    p = np.asarray(message.p)
+    k = [*p[0:3], *p[4:7], *p[8:11]] if p.any() else message.k
+    return SimpleNamespace(
+        **{name: getattr(message, name) for name in INFO_FIELDS}, distortion_model='plumb_bob',
+        d=np.zeros(5), k=k, r=np.eye(3).reshape(-1), p=p)
 
 
 def read_camera_info(message: Any, distorted: bool = False) -> Intrinsics:
@@ -142,8 +166,8 @@ def _refuse_distortion(message: Any) -> None:
     if distortion.any():  # NaN counts as any
         raise _rejected(
             f'd: rectified input required, got distortion {distortion.tolist()!s:.200} '
-            f'({message.distortion_model!r:.40}); rectify the image first (image_proc), '
-            'or set the parameter rectify')
+            f'({message.distortion_model!r:.40}); take image_rect of image_proc, or set the '
+            'parameter rectify')
 
 
 def _fold_window(message: Any, matrix: np.ndarray, columns: int,

@@ -1,6 +1,7 @@
 """From one camera message to the content of the wide messages: the node's and the replay's way."""
 from collections.abc import Hashable
 from dataclasses import dataclass
+import threading
 import time
 from typing import Any, Protocol
 
@@ -78,7 +79,8 @@ class FrameProcessor:
     """
     Checks and decodes a frame, widens it, and says how long that took.
 
-    `rectify`, which may change at any time, takes the distortion out of the images first.
+    `rectify`, which may change at any time, takes the distortion out of the images first. One
+    frame at a time: a second thread waits, because an extrapolator serves one only.
     """
 
     def __init__(self, extrapolator: Extrapolator, rectify: bool = False) -> None:
@@ -87,6 +89,7 @@ class FrameProcessor:
         self._expansion = extrapolator.expansion
         self._mask = np.where(self._expansion.extrapolated_mask, 255, 0).astype(np.uint8)
         self._fit: tuple[Hashable, CameraFit] | None = None
+        self._busy = threading.Lock()
 
     def process(self, image_message: Any, camera_info_message: Any | None,
                 infer: bool = True) -> WideFrame:
@@ -100,6 +103,11 @@ class FrameProcessor:
         Raises ImageRejected with the reasons of `read_image` or `read_compressed_image`, and
         'size', 'camera_info' or 'camera' for another camera than the model's.
         """
+        with self._busy:
+            return self._process(image_message, camera_info_message, infer)
+
+    def _process(self, image_message: Any, camera_info_message: Any | None,
+                 infer: bool) -> WideFrame:
         started = time.perf_counter()
         fit = self._find_fit(camera_info_message)
         image = fit.apply(self._read(image_message, fit))

@@ -3,6 +3,7 @@ from collections.abc import Callable
 import functools
 from typing import Any
 
+from neo_ros.messages import camera_info_of
 from neo_ros.node.interface import CAMERA_INFO, COMPRESSED_IMAGE, Endpoint, IMAGE
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
@@ -15,15 +16,13 @@ class CameraInputs:
     """
     Subscribes to the image, raw or compressed, and to its camera_info.
 
-    `take` gets every image with the newest camera_info, None where there is none. `qos_conflict`
-    says in words which topic and policy do not fit, '' = none.
+    `take` gets every image with what the newest camera_info says of it, None where there is none.
     """
 
-    def __init__(self, node: Node, take: Callable[[Any, CameraInfo | None], None]) -> None:
-        self.qos_conflict = ''
+    def __init__(self, node: Node, take: Callable[[Any, Any | None], None]) -> None:
         self._node = node
         self._take = take
-        self._camera_info: CameraInfo | None = None
+        self._camera_info: Any | None = None
         self._image: Endpoint = IMAGE
         self._reliable = False
         self._subscriptions: list[Subscription] = []
@@ -38,6 +37,19 @@ class CameraInputs:
         """How many publishers the image topic has."""
         return self._node.count_publishers(self.topic)
 
+    @property
+    def qos_conflict(self) -> str:
+        """Which publisher's QoS does not fit, in words; '' = none."""
+        # Asked of the graph, not kept from events: those do not tell when the publisher has gone.
+        for endpoint in (self._image, CAMERA_INFO):
+            topic = self._node.resolve_topic_name(endpoint.name)
+            if self._reliable and self._subscriptions and any(
+                    publisher.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
+                    for publisher in self._node.get_publishers_info_by_topic(topic)):
+                return (f'the publisher of {topic} is best effort, this node asks for reliable; '
+                        'set the parameter reliable to false')
+        return ''
+
     def choose(self, transport: str, reliable: bool) -> None:
         """Set what the next `subscribe` asks for."""
         self._image = COMPRESSED_IMAGE if transport == 'compressed' else IMAGE
@@ -49,7 +61,6 @@ class CameraInputs:
         # The newest image only; a frame that waits here is as old as one that waits anywhere.
         qos = QoSProfile(depth=1, reliability=(
             ReliabilityPolicy.RELIABLE if self._reliable else ReliabilityPolicy.BEST_EFFORT))
-        self.qos_conflict = ''
         self._subscriptions = [
             self._node.create_subscription(
                 endpoint.kind, endpoint.name, callback, qos,
@@ -75,12 +86,12 @@ class CameraInputs:
         self._take(message, self._camera_info)
 
     def _on_camera_info(self, message: CameraInfo) -> None:
-        self._camera_info = message
+        self._camera_info = camera_info_of(message, self.topic)
 
     def _on_qos_conflict(self, endpoint: Endpoint, event: Any) -> None:
+        topic = self._node.resolve_topic_name(endpoint.name)
         policy = qos_policy_name_from_kind(event.last_policy_kind)
-        asked = 'reliable' if self._reliable else 'best effort'
-        self.qos_conflict = (
-            f'a publisher of {self._node.resolve_topic_name(endpoint.name)} offers another '
-            f'{policy} than I ask for ({asked}): change its QoS or my parameter "reliable"')
-        self._node.get_logger().warning(self.qos_conflict)
+        self._node.get_logger().warning(
+            f'the publisher of {topic} offers another {policy} than this node asks for '
+            f'({"reliable" if self._reliable else "best effort"}): change its QoS or the '
+            'parameter reliable')

@@ -6,7 +6,7 @@ JSON object. `neo_ros.evaluation.speed_node` runs it.
 """
 import argparse
 from array import array
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 import itertools
 import json
 import os
@@ -29,6 +29,7 @@ START_TIMEOUT_S = 60.0
 WARM_UP_S = 1.0
 # After the last image: long enough for one that is slow and for one more diagnosis.
 DRAIN_S = 1.5
+IDLE_S = 5.0
 
 
 class CameraProbe:
@@ -79,9 +80,9 @@ class CameraProbe:
             self._send()
         self._spin_until(start + seconds)
 
-    def drain(self) -> None:
-        """Wait for images that are on their way and for the node's last diagnosis."""
-        self._spin_until(time.monotonic() + DRAIN_S)
+    def rest(self, seconds: float = DRAIN_S) -> None:
+        """Send nothing, but take what is on its way."""
+        self._spin_until(time.monotonic() + seconds)
 
     def _send(self) -> None:
         now = time.time_ns()
@@ -124,17 +125,25 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def _measure(probe: CameraProbe, options: argparse.Namespace) -> dict[str, Any]:
     probe.wait_for_node()
+    probe.rest()
+    idle_percent = _cpu_percent(options.pid, lambda: probe.rest(IDLE_S))
     probe.run(options.rate, WARM_UP_S)
-    probe.drain()
-    cpu, started = _cpu_seconds(options.pid), time.monotonic()
-    probe.run(options.rate, options.seconds)
-    cpu, wall = _cpu_seconds(options.pid) - cpu, time.monotonic() - started
+    probe.rest()
+    cpu_percent = _cpu_percent(
+        options.pid, lambda: probe.run(options.rate, options.seconds))
     rss_mb, beats = _rss_mb(options.pid), probe.beats.copy()
-    probe.drain()
+    probe.rest()
     sent = set(probe.sent)
     return {'sent': len(sent), 'arrivals': [pair for pair in probe.arrivals if pair[0] in sent],
-            'cpu_percent': 100 * cpu / wall, 'rss_mb': rss_mb, 'beats': beats,
-            'diagnostics': probe.stages}
+            'cpu_percent': cpu_percent, 'idle_cpu_percent': idle_percent, 'rss_mb': rss_mb,
+            'beats': beats, 'diagnostics': probe.stages}
+
+
+def _cpu_percent(pid: int, work: Callable[[], None]) -> float:
+    """Return how busy a process is meanwhile, 100 = one core."""
+    cpu, started = _cpu_seconds(pid), time.monotonic()
+    work()
+    return 100 * (_cpu_seconds(pid) - cpu) / (time.monotonic() - started)
 
 
 def _cpu_seconds(pid: int) -> float:

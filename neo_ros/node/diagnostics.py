@@ -45,6 +45,13 @@ class Health:
 
 def judge(health: Health) -> tuple[bytes, str]:
     """Return the level and the one line that tells an operator what to do."""
+    level, message = _judge_frames(health)
+    if health.qos_conflict:
+        return max(level, DiagnosticStatus.WARN), f'{message}; {health.qos_conflict}'
+    return level, message
+
+
+def _judge_frames(health: Health) -> tuple[bytes, str]:
     counts = health.counts
     if health.fault:
         return DiagnosticStatus.ERROR, health.fault
@@ -53,9 +60,8 @@ def judge(health: Health) -> tuple[bytes, str]:
     if not health.enabled:
         return DiagnosticStatus.OK, 'disabled by the enable service'
     if counts.recent_received == 0:
-        waiting = f'waiting for image on {health.topic}, publishers: {health.publishers}'
-        conflict = f'; {health.qos_conflict}' if health.qos_conflict else ''
-        return DiagnosticStatus.WARN, waiting + conflict
+        return DiagnosticStatus.WARN, (
+            f'waiting for image on {health.topic}, publishers: {health.publishers}')
     if not health.subscribed:
         return DiagnosticStatus.OK, 'nobody subscribes to wide/*: images are not widened'
     if counts.recent_rejected and not counts.recent_published:

@@ -25,7 +25,6 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
-from sensor_msgs.msg import CameraInfo
 from std_srvs.srv import SetBool, Trigger
 
 NODE_NAME = 'fov_extrapolator'
@@ -46,6 +45,10 @@ def _logged(transition: Callable) -> Callable:
             return TransitionCallbackReturn.ERROR
         return result
     return wrapper
+
+
+def _reason(error: Exception) -> str:
+    return str(error) if isinstance(error, NeoError) else f'{type(error).__name__}: {error}'
 
 
 class ExtrapolatorNode(LifecycleNode):
@@ -157,7 +160,7 @@ class ExtrapolatorNode(LifecycleNode):
             self._outputs.destroy()
         self._outputs = self._model = self._candidate = None
 
-    def _on_image(self, message: Any, camera_info: CameraInfo | None) -> None:
+    def _on_image(self, message: Any, camera_info: Any | None) -> None:
         if self._worker is not None:
             self._worker.submit(Frame(message, camera_info, time.perf_counter()))
 
@@ -178,8 +181,8 @@ class ExtrapolatorNode(LifecycleNode):
             if self._model is None:
                 raise NeoError(f'{self.state_label}: configure loads the model')
             self._take_over(load_model(read_parameters(self), self._load))
-        except NeoError as error:
-            response.message = f'the model stays as it is: {error}'
+        except Exception as error:  # What leaves a callback ends the node.
+            response.message = f'the model stays as it is: {_reason(error)}'
             self.get_logger().error(response.message)
             return response
         assert self._model
@@ -195,8 +198,8 @@ class ExtrapolatorNode(LifecycleNode):
             changes_model = any(parameter.name in MODEL_PARAMETERS for parameter in parameters)
             if self._model is not None and changes_model:
                 self._candidate = load_model(values, self._load)
-        except NeoError as error:
-            return SetParametersResult(successful=False, reason=str(error))
+        except Exception as error:  # What leaves a callback ends the node.
+            return SetParametersResult(successful=False, reason=_reason(error))
         return SetParametersResult(successful=True)
 
     def _use_parameters(self, parameters: list[Parameter]) -> None:

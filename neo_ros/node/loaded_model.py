@@ -7,7 +7,7 @@ from neo_ros.messages import FrameProcessor
 from neo_ros.messages.frame_processor import Extrapolator
 from neo_ros.node.parameters import NodeParameters
 from neo_ros.runtime import FovExtrapolator, ModelCard
-from neo_ros.runtime.providers import choose_providers
+from neo_ros.runtime.providers import choose_providers, PROVIDERS
 
 # Makes an extrapolator of a path, a number of threads and ONNX Runtime's providers.
 Load = Callable[[str, int, list[str]], Any]
@@ -23,11 +23,12 @@ class LoadedModel:
 
 def load_model(values: NodeParameters, load: Load = FovExtrapolator.load) -> LoadedModel:
     """Load, check and warm up the model that the parameters name; raises ModelError."""
-    chosen, missing = choose_providers(values.providers)
-    extrapolator = load(values.model, values.threads, chosen)
+    extrapolator = load(values.model, values.threads, choose_providers(values.providers))
     description = {'path': values.model, **_describe_card(extrapolator.card),
                    **_describe_size(extrapolator), 'runs on': ', '.join(extrapolator.providers)}
-    if missing:
+    # Also those that ONNX Runtime has, but cannot start: a GPU whose libraries are not there.
+    if missing := [name for name in values.providers
+                   if PROVIDERS[name] not in extrapolator.providers]:
         description['not here'] = ', '.join(missing)
     return LoadedModel(FrameProcessor(extrapolator, values.rectify), description)
 

@@ -1,11 +1,10 @@
 """What can be told of an ONNX file without a runtime: metadata, operators, inputs and outputs."""
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-import os
 from pathlib import Path
-import stat
 
 from neo_ros.errors import ModelError
+from neo_ros.model_bytes import read_model_bytes
 
 # The parts of onnx.proto3 on the way from a model to its tensors: message -> field -> message.
 _CHILDREN: dict[str, dict[int, str]] = {
@@ -27,8 +26,6 @@ _VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5
 # TensorProto.DataType of the images.
 _ELEMENT_TYPES = {1: 'float', 2: 'uint8', 3: 'int8', 6: 'int32', 7: 'int64', 10: 'float16'}
 
-# Far above any model of ours: what is larger would only fill a robot's memory.
-MAX_BYTES = 1 << 30
 # Small parts could keep the scan busy for hours; our models have some thousand.
 MAX_PARTS = 200_000
 
@@ -61,42 +58,16 @@ def scan_onnx_file(path: Path | str) -> OnnxFile:
 
     ONNX Runtime would open whatever file an external tensor names while it builds the session,
     so this has to be known before; and the onnx package is no dependency of a robot.
-    Raises ModelError for files that are missing, empty, truncated, not ONNX, larger than
-    MAX_BYTES, or no regular files.
+    Raises ModelError as `read_model_bytes` does, and for files that are truncated or not ONNX.
     """
     path = Path(path)
-    content = _read(path)
+    content = read_model_bytes(path)
     try:
         result = _scan_model(memoryview(content))
     except ValueError as error:
         raise ModelError(f'{path}: not an ONNX model, or a truncated one ({error})') from None
     result.content = content
     return result
-
-
-def _read(path: Path) -> bytes:
-    """Return the bytes of a regular file of sensible size; a pipe or device could never end."""
-    try:
-        # Without O_NONBLOCK, opening a pipe would wait for a writer.
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
-        with os.fdopen(descriptor, 'rb') as file:
-            found = os.fstat(descriptor)
-            if not stat.S_ISREG(found.st_mode):
-                raise ModelError(f'{path}: cannot read the model: expected a regular file')
-            if found.st_size == 0:
-                raise ModelError(f'{path}: expected an ONNX model, the file is empty')
-            if found.st_size > MAX_BYTES:
-                raise ModelError(f'{path}: expected a model of at most {MAX_BYTES >> 20} MB, '
-                                 f'got {found.st_size >> 20} MB')
-            return file.read(MAX_BYTES)
-    except FileNotFoundError:
-        raise ModelError(f'{path}: no such model file') from None
-    except ValueError as error:
-        if isinstance(error, ModelError):
-            raise
-        raise ModelError(f'{path!s:.200}: cannot read the model: {error}') from None
-    except OSError as error:
-        raise ModelError(f'{path}: cannot read the model: {error.strerror}') from error
 
 
 def _scan_model(data: memoryview) -> OnnxFile:

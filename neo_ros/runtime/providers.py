@@ -7,13 +7,12 @@ PROVIDERS = {'tensorrt': 'TensorrtExecutionProvider', 'cuda': 'CUDAExecutionProv
              'cpu': 'CPUExecutionProvider'}
 
 
-def choose_providers(wanted: Sequence[str]) -> tuple[list[str], list[str]]:
+def choose_providers(wanted: Sequence[str]) -> list[str]:
     """
-    Return ONNX Runtime's names of the wanted providers it has here, and the names it lacks.
+    Return ONNX Runtime's names of those of the wanted providers that it has here.
 
     `wanted`: keys of PROVIDERS, best first. The CPU ends every chain.
     """
     present = set(onnxruntime.get_available_providers())
     names = dict.fromkeys([*wanted, 'cpu'])
-    return ([PROVIDERS[name] for name in names if PROVIDERS[name] in present],
-            [name for name in names if PROVIDERS[name] not in present])
+    return [PROVIDERS[name] for name in names if PROVIDERS[name] in present]

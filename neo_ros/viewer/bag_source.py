@@ -8,7 +8,7 @@ from typing import Any
 from neo_ros.bags import BagReader, BagTopic
 from neo_ros.bags.camera_topics import COMPRESSED, find_camera, IMAGE
 from neo_ros.errors import BagError, ConfigError, ImageRejected
-from neo_ros.messages import FrameProcessor
+from neo_ros.messages import camera_info_of, FrameProcessor
 from neo_ros.runtime import FovExtrapolator
 from neo_ros.viewer.hub import Hub
 from neo_ros.viewer.pictures import SourcePicture, SourceState
@@ -90,7 +90,7 @@ class BagSource:
             self._state = replace(self._state, **read_diagnosis(
                 content.status, self._topics.camera))
         elif name == self._info_topic:
-            self._camera_info = content
+            self._camera_info = camera_info_of(content, self._image.name)
         elif name == self._topics.mask:
             self._seen = self._seen or seen_share(read_grey(content))
         elif name == self._topics.confidence:
