@@ -19,7 +19,7 @@ EXPERIMENT = experiment_from({'field': {'voxels': 20_000, 'pixels_per_step': 512
 @pytest.fixture(autouse=True)
 def short(monkeypatch):
     """Leave out LPIPS, whose weights are a download, and most steps."""
-    monkeypatch.setattr(fitting, 'LEAST_STEPS', 100)
+    monkeypatch.setattr(fitting, 'LEAST_STEPS', 200)
     monkeypatch.setattr(field_curve, 'load_scorers', lambda progress: [score_frame])
 
 
@@ -35,15 +35,15 @@ def test_longer_trainings_are_better_and_none_is_measured_twice(flat_scene, tmp_
     out = tmp_path / 'results/curve.json'
     _, seen = measure(flat_scene, (0.002,), out, monkeypatch)
     assert {'flat, neo_ros, 0.002 min', 'flat, neo_ros, 0.002 min: views'} <= seen
-    table, seen = measure(flat_scene, (0.002, 0.1), out, monkeypatch)
+    table, seen = measure(flat_scene, (0.002, 0.3), out, monkeypatch)
     assert 'flat, neo_ros, 0.002 min' not in seen
     short, long = json.loads(out.read_text())
     assert (short['scene'], short['scale'], short['implementation']) == (
         'flat', 'full', 'neo_ros')
-    assert short['steps'] == 100 < long['steps']
+    assert short['steps'] == 200 < long['steps']
     assert 0 < short['minutes'] < long['minutes']
     # What it was fitted to looks the other way than the test frames: only those must gain.
-    assert long['whole_psnr'] > short['whole_psnr'] + 1
+    assert long['whole_psnr'] > short['whole_psnr'] + 0.5
     assert long['held_out_psnr'] > 15 and long['ring_psnr'] > 10
     assert table.count('| flat | neo_ros |') == 2
     assert f'{long["whole_psnr"]:.2f}' in table

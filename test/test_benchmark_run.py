@@ -14,9 +14,9 @@ from neo_ros.benchmark.workbench import Job, Workbench
 from neo_ros.cli.main import app
 from neo_ros.errors import ConfigError, ModelError
 from neo_ros.evaluation import lpips
-from neo_ros.evaluation.baselines import NeoModel
+from neo_ros.evaluation.baselines import EdgeReplication, NeoModel
 from neo_ros.evaluation.evaluate import evaluate, ROW_KEYS, TruthFrames
-from neo_ros.evaluation.metrics import score_frame
+from neo_ros.evaluation.metrics import Estimate, score_frame
 from neo_ros.field import fitting
 from neo_ros.geometry import CameraPose
 from neo_ros.scenes.scene import read_scene
@@ -40,7 +40,7 @@ def quiet(stage, done, total, note):
 @pytest.fixture(autouse=True)
 def plain_scores(monkeypatch):
     """Do without LPIPS, whose weights are a download, a process per method, and most steps."""
-    monkeypatch.setattr(fitting, 'LEAST_STEPS', 100)
+    monkeypatch.setattr(fitting, 'LEAST_STEPS', 200)
     monkeypatch.setattr(scoring, 'load_scorers', lambda progress: [score_frame])
     monkeypatch.setattr(scoring, 'measure_memory', lambda folder, name: 12.5)
 
@@ -175,6 +175,19 @@ def test_a_table_says_how_often_the_memory_knew_the_scene(tiny_run):
     results = evaluate('flat', frames, [NeoModel(tiny_run.model_path)])
     known = sum(frame['guided'] for frame in results[0].frames)
     assert f'- guided: the memory knew {known:.0f} of 6 frames' in markdown([results])
+
+
+def test_a_table_has_the_seams_scores_in_one_column(tiny_run):
+    frames = TruthFrames(tiny_run.scene.test, tiny_run.expansion)
+    results = evaluate('flat', frames, [EdgeReplication(tiny_run.expansion)])
+    estimates = {'seam_psnr': Estimate(21.456, 20, 22), 'seam_ssim': Estimate(0.7654, 0.7, 0.8)}
+    plain = replace(results[0], estimates=estimates)
+    measured = replace(results[0], estimates={
+        **estimates, 'seam_lpips_vgg': Estimate(0.1234, None, None)})
+    table = markdown([[plain, measured]])
+    assert '| method | seam PSNR / SSIM / LPIPS VGG | pasted |' in table
+    assert '| 21.46 / 0.765 | yes |' in table
+    assert '| 21.46 / 0.765 / 0.123 | yes |' in table
 
 
 def test_the_gap_needs_both_of_its_ends():

@@ -19,6 +19,7 @@ import pytest
 
 lpips = pytest.importorskip('neo_ros.evaluation.lpips', reason='LPIPS needs torch')
 perceptual = pytest.importorskip('neo_ros.outpaint.perceptual', reason='LPIPS needs torch')
+torch = pytest.importorskip('torch', reason='LPIPS needs torch')
 
 EXPANSION = ViewExpansion.to_size(Intrinsics.from_hfov(32, 32, 1.5), 64, 64)
 ALEX_CONVS = [(11, 3, 64), (5, 64, 192), (3, 192, 384), (3, 384, 256), (3, 256, 256)]
@@ -73,12 +74,13 @@ def noisy(image, sigma):
 
 def scores(measure, truth, prediction):
     result = measure(truth, prediction, EXPANSION)
-    assert list(result) == [f'whole_lpips_{measure.backbone}', f'ring_lpips_{measure.backbone}']
+    assert list(result) == [f'{part}_lpips_{measure.backbone}'
+                            for part in ('whole', 'ring', 'seam')]
     return tuple(result.values())
 
 
 def test_equal_images_are_at_distance_zero(measure):
-    assert scores(measure, picture(), picture()) == (0, 0)
+    assert scores(measure, picture(), picture()) == (0, 0, 0)
 
 
 def test_distance_grows_with_noise_and_is_symmetric(measure):
@@ -99,6 +101,18 @@ def test_the_ring_sees_the_ring(measure):
     assert ring[1] > centre[1] > 0
 
 
+def test_the_seam_is_the_band_at_the_window(measure, monkeypatch):
+    fine, coarse = torch.zeros(1, 1, 64, 64), torch.full((1, 1, 8, 8), 0.25)
+    fine[0, 0, 14:50, 14:50] = 1.0
+    fine[0, 0, 16:48, 16:48] = 0.5
+    monkeypatch.setattr(measure, 'distances_BCHW', lambda x, y: [fine, coarse])
+    whole, ring, seam = scores(measure, picture(), picture())
+    band = 36 ** 2 - 32 ** 2
+    assert whole == pytest.approx((band + 0.5 * 32 ** 2) / 64 ** 2 + 0.25)
+    assert ring == pytest.approx(band / (64 ** 2 - 32 ** 2) + 0.25)
+    assert seam == pytest.approx(1.25)
+
+
 # Taken after this code gave Alex 0.722 / 0.138 and VGG 0.569 / 0.422 on ex_ref against ex_p0 and
 # ex_p1 of richzhang/PerceptualSimilarity, as published.
 @pytest.mark.parametrize('backbone, expected', [
@@ -108,7 +122,7 @@ def test_the_published_weights_give_the_verified_distance(backbone, expected):
     if not (folder / perceptual._WEIGHTS[backbone][0]).is_file():
         pytest.skip(f'the published LPIPS weights are not in {folder}')
     truth = picture()
-    whole, ring = scores(lpips.Lpips(backbone, folder), truth, noisy(truth, 30))
+    whole, ring, _ = scores(lpips.Lpips(backbone, folder), truth, noisy(truth, 30))
     assert (whole, ring) == pytest.approx(expected, abs=1e-3)
 
 

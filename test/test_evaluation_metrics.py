@@ -44,6 +44,19 @@ def test_the_seam_is_the_band_at_the_window():
         10 * math.log10(ring / band))
 
 
+def test_the_seams_ssim_is_that_of_the_band_alone():
+    grey = np.full((64, 64, 3), 100, np.uint8)
+    # As wide as the band and an SSIM window at both sides: nothing else is seen from the band.
+    near, far = grey.copy(), grey.copy()
+    near[16 - 7:48 + 7, 16 - 7:48 + 7] = 120
+    near[16 + 5:48 - 5, 16 + 5:48 - 5] = 100
+    far[:8] = 120
+    luminance = (2 * 100 * 120 + 2.55 ** 2) / (100 ** 2 + 120 ** 2 + 2.55 ** 2)
+    assert score_frame(grey, near, SQUARE)['seam_ssim'] == pytest.approx(luminance, abs=1e-9)
+    scores = score_frame(grey, far, SQUARE)
+    assert scores['seam_ssim'] == pytest.approx(1, abs=1e-9) and scores['ring_ssim'] < 0.999
+
+
 def test_a_wrong_centre_leaves_the_ring_psnr_untouched():
     truth = random_image(SQUARE)
     prediction = truth.copy()
@@ -57,7 +70,8 @@ def test_a_perfect_prediction_scores_the_cap_and_one():
     scores = score_frame(random_image(SQUARE), random_image(SQUARE), SQUARE)
     assert scores == {
         'whole_psnr': PSNR_CAP_DB, 'ring_psnr': PSNR_CAP_DB, 'seam_psnr': PSNR_CAP_DB,
-        'whole_ssim': pytest.approx(1), 'ring_ssim': pytest.approx(1)}
+        'whole_ssim': pytest.approx(1), 'ring_ssim': pytest.approx(1),
+        'seam_ssim': pytest.approx(1)}
 
 
 def test_the_smallest_difference_never_beats_the_cap():

@@ -5,11 +5,14 @@ from neo_ros.geometry.camera_pose import rotation_from_vector
 from neo_ros.memory.alignment import agreement, Aligner
 from neo_ros.memory.rendering import MemoryRenderer
 from neo_ros.memory.scene_guide import SceneGuide
+from neo_ros.paths import share_dir
+from neo_ros.runtime import FovExtrapolator
 import numpy as np
 import pytest
 
 MEMORY = box_memory()
 TRUE_POSE = planar(1.9, 1.7, 35)
+PATTERN = np.random.default_rng(0).random((4, 4))
 
 
 def moved(pose: CameraPose, metres: tuple[float, float, float], degrees: float) -> CameraPose:
@@ -46,12 +49,14 @@ def test_agreement_tells_a_wrong_pose() -> None:
 
 
 @pytest.mark.parametrize(('image', 'guide', 'known', 'expected'), [
-    (np.arange(16.0).reshape(4, 4), 3 * np.arange(16.0).reshape(4, 4) + 1,
-     np.ones((4, 4), bool), 1.0),
-    (np.arange(16.0).reshape(4, 4), -np.arange(16.0).reshape(4, 4), np.ones((4, 4), bool), -1.0),
-    (np.ones((4, 4)), np.arange(16.0).reshape(4, 4), np.ones((4, 4), bool), 0.0),
-    (np.arange(16.0).reshape(4, 4), np.arange(16.0).reshape(4, 4), np.eye(4) > 0, -1.0),
-], ids=['another exposure', 'a negative', 'one colour', 'hardly known'])
+    (PATTERN, 3 * PATTERN + 1, np.ones((4, 4), bool), 1.0),
+    (PATTERN, -PATTERN, np.ones((4, 4), bool), -1.0),
+    (np.ones((4, 4)), PATTERN, np.ones((4, 4), bool), 0.0),
+    (np.arange(16.0).reshape(4, 4), np.arange(16.0).reshape(4, 4), np.ones((4, 4), bool), 0.0),
+    (PATTERN, 2 * PATTERN + np.arange(4.0), np.ones((4, 4), bool), 1.0),
+    (PATTERN, PATTERN, np.eye(4) > 0, -1.0),
+], ids=['another exposure', 'a negative', 'one colour', 'a gradient', 'light from one side',
+        'hardly known'])
 def test_agreement_by_hand(image: np.ndarray, guide: np.ndarray, known: np.ndarray,
                            expected: float) -> None:
     assert agreement(image, guide, known)[0] == pytest.approx(expected)
@@ -93,6 +98,14 @@ def test_images_from_elsewhere_get_no_guide_and_the_scene_is_found_again() -> No
     assert [guide.guide(noise) for _ in range(3)] == [None] * 3
     back = [guide.guide(photo_at(TRUE_POSE)) for _ in range(5)]
     assert back[-1] is not None
+
+
+def test_a_finger_on_the_lens_is_no_wall() -> None:
+    extrapolator = FovExtrapolator.load(share_dir() / 'models/demo_flat.onnx')
+    source = extrapolator.expansion.source
+    light = np.linspace(0.5, 1, source.width)[:, None] * [96, 34, 24]
+    finger = np.broadcast_to(light, (source.height, source.width, 3)).astype(np.uint8)
+    assert not any(extrapolator.expand(finger).guided for _ in range(6))
 
 
 def test_an_occluder_does_not_drag_the_pose() -> None:

@@ -9,10 +9,12 @@ from neo_ros.evaluation.evaluate import MethodScores
 from neo_ros.evaluation.metrics import summarise
 from neo_ros.evaluation.output import write_bytes
 
-_SCORES = (('ring_psnr', 'ring PSNR, dB', 2), ('ring_ssim', 'ring SSIM', 3),
-           ('ring_lpips_vgg', 'ring LPIPS VGG', 3), ('ring_lpips_alex', 'ring LPIPS Alex', 3),
-           ('seam_psnr', 'seam PSNR, dB', 2), ('whole_psnr', 'whole PSNR, dB', 2),
-           ('whole_ssim', 'whole SSIM', 3), ('whole_lpips_vgg', 'whole LPIPS VGG', 3))
+# The columns of the scores, and what stands in each.
+_SCORES = {'ring PSNR, dB': ('ring_psnr',), 'ring SSIM': ('ring_ssim',),
+           'ring LPIPS VGG': ('ring_lpips_vgg',), 'ring LPIPS Alex': ('ring_lpips_alex',),
+           'seam PSNR / SSIM / LPIPS VGG': ('seam_psnr', 'seam_ssim', 'seam_lpips_vgg'),
+           'whole PSNR, dB': ('whole_psnr',), 'whole SSIM': ('whole_ssim',),
+           'whole LPIPS VGG': ('whole_lpips_vgg',)}
 NOTE = """\
 Means over the test frames; in brackets bootstrap 95 % intervals over the walks. *Ring*: pixels
 that the camera did not see; *seam*: the part of the ring within 1/16 of the camera's width.
@@ -21,8 +23,8 @@ scores; its difference to the truth is 0, also in the ring's LPIPS. *Gap closed*
 B1's) / (oracle's - B1's). *Warping error*: mean squared difference (colours 0 to 1) between the
 ring and the last wide image brought there by the true motion. *Flicker*: standard deviation
 (grey levels) of the ring while the camera stands still with sensor noise of 2 grey levels.
-*MB*: model file (for B3 and the oracle the field, for B3 also the features); *memory*: what a
-process grows by when it loads and runs the method."""
+*MB*: model file (for B2 the photos and their features, for B3 and the oracle the field, for B3
+also the features); *memory*: what a process grows by when it loads and runs the method."""
 
 
 def markdown(benchmarks: Sequence[Sequence[MethodScores]]) -> str:
@@ -70,20 +72,24 @@ def best_practical(results: Sequence[MethodScores], score: str = 'ring_psnr') ->
 
 
 def _score_table(results: Sequence[MethodScores]) -> str:
-    known = [score for score in _SCORES if any(score[0] in r.estimates for r in results)]
+    known = {title: scores for title, scores in _SCORES.items()
+             if any(scores[0] in result.estimates for result in results)}
     best = best_practical(results)
     rows = []
     for result in results:
         name = f'**{result.method}**' if result.method == best else result.method
-        cells = []
-        for score, _, digits in known:
-            estimate = result.estimates.get(score)
-            cell = '' if estimate is None else f'{estimate.mean:.{digits}f}'
-            if estimate is not None and estimate.low is not None and score.startswith('ring'):
-                cell += f' ({estimate.low:.{digits}f} to {estimate.high:.{digits}f})'
-            cells.append(cell)
+        cells = [' / '.join(_score(result, score) for score in scores if score in result.estimates)
+                 for scores in known.values()]
         rows.append([name, *cells, 'yes' if result.observed_pasted else 'no'])
-    return _table(['method', *(title for _, title, _ in known), 'pasted'], rows)
+    return _table(['method', *known, 'pasted'], rows)
+
+
+def _score(result: MethodScores, score: str) -> str:
+    estimate, digits = result.estimates[score], 2 if score.endswith('psnr') else 3
+    text = f'{estimate.mean:.{digits}f}'
+    if estimate.low is not None and score.startswith('ring'):
+        text += f' ({estimate.low:.{digits}f} to {estimate.high:.{digits}f})'
+    return text
 
 
 def _cost_table(results: Sequence[MethodScores]) -> str:

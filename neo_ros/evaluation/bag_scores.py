@@ -20,7 +20,7 @@ CSV_FILE, JSON_FILE, REPORT_FILE = 'scores.csv', 'scores.json', 'report.html'
 # Frames whose pictures are kept for the report, spread over the bag, beside best and worst.
 MAX_SAMPLES = 8
 _LABELS = {'ring_psnr': 'ring PSNR, dB', 'ring_ssim': 'ring SSIM', 'seam_psnr': 'seam PSNR, dB',
-           'whole_psnr': 'whole PSNR, dB', 'whole_ssim': 'whole SSIM',
+           'seam_ssim': 'seam SSIM', 'whole_psnr': 'whole PSNR, dB', 'whole_ssim': 'whole SSIM',
            'edge_ring_psnr': 'ring PSNR of edge replication, dB'}
 Images = tuple[np.ndarray, np.ndarray]  # truth and prediction
 Expand = Callable[[np.ndarray], np.ndarray]

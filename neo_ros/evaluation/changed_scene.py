@@ -59,7 +59,7 @@ def score_change(extrapolator: FovExtrapolator, walks: list[list[CameraPose]]) -
         outside, same = sides[0], ring & ~changed
         rows.append((guided, _psnr(truth, wide, same), _psnr(new_truth, new_wide, same),
                      sure[outside].mean(), new_sure[outside].mean()))
-        ranked.append(_auroc(255.0 - new_sure[outside], 255.0 - new_sure[near & same]))
+        ranked.append(auroc(255.0 - new_sure[outside], 255.0 - new_sure[near & same]))
     if not rows:
         raise ValueError('walks: no frame shows a moved chair across the border of its view')
     guided, psnr_before, psnr_after, sure_before, sure_after = np.mean(rows, 0).tolist()
@@ -97,7 +97,7 @@ def _psnr(truth: np.ndarray, image: np.ndarray, where: np.ndarray) -> float:
     return float(-10 * np.log10(np.mean(error ** 2)))
 
 
-def _auroc(positive: np.ndarray, negative: np.ndarray) -> float:
+def auroc(positive: np.ndarray, negative: np.ndarray) -> float:
     """Return the probability that a positive is above a negative, ties count half."""
     ranks = rankdata(np.concatenate([positive, negative]))[:len(positive)]
     return float((ranks.mean() - (len(positive) + 1) / 2) / len(negative))

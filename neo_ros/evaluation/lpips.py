@@ -1,9 +1,9 @@
 """
-LPIPS for the whole image and the ring; the measure itself lies in `outpaint/perceptual.py`.
+LPIPS for the whole image, the ring and the seam; the measure lies in `outpaint/perceptual.py`.
 
 This is the one file of `evaluation/` that needs torch: import it lazily.
 """
-from neo_ros.evaluation.metrics import check_pair
+from neo_ros.evaluation.metrics import check_pair, seam_width
 from neo_ros.geometry import ViewExpansion
 from neo_ros.outpaint.perceptual import (
     cache_folder, fetch_weights, PerceptualDistance, read_weights)
@@ -29,8 +29,9 @@ class Lpips(PerceptualDistance):
         """
         Score a wide image (H, W, 3) RGB uint8 against the truth.
 
-        Returns whole_lpips_<backbone>, the published measure, and ring_lpips_<backbone>: the
-        layers' maps brought to full size (bilinear), summed, averaged over extrapolated pixels.
+        Returns whole_lpips_<backbone>, the published measure, and ring_lpips_<backbone> and
+        seam_lpips_<backbone>: the layers' maps brought to full size (bilinear), summed, averaged
+        over the ring and the seam of `score_frame`.
         """
         check_pair(truth, prediction, expansion)
         with torch.inference_mode():
@@ -38,9 +39,12 @@ class Lpips(PerceptualDistance):
             whole = sum(float(layer.mean()) for layer in maps)
             full = torch.cat([interpolate(layer, truth.shape[:2], mode='bilinear')
                               for layer in maps]).sum(0)
-        ring = full[0].cpu().numpy()[expansion.extrapolated_mask]
+        distance = full[0].cpu().numpy()
+        ring = distance[expansion.extrapolated_mask]
+        seam = distance[expansion.seam_mask(seam_width(expansion))]
         return {f'whole_lpips_{self.backbone}': whole,
-                f'ring_lpips_{self.backbone}': float(ring.mean())}
+                f'ring_lpips_{self.backbone}': float(ring.mean()),
+                f'seam_lpips_{self.backbone}': float(seam.mean())}
 
     def _as_input(self, image: np.ndarray) -> torch.Tensor:
         pixels = torch.from_numpy(np.ascontiguousarray(image)).to(self.shift.device)

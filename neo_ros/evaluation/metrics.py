@@ -30,9 +30,10 @@ def score_frame(truth: np.ndarray, prediction: np.ndarray,
     """
     Score one wide image (H, W, 3) RGB uint8 against the truth of the same shape.
 
-    Returns whole_psnr, ring_psnr, seam_psnr (dB, at most 100) and whole_ssim, ring_ssim. The
-    ring is all extrapolated pixels, the seam the part of it within `seam_width` of the camera's
-    window. Raises ImageRejected for images that are not uint8 of the expansion's target size.
+    Returns whole_psnr, ring_psnr, seam_psnr (dB, at most 100) and whole_ssim, ring_ssim,
+    seam_ssim. The ring is all extrapolated pixels, the seam the part of it within `seam_width`
+    of the camera's window. Raises ImageRejected for images that are not uint8 of the expansion's
+    target size.
     """
     check_pair(truth, prediction, expansion)
     error = (truth.astype(np.float32) - prediction.astype(np.float32)) ** 2
@@ -48,6 +49,7 @@ def score_frame(truth: np.ndarray, prediction: np.ndarray,
         # Wang et al. and scikit-image do; it stays in the ring, most of which it can be.
         'whole_ssim': float(ssim[inner, inner].mean()),
         'ring_ssim': float(ssim[ring].mean()),
+        'seam_ssim': float(ssim[seam].mean()),
     }
 
 

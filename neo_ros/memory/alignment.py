@@ -116,18 +116,28 @@ def agreement(image: np.ndarray, guide: np.ndarray, known: np.ndarray) -> tuple[
     Return the correlations in [-1, 1] of an image and a guide where the guide is known.
 
     The first is of all pixels, the second of those that fit best: without a third of them, as
-    if somebody stood there. image, guide: float (h, w); known: bool (h, w). Both are -1 where
-    too little is known, and 0 if one of the images is of one colour.
+    if somebody stood there. What grows evenly across the image does not count: a finger on the
+    lens is a gradient, too, and so is many a wall. image, guide: float (h, w); known: bool
+    (h, w). Both are -1 where too little is known, and 0 if one of the images is of one colour.
     """
     if known.mean() < LEAST_OVERLAP:
         return -1.0, -1.0
     a, b = image[known].astype(np.float64), guide[known].astype(np.float64)
-    whole, kept = correlation(a, b), np.ones(len(a), bool)
+    places = np.c_[np.argwhere(known), np.ones(len(a))]
+    whole, kept = detail_correlation(a, b, places), np.ones(len(a), bool)
     for _ in range(3):
         slope, offset = fitted_line(b[kept], a[kept])
         error = np.abs(a - slope * b - offset)
         kept = error <= np.quantile(error, 1 - OCCLUDED)
-    return whole, correlation(a[kept], b[kept]) if slope > 0 else 0.0
+    return whole, detail_correlation(a[kept], b[kept], places[kept]) if slope > 0 else 0.0
+
+
+def detail_correlation(a: np.ndarray, b: np.ndarray, places: np.ndarray) -> float:
+    """Correlate a and b (N,) without the planes through them; places (N, 3): row, column, 1."""
+    # Directions that the places do not span, such as one row of pixels, have no slope.
+    inverse = np.linalg.pinv(places.T @ places, hermitian=True)
+    a, b = (values - places @ (inverse @ (places.T @ values)) for values in (a, b))
+    return correlation(a, b)
 
 
 def correlation(a: np.ndarray, b: np.ndarray) -> float:
