@@ -104,7 +104,7 @@ def test_a_finger_on_the_lens_is_no_wall() -> None:
     extrapolator = FovExtrapolator.load(share_dir() / 'models/demo_flat.onnx')
     source = extrapolator.expansion.source
     light = np.linspace(0.5, 1, source.width)[:, None] * [96, 34, 24]
-    finger = np.broadcast_to(light, (source.height, source.width, 3)).astype(np.uint8)
+    finger = np.rint(np.broadcast_to(light, (source.height, source.width, 3))).astype(np.uint8)
     assert not any(extrapolator.expand(finger).guided for _ in range(6))
 
 
