@@ -134,10 +134,15 @@ def agreement(image: np.ndarray, guide: np.ndarray, known: np.ndarray) -> tuple[
 
 def detail_correlation(a: np.ndarray, b: np.ndarray, places: np.ndarray) -> float:
     """Correlate a and b (N,) without the planes through them; places (N, 3): row, column, 1."""
-    # Directions that the places do not span, such as one row of pixels, have no slope.
-    inverse = np.linalg.pinv(places.T @ places, hermitian=True)
-    a, b = (values - places @ (inverse @ (places.T @ values)) for values in (a, b))
-    return correlation(a, b)
+    # Directions that the places do not span, such as one row of pixels, have no slope. Not by
+    # matrix products: their threads would wait for one another on a busy machine.
+    inverse = np.linalg.pinv(np.einsum('ni,nj->ij', places, places), hermitian=True)
+
+    def detail(values: np.ndarray) -> np.ndarray:
+        slope = inverse @ np.einsum('ni,n->i', places, values)
+        return values - np.einsum('ni,i->n', places, slope)
+
+    return correlation(detail(a), detail(b))
 
 
 def correlation(a: np.ndarray, b: np.ndarray) -> float:
