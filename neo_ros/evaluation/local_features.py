@@ -59,13 +59,16 @@ def match_features(first: np.ndarray, second: np.ndarray, ratio: float) -> np.nd
     likeness = first @ second.T
     rows = np.arange(len(first))
     best = likeness.argmax(1)
-    mutual = likeness.argmax(0)[best] == rows
-    top = np.partition(likeness, -2, axis=1)[:, -2:]
+    nearest = likeness[rows, best]
+    likeness[rows, best] = -1
+    second = likeness.max(1)
+    likeness[rows, best] = nearest
     # The squared distance of unit vectors is 2 - 2 * likeness.
-    distance = np.maximum(2 - 2 * top, 0)
+    distance, further = np.maximum(2 - 2 * nearest, 0), np.maximum(2 - 2 * second, 0)
     # Two that are the same but for rounding are not told apart.
-    clear = distance[:, 1] < ratio ** 2 * distance[:, 0] - 1e-6
-    kept = rows[mutual & clear]
+    kept = np.flatnonzero(distance < ratio ** 2 * further - 1e-6)
+    # Few are left whose own nearest is to be found, down the columns, which is slow.
+    kept = kept[likeness[:, best[kept]].argmax(0) == kept]
     return np.stack([kept, best[kept]], 1)
 
 

@@ -1,9 +1,10 @@
 """
 B2: warp the most similar photos onto the wide view, and blend them; no pose, no depth, no field.
 
-Retrieval by VLAD, RootSIFT matches, several homographies a photo made one smooth warp (as
-projective as possible; Zaragoza et al., 2013), one gain per channel, multi-band blending
-(Burt and Adelson, 1983). What no photo covers is extended from what is there, and counted.
+Retrieval by VLAD, RootSIFT matches, a homography a photo that bends to its matches (as
+projective as possible; Zaragoza et al., 2013), one gain per channel; of all photos that match,
+those that together cover the ring best; multi-band blending (Burt and Adelson, 1983). What no
+photo covers is extended from what is there, and counted.
 """
 from typing import NamedTuple
 
@@ -14,23 +15,25 @@ from neo_ros.evaluation.local_features import find_features, match_features, Pho
 from neo_ros.geometry import CameraPose, ViewExpansion
 import numpy as np
 
-RETRIEVED = 80      # photos that are looked at
+RETRIEVED = 160     # photos that are looked at
 FUSED = 12          # photos that may contribute
 RATIO = 0.85
-PLANES = 3          # homographies of one photo at most
-PLANE_PIXELS = 2.5  # a match within so many pixels of a homography belongs to its plane
+PLANE_PIXELS = 2.5  # a match within so many pixels of the homography is kept
 LEAST_INLIERS = 10
 NODES = 17          # of the grid on which a warp is solved, per side
 REACH = 0.12        # of the wide image's width: how far a match bends the warp
-OBSERVED_WEIGHT = 2.0  # beside the photos', which are at most 1
 FAR_WEIGHT = 0.02   # of matches beyond that: they keep the warp one homography
+OBSERVED_WEIGHT = 2.0  # beside the photos', which are at most 1
+OFF_LEVELS = 5.0    # grey levels: how far a photo may be off the image, before it counts less
+TRUSTED = 0.2       # of the wide image's width: how far from a match a warp is trusted
+LEAST_TRUST = 0.02  # beyond that: better than nothing
 
 
 class WarpedPhoto(NamedTuple):
     """
     A photo as it would look in the wide view.
 
-    image   float32 (H, W, 3) in 0..255
+    image   uint8 (H, W, 3)
     weight  float32 (H, W): 0 where the photo shows nothing, up to how well the photo fits
     """
 
@@ -44,26 +47,27 @@ class Warping:
     name = 'warping'
     observed_pasted = True
     train_minutes: float | None = None
-    model_mb: float | None = None
 
     def __init__(self, bank: PhotoBank, expansion: ViewExpansion) -> None:
         self.bank, self.expansion = bank, expansion
+        self.images = bank.photos.read_images(bank.scale)
+        files = [path.stat().st_size for path in bank.photos.image_paths]
+        self.model_mb: float | None = bank.megabytes + sum(files) / 1e6
         self.uncovered = 1.0
 
     def expand(self, narrow_image: np.ndarray) -> np.ndarray:
         """Widen (h, w, 3) RGB uint8 to (H, W, 3) RGB uint8."""
         expansion = self.expansion
-        warped = sorted(self._warped_photos(narrow_image), key=lambda one: -one.weight.max())
-        images = [one.image for one in warped[:FUSED]]
-        weights = [one.weight for one in warped[:FUSED]]
         ring = expansion.extrapolated_mask
+        warped = covering(self._warped_photos(narrow_image), ring)
+        weights = [one.weight for one in warped]
         covered = np.any([weight > 0 for weight in weights], axis=0) if weights else ~ring
         self.uncovered = float((~covered)[ring].mean())
         # The observed image, extended, is one more source: colours flow out of it.
         observed = expansion.paste(narrow_image, np.zeros((*ring.shape, 3), np.uint8))
         extended = extend_edges(observed.astype(np.float32), ~ring)
-        images = [np.where(weight[..., None] > 0, image, extended)
-                  for image, weight in zip(images, weights)] + [extended]
+        images = [np.where(one.weight[..., None] > 0, one.image, extended)
+                  for one in warped] + [extended]
         blended = blend_bands(
             images, [*weights, np.where(ring, 0, OBSERVED_WEIGHT).astype(np.float32)])
         filled = extend_edges(blended, covered | ~ring)
@@ -81,10 +85,9 @@ class Warping:
             photo = self.bank.features[index]
             matches = match_features(features.descriptors, photo.descriptors, RATIO)
             wide, other = features.points[matches[:, 0]] + shift, photo.points[matches[:, 1]]
-            kept = on_planes(wide, other)
+            kept = on_plane(wide, other)
             if kept.sum() >= LEAST_INLIERS:
-                image = self.bank.photos.read_image(int(index), self.bank.scale)
-                one = self._warp(narrow_image, image, wide[kept], other[kept])
+                one = self._warp(narrow_image, self.images[index], wide[kept], other[kept])
                 if one is not None:
                     found.append(one)
         return found
@@ -109,24 +112,45 @@ class Warping:
         gain = colour_gain(shown[common][None], narrow_image[common][None])
         image = np.clip(image * gain, 0, 255)
         off = np.abs(self.expansion.crop(image)[common] - narrow_image[common]).mean()
-        fit = float(np.exp(-off / 8)) * min(1.0, len(wide) / 60)
-        return WarpedPhoto(image, (feather * fit).astype(np.float32))
+        fit = np.exp(-off / OFF_LEVELS) * near_matches(wide, target.width, target.height)
+        return WarpedPhoto((image + 0.5).astype(np.uint8), (feather * fit).astype(np.float32))
 
 
-def on_planes(wide: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Tell which matches (N, 2) lie on one of a few homographies that explain most."""
-    kept = np.zeros(len(wide), bool)
-    for _ in range(PLANES):
-        rest = np.flatnonzero(~kept)
-        if len(rest) < LEAST_INLIERS:
+def covering(photos: list[WarpedPhoto], ring: np.ndarray) -> list[WarpedPhoto]:
+    """
+    Choose the photos to fuse, best first.
+
+    Each is the one that adds most: to the sum, over the ring (H, W), of the best weight so far.
+    """
+    weights = np.array([one.weight[ring] for one in photos])
+    best, chosen = np.zeros(int(ring.sum()), np.float32), []
+    while len(chosen) < min(FUSED, len(photos)):
+        added = np.maximum(weights - best, 0).sum(1)
+        index = int(added.argmax())
+        if added[index] <= 0:
             break
-        cv2.setRNGSeed(0)
-        H, inliers = cv2.findHomography(wide[rest], other[rest], cv2.USAC_MAGSAC, PLANE_PIXELS,
-                                        maxIters=2000, confidence=0.999)
-        if H is None or inliers.sum() < LEAST_INLIERS:
-            break
-        kept[rest[inliers.ravel() > 0]] = True
-    return kept
+        chosen.append(photos[index])
+        best = np.maximum(best, weights[index])
+    return chosen
+
+
+def near_matches(wide: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Return how far a warp can be trusted, (height, width) up to 1: it is best at its matches."""
+    away = np.ones((height, width), np.uint8)
+    x, y = np.clip(wide.astype(int), 0, [width - 1, height - 1]).T
+    away[y, x] = 0
+    distance = cv2.distanceTransform(away, cv2.DIST_L2, 5) / (TRUSTED * width)
+    return np.maximum(np.exp(-distance ** 2), LEAST_TRUST)
+
+
+def on_plane(wide: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Tell which matches (N, 2) lie on the homography that explains most."""
+    if len(wide) < LEAST_INLIERS:
+        return np.zeros(len(wide), bool)
+    cv2.setRNGSeed(0)
+    H, inliers = cv2.findHomography(wide, other, cv2.USAC_MAGSAC, PLANE_PIXELS, maxIters=2000,
+                                    confidence=0.999)
+    return np.zeros(len(wide), bool) if H is None else inliers.ravel() > 0
 
 
 def smooth_warp(wide: np.ndarray, other: np.ndarray, width: int, height: int) -> np.ndarray:
@@ -144,16 +168,18 @@ def smooth_warp(wide: np.ndarray, other: np.ndarray, width: int, height: int) ->
     rows = np.stack([
         np.stack([x, y, one, zero, zero, zero, -u * x, -u * y, -u], 1),
         np.stack([zero, zero, zero, x, y, one, -v * x, -v * y, -v], 1)], 1)
-    outer = np.einsum('nki,nkj->nij', rows, rows)
+    outer = (rows.swapaxes(1, 2) @ rows).reshape(-1, 81)
     nodes = np.stack(np.meshgrid(np.linspace(-0.5, 0.5, NODES),
                                  np.linspace(-0.5, 0.5, NODES) * height / width), -1)
     apart = ((nodes[:, :, None] - a) ** 2).sum(-1)
     weight = np.maximum(np.exp(-apart / (2 * REACH ** 2)), FAR_WEIGHT)
-    H = np.linalg.eigh(np.einsum('rcn,nij->rcij', weight, outer))[1][..., 0]
-    H = H.reshape(NODES, NODES, 3, 3)
-    H = H * np.sign(H[..., 2:, 2:] + 1e-12)
-    point = np.einsum('rcij,rcj->rci', H, np.dstack([nodes, np.ones((NODES, NODES))]))
-    depth = np.where(point[..., 2] > 0.2 * np.abs(H[..., 2, 2]), point[..., 2], np.nan)
+    sums = (weight @ outer).reshape(NODES, NODES, 9, 9)
+    # The last number of a homography is 1: the middle of the wide view is before the photo.
+    solved = np.linalg.solve(sums[..., :8, :8] + 1e-9 * np.eye(8), -sums[..., :8, 8:])
+    H = np.concatenate([solved[..., 0], np.ones((NODES, NODES, 1))], -1)
+    point = (H.reshape(NODES, NODES, 3, 3) @ np.dstack([nodes, np.ones((NODES, NODES))])[..., None])
+    point = point[..., 0]
+    depth = np.where(point[..., 2] > 0.2, point[..., 2], np.nan)
     grid = (point[..., :2] / depth[..., None] * size + other.mean(0)).astype(np.float32)
     where = _upsampled(grid, width, height)
     across, down = np.gradient(where, axis=1), np.gradient(where, axis=0)
