@@ -7,7 +7,8 @@ from neo_ros.evaluation.local_features import find_features, match_features, rea
 from neo_ros.evaluation.relocalized import (
     Localization, pose_error, Relocalized, RelocalizedNeo, Relocalizer)
 from neo_ros.evaluation.sparse_model import epipolar_distance, read_sparse_model
-from neo_ros.evaluation.warping import on_planes, smooth_warp, Warping
+from neo_ros.evaluation.warping import (
+    covering, near_matches, on_plane, smooth_warp, WarpedPhoto, Warping)
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
 from neo_ros.geometry.camera_pose import rotation_from_vector
 from neo_ros.scenes.demo_flat import build_demo_flat
@@ -55,6 +56,26 @@ def test_b2_covers_the_ring_with_what_the_photos_show(corner, bank):
     assert frame['ring_psnr'] > 20
     assert 0 <= frame['uncovered'] < 0.6
     assert method.uncovered == frame['uncovered']
+
+
+def test_b2_fuses_what_adds_to_the_ring():
+    ring = np.ones((4, 6), bool)
+
+    def photo(weight, columns):
+        shown = np.zeros((4, 6), np.float32)
+        shown[:, columns] = weight
+        return WarpedPhoto(np.zeros((4, 6, 3), np.uint8), shown)
+
+    left, same, right = photo(0.9, slice(3)), photo(0.8, slice(3)), photo(0.3, slice(3, 6))
+    assert [one.weight[0, 0] for one in covering([same, right, left], ring)] == [
+        left.weight[0, 0], right.weight[0, 0]]
+    assert covering([], ring) == []
+
+
+def test_a_warp_is_trusted_near_its_matches():
+    trust = near_matches(np.array([[10.2, 5.1], [300.0, 5.0]]), 40, 30)
+    assert trust[5, 10] == trust[5, 39] == 1 and trust.shape == (30, 40)
+    assert 0.02 == trust[29, 25] < trust[5, 14] < 1
 
 
 def test_b2_without_a_photo_that_fits_extends_the_edges(bank):
@@ -189,7 +210,7 @@ def test_matches_of_a_plane_are_kept_and_others_are_not():
     wide = random.uniform(0, 100, (60, 2)).astype(np.float32)
     other = wide * 0.9 + [5, 3]
     other[40:] = random.uniform(0, 100, (20, 2))
-    kept = on_planes(wide, other.astype(np.float32))
+    kept = on_plane(wide, other.astype(np.float32))
     assert kept[:40].all()
     assert kept[40:].sum() <= 3
 

@@ -177,8 +177,8 @@ def smooth_warp(wide: np.ndarray, other: np.ndarray, width: int, height: int) ->
     # The last number of a homography is 1: the middle of the wide view is before the photo.
     solved = np.linalg.solve(sums[..., :8, :8] + 1e-9 * np.eye(8), -sums[..., :8, 8:])
     H = np.concatenate([solved[..., 0], np.ones((NODES, NODES, 1))], -1)
-    point = (H.reshape(NODES, NODES, 3, 3) @ np.dstack([nodes, np.ones((NODES, NODES))])[..., None])
-    point = point[..., 0]
+    corners = np.dstack([nodes, np.ones((NODES, NODES))])[..., None]
+    point = (H.reshape(NODES, NODES, 3, 3) @ corners)[..., 0]
     depth = np.where(point[..., 2] > 0.2, point[..., 2], np.nan)
     grid = (point[..., :2] / depth[..., None] * size + other.mean(0)).astype(np.float32)
     where = _upsampled(grid, width, height)
