@@ -123,7 +123,8 @@ def covering(photos: list[WarpedPhoto], ring: np.ndarray) -> list[WarpedPhoto]:
     Each is the one that adds most: to the sum, over the ring (H, W), of the best weight so far.
     """
     weights = np.array([one.weight[ring] for one in photos])
-    best, chosen = np.zeros(int(ring.sum()), np.float32), []
+    best = np.zeros(int(ring.sum()), np.float32)
+    chosen: list[WarpedPhoto] = []
     while len(chosen) < min(FUSED, len(photos)):
         added = np.maximum(weights - best, 0).sum(1)
         index = int(added.argmax())
