@@ -4,12 +4,14 @@ from pathlib import Path
 import sys
 from typing import Any
 
+from box_room import box_memory, EXPANSION, planar, view
 import cv2
 from neo_ros.errors import ModelError, SceneError
 from neo_ros.evaluation import out_of_scene
 from neo_ros.evaluation.out_of_scene import markdown, score_scenes, spoils
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.runtime import FovExtrapolator
+from neo_ros.runtime.model_card import MemoryFile
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.transforms_json import read_transforms, write_transforms
 import numpy as np
@@ -61,7 +63,20 @@ def test_what_is_not_the_scene_scores_higher(
 
 
 def test_a_guided_frame_scores_nothing_and_a_walk_begins_anew(
-        tiny_run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+        tiny_run: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    room, count = tmp_path / 'room', 6
+    poses = tuple(planar(1.4 + 0.1 * step, 1.5, 20 + 3 * step) for step in range(count))
+    paths = tuple(room / f'{step}.png' for step in range(count))
+    for path, pose in zip(paths, poses):
+        write_picture(path, view(pose, EXPANSION.target)[0])
+    for name in ('transforms_train.json', 'transforms_test.json'):
+        write_transforms(room / name, PosedImages(
+            EXPANSION.target, paths, poses, (0,) * 3 + (1,) * 3))
+    # The reference is of another scene, so the network alone finds the room unusual.
+    path = write_tiny_model(
+        tmp_path / 'box.onnx', EXPANSION,
+        memory=MemoryFile(file='box.memory', sha256=box_memory().write(tmp_path / 'box.memory')),
+        scene_reference=FovExtrapolator.load(tiny_run.model_path).card.scene_reference)
     resets = []
     reset = FovExtrapolator.reset
 
@@ -70,15 +85,13 @@ def test_a_guided_frame_scores_nothing_and_a_walk_begins_anew(
         reset(extrapolator)
 
     monkeypatch.setattr(out_of_scene, 'spoils', dict)
-    models = [FovExtrapolator.load(tiny_run.model_path, guided=guided)
-              for guided in (False, True)]
+    models = [FovExtrapolator.load(path, guided=guided) for guided in (False, True)]
     monkeypatch.setattr(FovExtrapolator, 'load', lambda path, guided=True: models[guided])
     monkeypatch.setattr(FovExtrapolator, 'reset', noted)
-    row, = score_scenes(tiny_run.model_path, tiny_run.out.parent / 'scene', [])
+    row, = score_scenes(path, room, [])
     # Two walks, once for the frames to compare with and once for the row.
     assert [resets.count(model) for model in models] == [4, 4]
-    assert row.known is not None and row.score is not None and row.known > 0
-    assert row.score < row.network_score
+    assert row.known == 1 and row.score == 0 < row.network_score
 
 
 def test_a_model_without_a_memory_has_the_networks_scores_alone(
