@@ -1,7 +1,12 @@
 """A room whose every view is known exactly: a box with painted walls, cast by numpy."""
+from pathlib import Path
+from typing import Any
+
 from neo_ros.geometry import Band, CameraPose, Intrinsics, ViewExpansion
 from neo_ros.memory.scene_memory import Glances, Keyframe, SceneMemory
+from neo_ros.runtime.model_card import MemoryFile
 import numpy as np
+from tiny_model import write_tiny_model
 
 LOW, HIGH = np.array([0.0, 0.0, 0.0]), np.array([5.0, 4.0, 2.6])
 HEIGHT = 1.4
@@ -65,3 +70,15 @@ def apart(one: CameraPose, other: CameraPose) -> tuple[float, float]:
     cosine = (np.trace(one.T_world_cam[:3, :3].T @ other.T_world_cam[:3, :3]) - 1) / 2
     return (float(np.linalg.norm(one.position - other.position)),
             float(np.degrees(np.arccos(np.clip(cosine, -1, 1)))))
+
+
+def box_walk(count: int) -> list[CameraPose]:
+    """Return poses of a walk through the room."""
+    return [planar(1.4 + 0.1 * step, 1.5, 20 + 3 * step) for step in range(count)]
+
+
+def write_box_model(folder: Path, **card_overrides: Any) -> Path:
+    """Write a small model that has the box room's memory beside it."""
+    sha256 = box_memory().write(folder / 'box.memory')
+    return write_tiny_model(folder / 'box.onnx', EXPANSION, **card_overrides,
+                            memory=MemoryFile(file='box.memory', sha256=sha256))

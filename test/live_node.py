@@ -63,9 +63,15 @@ class Camera:
 
     def widen(self, image, number):
         """Publish a frame and wait for all four answers."""
-        sent = self.publish(image, number)
-        self.graph.spin_until(lambda: all(
-            kept and kept[-1].header == sent.header for kept in self.wide.values()))
+        def answered():
+            nonlocal asked
+            if time.monotonic() > asked + 5:
+                asked = time.monotonic()
+                self.publish(image, number)  # Best effort: on a busy machine one may get lost.
+            return all(kept and kept[-1].header == sent.header for kept in self.wide.values())
+
+        asked, sent = time.monotonic(), self.publish(image, number)
+        self.graph.spin_until(answered)
         return {name: kept[-1] for name, kept in self.wide.items()}
 
     def wait_for_diagnosis(self, level, words):
@@ -77,6 +83,14 @@ class Camera:
                     return {pair.key: pair.value for pair in status.values}
             return None
         return self.graph.spin_until(found)
+
+
+def started(graph, model, *parameters):
+    """Start the node behind a camera and wait for it; return camera and process."""
+    camera = Camera(graph)
+    process = camera.start_node(model, *parameters)
+    camera.wait_for_node()
+    return camera, process
 
 
 def change_state(graph, transition):

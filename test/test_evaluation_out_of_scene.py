@@ -4,14 +4,13 @@ from pathlib import Path
 import sys
 from typing import Any
 
-from box_room import box_memory, EXPANSION, planar, view
+from box_room import box_walk, EXPANSION, view, write_box_model
 import cv2
 from neo_ros.errors import ModelError, SceneError
 from neo_ros.evaluation import out_of_scene
 from neo_ros.evaluation.out_of_scene import markdown, score_scenes, spoils
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.runtime import FovExtrapolator
-from neo_ros.runtime.model_card import MemoryFile
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.transforms_json import read_transforms, write_transforms
 import numpy as np
@@ -64,19 +63,16 @@ def test_what_is_not_the_scene_scores_higher(
 
 def test_a_guided_frame_scores_nothing_and_a_walk_begins_anew(
         tiny_run: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    room, count = tmp_path / 'room', 6
-    poses = tuple(planar(1.4 + 0.1 * step, 1.5, 20 + 3 * step) for step in range(count))
-    paths = tuple(room / f'{step}.png' for step in range(count))
+    room, poses = tmp_path / 'room', tuple(box_walk(6))
+    paths = tuple(room / f'{step}.png' for step in range(len(poses)))
     for path, pose in zip(paths, poses):
         write_picture(path, view(pose, EXPANSION.target)[0])
     for name in ('transforms_train.json', 'transforms_test.json'):
         write_transforms(room / name, PosedImages(
             EXPANSION.target, paths, poses, (0,) * 3 + (1,) * 3))
     # The reference is of another scene, so the network alone finds the room unusual.
-    path = write_tiny_model(
-        tmp_path / 'box.onnx', EXPANSION,
-        memory=MemoryFile(file='box.memory', sha256=box_memory().write(tmp_path / 'box.memory')),
-        scene_reference=FovExtrapolator.load(tiny_run.model_path).card.scene_reference)
+    path = write_box_model(tmp_path, scene_reference=FovExtrapolator.load(
+        tiny_run.model_path).card.scene_reference)
     resets = []
     reset = FovExtrapolator.reset
 

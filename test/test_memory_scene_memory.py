@@ -1,11 +1,14 @@
 """The file of a scene memory: what goes in comes out, and nothing else is read."""
+import gc
 import hashlib
 import io
 import os
 from pathlib import Path
+import weakref
 
 from box_room import BAND, box_memory
 from neo_ros.errors import ModelError
+from neo_ros.memory import scene_memory
 from neo_ros.memory.scene_memory import CLOSEST, Glances, Keyframe, SceneMemory
 from neo_ros.model_bytes import MAX_BYTES
 import numpy as np
@@ -27,6 +30,23 @@ def test_a_memory_comes_back(memory: SceneMemory, tmp_path: Path) -> None:
         one, other = memory.keyframe(index), again.keyframe(index)
         assert np.array_equal(one.texture, other.texture)
         assert np.array_equal(one.depth, other.depth)
+
+
+def test_few_keyframes_stay_decoded_and_none_outlives_the_memory(
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scene_memory, 'CACHED', 2)
+    memory = box_memory()
+    first = memory.keyframe(0)
+    assert memory.keyframe(1) is not first and memory.keyframe(0) is first
+    memory.keyframe(2)  # In the place of 1, which was used before 0.
+    assert memory.keyframe(0) is first
+    released = [weakref.ref(memory), weakref.ref(first)]
+    gc.disable()
+    try:
+        del memory, first
+        assert [reference() for reference in released] == [None, None]
+    finally:
+        gc.enable()
 
 
 def test_depth_keeps_its_precision_and_its_gaps() -> None:

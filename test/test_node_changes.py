@@ -2,23 +2,18 @@
 from array import array
 import math
 import os
-from pathlib import Path
 import signal
 
 from camera_messages import noise_image
 import cv2
 from diagnostic_msgs.msg import DiagnosticStatus
-from lifecycle_msgs.msg import Transition
-from live_node import Camera, change_state, end, NODE, set_parameter
+from live_node import Camera, end, NODE, set_parameter, started
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.messages import camera_info_fields, CameraFit
 from neo_ros.messages.compressed_image import read_compressed_image
-from neo_ros.node.extrapolator_node import ExtrapolatorNode
 from neo_ros.runtime import FovExtrapolator
 import numpy as np
 import pytest
-import rclpy
-from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_sensor_data, ReliabilityPolicy
 from rclpy.time import Time
 from ros_graph import ros_graph
@@ -44,13 +39,6 @@ def model(tmp_path):
 
 def pixels(message):
     return np.frombuffer(message.data, np.uint8).reshape(message.height, message.width, -1)
-
-
-def started(graph, model, *parameters):
-    camera = Camera(graph)
-    process = camera.start_node(model, *parameters)
-    camera.wait_for_node()
-    return camera, process
 
 
 def test_another_model_takes_over_without_losing_the_subscription(graph, model, tmp_path):
@@ -261,37 +249,3 @@ def test_a_wrong_word_leaves_it_unconfigured_with_the_reason(graph, model, param
     camera = Camera(graph)
     camera.start_node(model, parameter)
     camera.wait_for_diagnosis(DiagnosticStatus.ERROR, words)
-
-
-def resident_kb():
-    return int(Path('/proc/self/statm').read_text().split()[1]) * 4
-
-
-def test_lifecycle_cycles_leave_nothing_behind(graph, model):
-    node = ExtrapolatorNode(context=graph.context, parameter_overrides=[
-        Parameter('model', value=str(model)), Parameter('autostart', value=False)])
-    transitions = (node.trigger_configure, node.trigger_activate, node.trigger_deactivate,
-                   node.trigger_cleanup)
-    sizes, threads, descriptors = [], [], []
-    for _ in range(30):
-        for transition in transitions:
-            assert transition() == rclpy.lifecycle.TransitionCallbackReturn.SUCCESS
-        sizes.append(resident_kb())
-        threads.append(len(os.listdir('/proc/self/task')))
-        descriptors.append(len(os.listdir('/proc/self/fd')))
-    # The first ten fill caches of the allocator and of ONNX Runtime.
-    assert sizes[-1] - sizes[9] < 4_000, sizes
-    assert threads[-1] <= threads[9] and descriptors[-1] <= descriptors[9]
-    assert len(list(node.publishers)) < 8 and node.state_label == 'unconfigured'
-    node.destroy_node()
-
-
-def test_cycles_over_the_graph_end_where_they_began(graph, model):
-    camera, process = started(graph, model)
-    for number in range(3):
-        for transition in (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP,
-                           Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
-            assert change_state(graph, transition)
-        camera.wait_for_node()
-        camera.widen(noise_image(SOURCE, number), number)
-    assert end(process)[0] == 0

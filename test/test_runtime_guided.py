@@ -1,30 +1,25 @@
 """A model with a scene memory beside it: guided where the scene is known, and safe elsewhere."""
 from pathlib import Path
 
-from box_room import box_memory, EXPANSION, planar, view
+from box_room import box_walk, EXPANSION, view, write_box_model
 from neo_ros.errors import ModelError
 from neo_ros.runtime import FovExtrapolator
 from neo_ros.runtime.model_card import MemoryFile
 import numpy as np
 from pydantic import ValidationError
 import pytest
-from tiny_model import write_tiny_model
 
 RING = EXPANSION.extrapolated_mask
 
 
 @pytest.fixture(scope='module')
 def model(tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp('guided')
-    sha256 = box_memory().write(folder / 'box.memory')
-    return write_tiny_model(folder / 'box.onnx', EXPANSION,
-                            memory=MemoryFile(file='box.memory', sha256=sha256))
+    return write_box_model(tmp_path_factory.mktemp('guided'))
 
 
 def walk(count: int) -> list[np.ndarray]:
     """Return wide views along a walk through the box room."""
-    return [view(planar(1.4 + 0.1 * step, 1.5, 20 + 3 * step), EXPANSION.target)[0]
-            for step in range(count)]
+    return [view(pose, EXPANSION.target)[0] for pose in box_walk(count)]
 
 
 def test_the_ring_shows_the_scene(model: Path) -> None:

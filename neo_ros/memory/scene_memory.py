@@ -1,7 +1,6 @@
 """The scene memory: what a robot keeps of a scene to see it again from other poses."""
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 import hashlib
 import io
 import os
@@ -60,11 +59,16 @@ class SceneMemory:
                  depths: Sequence[bytes], glances: Glances) -> None:
         self.positions, self.band, self.glances = positions, band, glances
         self._textures, self._depths = textures, depths
-        self._decoded = lru_cache(CACHED)(self._decode)
+        # The last one used is the last. An lru_cache of a method would keep this object alive.
+        self._decoded: dict[int, Keyframe] = {}
 
     def keyframe(self, index: int) -> Keyframe:
         """Return keyframe `index`; it must not be changed."""
-        return self._decoded(index)
+        found = self._decoded.pop(index, None) or self._decode(index)
+        self._decoded[index] = found
+        if len(self._decoded) > CACHED:
+            del self._decoded[next(iter(self._decoded))]
+        return found
 
     def _decode(self, index: int) -> Keyframe:
         texture = _decode_image(self._textures[index], cv2.IMREAD_COLOR_RGB)

@@ -55,6 +55,8 @@ def _judge_frames(health: Health) -> tuple[bytes, str]:
     counts = health.counts
     if health.fault:
         return DiagnosticStatus.ERROR, health.fault
+    if health.state == 'configuring':
+        return DiagnosticStatus.OK, 'configuring: the model is being loaded'
     if health.state != 'active':
         return DiagnosticStatus.OK, f'{health.state}: waiting for a lifecycle transition'
     if not health.enabled:

@@ -1,5 +1,6 @@
 """The lifecycle node: wires ROS to the frame worker and keeps the states."""
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor, wait
 import functools
 import time
 import traceback
@@ -30,6 +31,7 @@ from std_srvs.srv import SetBool, Trigger
 NODE_NAME = 'fov_extrapolator'
 # How long a transition waits for the frame in work; its result is thrown away in any case.
 STOP_TIMEOUT_S = 0.3
+DIAGNOSTICS_PERIOD_S = 1.0
 REPORT_PERIOD_S = 5.0
 
 
@@ -81,7 +83,8 @@ class ExtrapolatorNode(LifecycleNode):
         self.create_service(RELOAD_MODEL.kind, RELOAD_MODEL.name, self._on_reload_model)
         self._diagnostics = self.create_publisher(DIAGNOSTICS.kind, DIAGNOSTICS.name, 10)
         # Steady, so that a paused simulation is still diagnosed.
-        self.create_timer(1.0, self._publish_diagnostics,
+        self._diagnosed_s = time.monotonic()
+        self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics,
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def autostart(self) -> None:
@@ -100,7 +103,7 @@ class ExtrapolatorNode(LifecycleNode):
         """Load, check and warm up the model, announce the outputs."""
         try:
             values = read_parameters(self)
-            self._model = load_model(values, self._load)
+            self._model = self._load_model(values)
         except NeoError as error:
             self.fault = f'cannot load the model: {error}'
             self.get_logger().error(self.fault)
@@ -180,7 +183,7 @@ class ExtrapolatorNode(LifecycleNode):
         try:
             if self._model is None:
                 raise NeoError(f'{self.state_label}: configure loads the model')
-            self._take_over(load_model(read_parameters(self), self._load))
+            self._take_over(self._load_model(read_parameters(self)))
         except Exception as error:  # What leaves a callback ends the node.
             response.message = f'the model stays as it is: {_reason(error)}'
             self.get_logger().error(response.message)
@@ -197,7 +200,7 @@ class ExtrapolatorNode(LifecycleNode):
             values: NodeParameters = read_parameters(self, parameters)
             changes_model = any(parameter.name in MODEL_PARAMETERS for parameter in parameters)
             if self._model is not None and changes_model:
-                self._candidate = load_model(values, self._load)
+                self._candidate = self._load_model(values)
         except Exception as error:  # What leaves a callback ends the node.
             return SetParametersResult(successful=False, reason=_reason(error))
         return SetParametersResult(successful=True)
@@ -220,6 +223,15 @@ class ExtrapolatorNode(LifecycleNode):
                 if self._enabled:
                     self._inputs.subscribe()
 
+    def _load_model(self, values: NodeParameters) -> LoadedModel:
+        """Load a model in another thread: the executor's keeps up the diagnostics meanwhile."""
+        with ThreadPoolExecutor(1) as thread:
+            loading = thread.submit(load_model, values, self._load)
+            while not wait([loading], self._diagnosed_s + DIAGNOSTICS_PERIOD_S
+                           - time.monotonic()).done:
+                self._publish_diagnostics()
+        return loading.result()
+
     def _take_over(self, model: LoadedModel) -> None:
         """Let the next frame go through this model."""
         self._model = model
@@ -237,6 +249,9 @@ class ExtrapolatorNode(LifecycleNode):
             self.get_logger().warning(message, throttle_duration_sec=REPORT_PERIOD_S)
 
     def _publish_diagnostics(self) -> None:
+        self._diagnosed_s = time.monotonic()
+        if not self.context.ok():
+            return
         self._inputs.forget_lost_camera()
         counts = self._statistics.snapshot()
         health = Health(
