@@ -4,6 +4,7 @@ import hashlib
 import io
 import os
 from pathlib import Path
+from typing import Any
 import weakref
 
 from box_room import BAND, box_memory
@@ -40,7 +41,7 @@ def test_few_keyframes_stay_decoded_and_none_outlives_the_memory(
     assert memory.keyframe(1) is not first and memory.keyframe(0) is first
     memory.keyframe(2)  # In the place of 1, which was used before 0.
     assert memory.keyframe(0) is first
-    released = [weakref.ref(memory), weakref.ref(first)]
+    released: list[weakref.ref[Any]] = [weakref.ref(memory), weakref.ref(first)]
     gc.disable()
     try:
         del memory, first
