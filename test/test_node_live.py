@@ -1,11 +1,14 @@
 """The node as a process of its own on a real ROS graph."""
 import signal
 
+from bag_files import START_NS
+from box_room import box_walk, EXPANSION, view, write_box_model
 from camera_messages import noise_image
 from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
-from live_node import Camera, change_state, end, NODE, set_parameter, state_of
+from live_node import Camera, change_state, end, NODE, set_parameter, started, state_of
+from neo_ros.bags import BagReader, replay, write_demo_bag
 from neo_ros.messages import camera_info_fields, image_fields
 from neo_ros.node.extrapolator_node import ExtrapolatorNode
 from neo_ros.runtime import FovExtrapolator
@@ -57,6 +60,25 @@ def test_frames_come_back_wide_with_their_header(graph, model):
     assert status['model scene'] == 'tiny' and status['image topic'] == '/robot/image'
     code, seconds = end(process)
     assert code == 0 and seconds < 1, process.stdout.read()
+
+
+def test_a_guided_walk_gives_the_bytes_of_its_replay(graph, tmp_path):
+    model = write_box_model(tmp_path)
+    frames = [(START_NS + number, view(pose, EXPANSION.target)[0], pose)
+              for number, pose in enumerate(box_walk(6))]
+    write_demo_bag(tmp_path / 'walk', frames, EXPANSION)
+    result = replay(tmp_path / 'walk', FovExtrapolator.load(model), tmp_path / 'wide')
+    assert result.frames == len(frames)
+    camera, _ = started(graph, model)
+    ours = [camera.widen(EXPANSION.crop(wide), number)
+            for number, (_, wide, _) in enumerate(frames)]
+    with BagReader(tmp_path / 'wide') as bag:
+        for name in ('image', 'mask', 'confidence'):
+            replayed = [message.read() for message in bag.messages([f'/camera/wide/{name}'])]
+            assert [message.data.tobytes() for message in replayed] == [
+                frame[name].data.tobytes() for frame in ours]
+    status = camera.wait_for_diagnosis(DiagnosticStatus.OK, 'widening')
+    assert status['guided by the scene memory'] == '100%'
 
 
 def test_bad_messages_are_counted_and_good_ones_pass(graph, model):

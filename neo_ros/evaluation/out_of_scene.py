@@ -61,22 +61,24 @@ def score_scenes(model: Path, scene: Path, others: Sequence[Path]) -> list[Scene
     network = FovExtrapolator.load(model, guided=False)
     if network.scene_check is None:
         raise ModelError(f'{model}: its card says nothing of how the scene looks; train it again')
-    guided = FovExtrapolator.load(model) if network.card.memory is not None else None
+    models = [network]
+    if network.card.memory is not None:
+        models.append(FovExtrapolator.load(model))
     frames = TruthFrames(read_scene(scene).test, network.expansion)
     own = _by_walk(frames.images, lambda index: frames.read(index)[0])
-    usual = [_scores(one, own)[0] for one in (network, guided) if one is not None]
+    usual = [_scores(one, own) for one in models]
+
+    def row(name: str, found: list[tuple[np.ndarray, float]]) -> SceneScores:
+        (_, *network_alone), *with_memory = [
+            (known, float(score.mean()), auroc(score, before))
+            for (score, known), (before, _) in zip(found, usual)]
+        known, mean, area = with_memory[0] if with_memory else (None, None, None)
+        return SceneScores(name, len(found[0][0]), known, mean, area, *network_alone)
 
     def judge(name: str, walks: Walks) -> SceneScores:
-        score, _ = _scores(network, walks)
-        row = SceneScores(name, len(score), None, None, None, float(score.mean()),
-                          auroc(score, usual[0]))
-        if guided is None:
-            return row
-        score, known = _scores(guided, walks)
-        return SceneScores(name, len(score), known, float(score.mean()), auroc(score, usual[1]),
-                           row.network_score, row.network_auroc)
+        return row(name, [_scores(one, walks) for one in models])
 
-    rows = [judge(f'{scene.name}, its test frames', own)]
+    rows = [row(f'{scene.name}, its test frames', usual)]
     for folder in others:
         images = read_scene(folder).test
         if images is None:
