@@ -44,5 +44,5 @@ DIAGNOSTICS = Endpoint(
 ENABLE = Endpoint('~/enable', SetBool, 'stop and resume the taking of frames')
 RELOAD_MODEL = Endpoint(
     '~/reload_model', Trigger, 'load the file of the parameter `model` again, after it was '
-    'replaced; the old model goes on working until the new one has passed its checks')
+    'replaced; the old one stays until the new one has passed its checks')
 SERVICES = (ENABLE, RELOAD_MODEL)
