@@ -12,6 +12,8 @@ from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValu
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 
+WAIT_S = 0.2
+
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the node until SIGINT, SIGTERM or a shutdown of its context."""
@@ -61,10 +63,10 @@ def _can_log() -> bool:
 def _spin(node: ExtrapolatorNode) -> None:
     executor = SingleThreadedExecutor()
     executor.add_node(node)
-    while True:
+    while rclpy.ok():
         try:
-            executor.spin()
-            return
+            # A wait may begin after a signal and before the context is down: brief ones end soon.
+            executor.spin_once(timeout_sec=WAIT_S)
         except rclpy_implementation.RCLError as error:
             # rclpy lets a request for an impossible transition end the whole node.
             node.get_logger().error(f'request refused: {error}')
