@@ -3,10 +3,14 @@ import ast
 import importlib
 import importlib.util
 from pathlib import Path
+import signal
 import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 
+from ament_index_python.packages import get_package_prefix, PackageNotFoundError
+from camera_messages import noise_image
+from live_node import Camera, end, SOURCE
 import neo_ros
 from neo_ros.node.extrapolator_node import ExtrapolatorNode
 from neo_ros.node.fastdds_profile import use_large_image_profile, VARIABLE
@@ -21,6 +25,19 @@ from tiny_model import write_tiny_model
 import yaml
 
 LAUNCH = share_dir() / 'launch' / 'fov_extrapolator.launch.py'
+# What `ros2 launch` does: the launch file, then names and values of its arguments.
+LAUNCHER = """
+import sys
+from launch import LaunchDescription, LaunchService
+from launch.actions import IncludeLaunchDescription
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+source = PythonLaunchDescriptionSource(sys.argv[1])
+arguments = list(zip(sys.argv[2::2], sys.argv[3::2]))
+service = LaunchService()
+service.include_launch_description(LaunchDescription([
+    IncludeLaunchDescription(source, launch_arguments=arguments)]))
+sys.exit(service.run())
+"""
 
 
 def loaded(modules, candidates):
@@ -121,11 +138,17 @@ def test_launch_file_compiles_and_has_its_function():
     assert 'generate_launch_description' in functions
 
 
-def test_launch_file_describes_its_arguments(monkeypatch):
+@pytest.fixture
+def launch_system():
+    """Skip where there is no launch system."""
     launch = importlib.import_module('launch') if importlib.util.find_spec('launch') else None
     if not hasattr(launch, 'LaunchDescription'):
         pytest.skip('launch is not installed (not on PyPI)')
     pytest.importorskip('launch_ros')
+
+
+@pytest.mark.usefixtures('launch_system')
+def test_launch_file_describes_its_arguments(monkeypatch):
     specification = importlib.util.spec_from_file_location('launch_file', LAUNCH)
     module = importlib.util.module_from_spec(specification)
     specification.loader.exec_module(module)
@@ -133,3 +156,19 @@ def test_launch_file_describes_its_arguments(monkeypatch):
     names = {argument.name for argument in
              module.generate_launch_description().get_launch_arguments()}
     assert names == {'namespace', 'image', 'camera_info', 'model', 'params_file', 'viewer'}
+
+
+@pytest.mark.usefixtures('launch_system')
+def test_launch_file_starts_the_node(tmp_path):
+    try:
+        get_package_prefix('neo_ros')
+    except PackageNotFoundError:
+        pytest.skip('neo_ros is not in the ament index (built by colcon)')
+    model = write_tiny_model(tmp_path / 'tiny.onnx')
+    with ros_graph() as graph:
+        camera = Camera(graph)
+        process = graph.start(
+            '-c', LAUNCHER, str(LAUNCH), 'namespace', 'robot', 'model', str(model))
+        camera.wait_for_node()
+        camera.widen(noise_image(SOURCE, 0), 1)
+        assert end(process, signal.SIGINT)[0] == 0, process.stdout.read()
