@@ -19,7 +19,9 @@ from neo_ros.outpaint.fitting import OutpaintConfig, OutpaintTrainer
 from neo_ros.outpaint.network import NetworkConfig
 
 fitting.THREADS = 1
-with process_group() as rank:
+
+
+def learn(rank):
     trainer = OutpaintTrainer(
         ViewExpansion.to_size(Intrinsics(8, 8, 4, 4, 4, 4), 16, 16),
         NetworkConfig(patch=4, width=8, depth=1, memory=8),
@@ -33,6 +35,10 @@ with process_group() as rank:
     weights = torch.cat([p.flatten() for p in trainer.averaged.parameters()]).detach().numpy()
     np.savez(sys.argv[1] + f'/{rank}.npz', weights=weights, seconds=trainer.seconds,
              first=from_first(float(rank + 7)))
+
+
+with process_group() as rank:
+    learn(rank)
 """
 
 

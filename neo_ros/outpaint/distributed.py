@@ -2,6 +2,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import timedelta
+import gc
 import os
 
 import torch
@@ -17,7 +18,8 @@ def process_group() -> Iterator[int]:
     """
     Join the processes that torchrun started, and give this one's number; 0 where it is alone.
 
-    NCCL where there are GPUs, else gloo.
+    NCCL where there are GPUs, else gloo. What `shared_gradients` wrapped must be let go before the
+    end.
     """
     if int(os.environ.get('WORLD_SIZE', '1')) == 1:
         yield 0
@@ -29,6 +31,9 @@ def process_group() -> Iterator[int]:
             torch.cuda.set_device(distributed.get_rank() % torch.cuda.device_count())
         yield distributed.get_rank()
     finally:
+        # A network that is still shared holds the group's threads, and those must not meet the end
+        # of the interpreter: "terminate called without an active exception".
+        gc.collect()
         distributed.destroy_process_group()
 
 
