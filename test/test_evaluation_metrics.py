@@ -3,7 +3,7 @@ import math
 from hypothesis import given, settings, strategies as st
 from neo_ros.errors import ImageRejected
 from neo_ros.evaluation.metrics import (
-    psnr, PSNR_CAP_DB, score_frame, seam_width, ssim_map, summarise)
+    auroc, psnr, PSNR_CAP_DB, score_frame, seam_width, ssim_map, summarise)
 from neo_ros.geometry import Intrinsics, ViewExpansion
 import numpy as np
 import pytest
@@ -182,3 +182,7 @@ def test_scores_that_a_walks_first_frame_lacks_are_averaged_over_the_others():
 def test_no_frames_is_an_error():
     with pytest.raises(ValueError, match='at least one'):
         summarise([])
+
+
+def test_auroc_counts_the_pairs_that_are_in_order_and_ties_half():
+    assert auroc(np.array([2.0, 3.0]), np.array([1.0, 2.0])) == 3.5 / 4

@@ -26,7 +26,7 @@ LAW: dict[str, set[str]] = {
     'node': {'geometry', 'runtime', 'messages', 'bags', 'rosbags', 'rclpy'},
     'viewer': {'geometry', 'runtime', 'messages', 'bags', 'cv2', 'rclpy'},
     'evaluation': {'geometry', 'scenes', 'field', 'outpaint', 'runtime', 'messages', 'bags',
-                   'memory', 'torch', 'scipy', 'cv2', 'onnx', 'onnxruntime', 'pycolmap'},
+                   'memory', 'torch', 'cv2', 'onnx', 'onnxruntime', 'pycolmap'},
     # Trains with the pipeline, which itself scores with `evaluation`.
     'benchmark': {'geometry', 'scenes', 'field', 'outpaint', 'runtime', 'evaluation', 'pipeline',
                   'experiment', 'checkpoint', 'torch', 'cv2'},

@@ -12,12 +12,12 @@ import json
 from pathlib import Path
 import sys
 
+from neo_ros.evaluation.metrics import auroc
 from neo_ros.geometry import CameraPose
 from neo_ros.runtime import FovExtrapolator
 from neo_ros.scenes.demo_flat import (
     build_demo_flat, DemoFlat, MOVED_CHAIRS, walking_paths, with_chairs_moved)
 import numpy as np
-from scipy.stats import rankdata
 
 CHANGED = 25.0      # grey levels, mean of the channels: more is another thing, not another shade
 NEAR_SEAM = 0.125   # of the camera's width: how far from the seam the ring is looked at
@@ -95,12 +95,6 @@ def _near_seam(observed: tuple[slice, slice], shape: tuple[int, ...], reach: flo
 def _psnr(truth: np.ndarray, image: np.ndarray, where: np.ndarray) -> float:
     error = (truth[where].astype(float) - image[where]) / 255
     return float(-10 * np.log10(np.mean(error ** 2)))
-
-
-def auroc(positive: np.ndarray, negative: np.ndarray) -> float:
-    """Return the probability that a positive is above a negative, ties count half."""
-    ranks = rankdata(np.concatenate([positive, negative]))[:len(positive)]
-    return float((ranks.mean() - (len(positive) + 1) / 2) / len(negative))
 
 
 def main() -> None:

@@ -61,10 +61,10 @@ def match_features(first: np.ndarray, second: np.ndarray, ratio: float) -> np.nd
     best = likeness.argmax(1)
     nearest = likeness[rows, best]
     likeness[rows, best] = -1
-    second = likeness.max(1)
+    runner_up = likeness.max(1)
     likeness[rows, best] = nearest
     # The squared distance of unit vectors is 2 - 2 * likeness.
-    distance, further = np.maximum(2 - 2 * nearest, 0), np.maximum(2 - 2 * second, 0)
+    distance, further = np.maximum(2 - 2 * nearest, 0), np.maximum(2 - 2 * runner_up, 0)
     # Two that are the same but for rounding are not told apart.
     kept = np.flatnonzero(distance < ratio ** 2 * further - 1e-6)
     # Few are left whose own nearest is to be found, down the columns, which is slow.

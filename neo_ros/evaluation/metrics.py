@@ -100,6 +100,13 @@ def ssim_map(truth: np.ndarray, prediction: np.ndarray) -> np.ndarray:
     return similarity.mean(axis=2)
 
 
+def auroc(positive: np.ndarray, negative: np.ndarray) -> float:
+    """Return the probability that a positive (N,) is above a negative (M,), ties count half."""
+    below = np.sort(negative)
+    ranks = np.searchsorted(below, positive, 'left') + np.searchsorted(below, positive, 'right')
+    return float(ranks.mean() / 2 / len(below))
+
+
 def summarise(frames: Iterable[Mapping[str, object]], seed: int = 0) -> dict[str, Estimate]:
     """
     Return the mean of every score over the frames with a bootstrap 95 % interval over paths.

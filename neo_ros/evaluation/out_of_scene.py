@@ -16,8 +16,8 @@ from types import SimpleNamespace
 
 import cv2
 from neo_ros.errors import ModelError, SceneError
-from neo_ros.evaluation.changed_scene import auroc
 from neo_ros.evaluation.evaluate import commit, host, TruthFrames
+from neo_ros.evaluation.metrics import auroc
 from neo_ros.evaluation.output import write_bytes
 from neo_ros.geometry import Intrinsics
 from neo_ros.messages import FrameProcessor, image_fields

@@ -251,7 +251,7 @@ class ExtrapolatorNode(LifecycleNode):
     def _publish_diagnostics(self) -> None:
         self._diagnosed_s = time.monotonic()
         if not self.context.ok():
-            return
+            return  # a model may still be loading at the shutdown, and a publisher would raise
         self._inputs.forget_lost_camera()
         counts = self._statistics.snapshot()
         health = Health(
