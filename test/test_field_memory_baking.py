@@ -1,8 +1,14 @@
 """Keyframes for the scene memory: where they stand, and where their colours come from."""
-from box_room import BAND, cast, HEIGHT, planar, SOURCE, view
+from box_room import BAND, cast, EXPANSION, HEIGHT, planar, SOURCE, view
+import cv2
 from neo_ros.errors import ConfigError
+from neo_ros.field import memory_baking
 from neo_ros.field.baking_kernels import colour_from_photos
-from neo_ros.field.memory_baking import keyframe_positions, MemoryConfig, Photos
+from neo_ros.field.memory_baking import bake_memory, keyframe_positions, MemoryConfig, Photos
+from neo_ros.field.rendering import Rendering
+from neo_ros.field.voxel_field import RadianceField
+from neo_ros.geometry import CameraPose, Intrinsics
+from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.scenes.pose_sampling import PoseSampler
 import numpy as np
 import pytest
@@ -75,3 +81,103 @@ def test_a_hand_held_camera_gets_keyframes_where_photos_are() -> None:
 def test_a_distance_must_be_positive() -> None:
     with pytest.raises(ConfigError, match='memory.distance'):
         MemoryConfig(distance=0)
+
+
+@pytest.mark.parametrize(('block', 'expected'), [
+    ([[2, 2], [4, 4]], 4), ([[4, 2], [4, 2]], 4), ([[2, 2], [2, 4]], 2), ([[0, 0], [4, 4]], 4),
+    ([[0, 0], [0, 4]], 0), ([[1, 2, 9], [9, 3, 9], [1, 2, 2]], 2),
+], ids=['edge', 'upright edge', 'corner', 'edge of the known', 'hardly known', 'three by three'])
+def test_a_vertex_lies_on_a_surface(block: list[list[int]], expected: int) -> None:
+    found = memory_baking.mesh_depth(np.array(block, np.float32), len(block))
+    assert found.dtype == np.float32 and found.tolist() == [[expected]]
+
+
+def test_a_camera_that_never_turns_has_one_heading() -> None:
+    sampler = PoseSampler(np.zeros((1, 2)), (0.3, 0.0), ((0.0, 0.0), (0.0, 0.0)), (1.4, 0.0))
+    rotation, = memory_baking._headings(sampler)
+    assert np.arctan2(rotation[1, 2], rotation[0, 2]) == pytest.approx(0.3)
+
+
+POST = np.array([[2.6, 1.8, 0.0], [2.9, 2.15, 2.6]])
+PHOTO = Intrinsics(80, 72, SOURCE.fx, SOURCE.fy, 40.0, 36.0)
+PHOTO_GAIN = 0.8
+
+
+def cast_with_post(origin: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return what `cast` does, in a room with a post that hides a part of the walls."""
+    colour, depth = cast(origin, rays)
+    with np.errstate(divide='ignore'):
+        ends = np.sort((POST[:, None, None] - origin) / rays, axis=0)
+    near, far = ends[0].max(-1), ends[1].min(-1)
+    post = (near > 0) & (near < far)
+    colour[post], depth[post] = (200, 60, 40), near[post]
+    return colour, depth
+
+
+def look(T_world_cam: np.ndarray, camera: Intrinsics) -> np.ndarray:
+    """Return the colours, float (H, W, 3), that a camera sees in the room with the post."""
+    rays = camera.pixel_rays() @ T_world_cam[:3, :3].T
+    return cast_with_post(T_world_cam[:3, 3],
+                          rays / np.linalg.norm(rays, axis=-1, keepdims=True))[0]
+
+
+def stand_in_field(field: RadianceField, origin: np.ndarray, rays: np.ndarray) -> Rendering:
+    """Render like a field with exact depth, poor colours, and no idea of what is far below."""
+    colour, depth = cast_with_post(origin, rays)
+    poor = 20.0 * (-1.0) ** np.arange(rays.shape[1])[:, None]
+    return Rendering(((colour + poor) / 255).astype(np.float32), depth.astype(np.float32),
+                     np.ones(depth.shape, np.float32), (rays[..., 2] > -0.8).astype(np.float32))
+
+
+@pytest.fixture(scope='module')
+def baked() -> SceneMemory:
+    """Bake one keyframe of the room with the post from photos around it."""
+    poses = [planar(2.1, 1.95, yaw).T_world_cam for yaw in range(0, 360, 45)]
+    photos = Photos(np.stack([(PHOTO_GAIN * look(T, PHOTO)).astype(np.uint8) for T in poses]),
+                    PHOTO, np.stack(poses))
+    sampler = PoseSampler(POSITION[None, :2], (-np.pi, 2 * np.pi), ((0.0, 0.0), (0.0, 0.0)),
+                          (HEIGHT, 0.0))
+    field = RadianceField.empty(8, POSITION, np.ones(3), 0.2, 0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(memory_baking, 'render_rays', stand_in_field)
+        return bake_memory(field, photos, EXPANSION, sampler, MemoryConfig(), 0)
+
+
+def test_a_baked_keyframe_has_the_depths_of_the_scene(baked: SceneMemory) -> None:
+    depth = baked.keyframe(0).depth
+    height, width = depth.shape
+    rays = baked.band.rays(2 * height, 2 * width)
+    truth = cast_with_post(POSITION, rays)[1]
+    truth[rays[..., 2] <= -0.8] = np.inf
+    samples = truth.reshape(height, 2, width, 2).swapaxes(1, 2).reshape(height, width, 4)
+    nearness = np.divide(1, depth, out=np.zeros_like(depth), where=depth > 0)
+    assert np.abs(nearness[..., None] - 1 / samples).min(-1).max() < 1e-3
+    assert 0.02 < (depth == 0).mean() < 0.2
+    # Blocks that an edge of the post cuts in halves.
+    ordered = np.sort(1 / samples, axis=-1)
+    assert (ordered[..., 2] - ordered[..., 1] > 0.5).sum() > 20
+
+
+def test_a_baked_keyframe_has_the_colours_of_the_photos(baked: SceneMemory) -> None:
+    frame = baked.keyframe(0)
+    rays = baked.band.rays(*frame.texture.shape[:2])
+    truth, depth = cast_with_post(POSITION, rays)
+    seen = np.abs(rays[..., 2]) < 0.6
+    wrong = np.abs(frame.texture - truth).mean(-1)
+    assert wrong[seen].mean() < 4
+    # On the post, which hides other walls from the photos, off its edges by a pixel.
+    post = cv2.erode((depth < 1.2).astype(np.uint8), np.ones((5, 5))) > 0
+    assert (post & seen).sum() > 500 and wrong[post & seen].mean() < 4
+
+
+def test_baked_glances_show_what_is_seen_from_their_poses(baked: SceneMemory) -> None:
+    glances = baked.glances
+    assert len(glances.pictures) == 24 + 8
+    for picture, T, gain in zip(glances.pictures, glances.T_world_cam,
+                                [1.0] * 24 + [PHOTO_GAIN] * 8):
+        seen = (gain * look(T, SOURCE)).astype(np.uint8)
+        truth = cv2.resize(cv2.cvtColor(seen, cv2.COLOR_RGB2GRAY), (16, 16),
+                           interpolation=cv2.INTER_AREA)
+        assert np.abs(picture.astype(int) - truth).mean() < (6 if gain == 1 else 0.1)
+    yaws = np.sort([CameraPose(T).yaw for T in glances.T_world_cam[:24]])
+    assert np.degrees(np.diff(yaws)) == pytest.approx(15)

@@ -1,5 +1,6 @@
 """Fusing camera image, guide and network."""
 from box_room import EXPANSION, planar, view
+from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.memory.fusion import fuse, LEAST_ERROR
 from neo_ros.memory.scene_guide import Guide
 import numpy as np
@@ -44,6 +45,16 @@ def test_small_gaps_are_filled_from_around_them() -> None:
                        EXPANSION)
     assert np.abs(wide.astype(int) - WIDE)[~known].mean() < 10
     assert error[~known].min() > 3 * error[known].max()
+
+
+def test_no_gap_of_a_large_view_stays_black() -> None:
+    large = ViewExpansion.to_size(Intrinsics.from_hfov(640, 360, np.pi / 2), 1280, 720)
+    known = np.ones((720, 1280), bool)
+    known[:134, :134] = False  # As much as a view may lack without being given to the network.
+    grey = Guide(np.repeat(100 * known[..., None], 3, axis=2).astype(np.float32), known,
+                 np.zeros(known.shape, bool), POSE, 1.0)
+    wide, _ = fuse(np.full((360, 640, 3), 100, np.uint8), grey, None, large)
+    assert np.abs(wide.astype(int) - 100).max() <= 1
 
 
 def test_a_difference_in_exposure_is_healed_at_the_seam() -> None:

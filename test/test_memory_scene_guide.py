@@ -1,12 +1,18 @@
 """Finding and following a camera in the box room, whose poses are known."""
+from concurrent.futures import Future, ThreadPoolExecutor
+import time
+from typing import Any
+
 from box_room import apart, box_memory, EXPANSION, planar, SOURCE, view
 from neo_ros.geometry import CameraPose
 from neo_ros.geometry.camera_pose import rotation_from_vector
 from neo_ros.memory.alignment import agreement, Aligner
-from neo_ros.memory.rendering import MemoryRenderer
+from neo_ros.memory.compiled import ALL_THREADS
+from neo_ros.memory.rendering import GuideView, MemoryRenderer
 from neo_ros.memory.scene_guide import SceneGuide
 from neo_ros.paths import share_dir
 from neo_ros.runtime import FovExtrapolator
+from numba import get_num_threads
 import numpy as np
 import pytest
 
@@ -35,7 +41,7 @@ def test_alignment_finds_the_pose(metres: tuple[float, float, float], degrees: f
                                   gain: float, bias: float) -> None:
     aligner = Aligner(MemoryRenderer(MEMORY), SOURCE)
     image = np.clip(gain * photo_at(TRUE_POSE) + bias, 0, 255).astype(np.uint8)
-    photo = aligner.pyramid(image)
+    photo = aligner.photo(image)
     found = aligner.align(photo, moved(TRUE_POSE, metres, degrees), rounds=3)
     metres_off, degrees_off = apart(found, TRUE_POSE)
     assert metres_off < 0.02 and degrees_off < 0.4
@@ -44,8 +50,19 @@ def test_alignment_finds_the_pose(metres: tuple[float, float, float], degrees: f
 
 def test_agreement_tells_a_wrong_pose() -> None:
     aligner = Aligner(MemoryRenderer(MEMORY), SOURCE)
-    photo = aligner.pyramid(photo_at(TRUE_POSE))
+    photo = aligner.photo(photo_at(TRUE_POSE))
     assert aligner.agreement(photo, planar(1.9, 1.7, 120)) < 0.8
+
+
+def test_a_step_that_loses_the_image_is_taken_back() -> None:
+    aligner = Aligner(MemoryRenderer(MEMORY), SOURCE)
+    across = np.broadcast_to(np.linspace(-1, 1, SOURCE.width), (SOURCE.height, SOURCE.width))
+    # Grey that rises so little that only a turn by half a circle would make a bow of it.
+    photo = aligner.photo(np.repeat(255 * (0.5 + 0.06 * across)[..., None], 3, axis=2))
+    bow = (0.5 + 0.2 * across ** 2).astype(np.float32)
+    T, gain, bias = aligner._align_level(
+        0, photo[0], bow, np.full(bow.shape, 2, np.float32), np.eye(4), 1.0, 0.0, False)
+    assert np.array_equal(T, np.eye(4)) and (gain, bias) == (1.0, 0.0)
 
 
 @pytest.mark.parametrize(('image', 'guide', 'known', 'expected'), [
@@ -91,6 +108,21 @@ def test_a_kidnapped_camera_is_found_again() -> None:
     assert found is not None and apart(found.pose, elsewhere)[0] < 0.03
 
 
+def test_a_jump_is_no_motion(monkeypatch: pytest.MonkeyPatch) -> None:
+    guide = SceneGuide(MEMORY, EXPANSION)
+    assert guide.guide(photo_at(planar(1.4, 1.5, 20))) is not None
+    found = guide.guide(photo_at(planar(3.0, 2.0, 200)))
+    starts: list[CameraPose] = []
+    align = guide.aligner.align
+
+    def watched(photo: Any, start: CameraPose, *arguments: Any, **options: Any) -> CameraPose:
+        starts.append(start)
+        return align(photo, start, *arguments, **options)
+    monkeypatch.setattr(guide.aligner, 'align', watched)
+    assert guide.guide(photo_at(planar(3.02, 2.0, 201))) is not None
+    assert found is not None and apart(starts[0], found.pose)[0] < 1e-6
+
+
 def test_images_from_elsewhere_get_no_guide_and_the_scene_is_found_again() -> None:
     guide = SceneGuide(MEMORY, EXPANSION)
     noise = np.random.default_rng(0).integers(0, 256, (64, 64, 3), np.uint8)
@@ -120,6 +152,31 @@ def test_an_occluder_does_not_drag_the_pose() -> None:
         assert apart(found.pose, pose)[0] < 0.02
 
 
+@pytest.mark.parametrize('colour', [(60, 40, 50), (240, 230, 235)], ids=['dark', 'light'])
+def test_an_occluder_does_not_change_the_exposure(colour: tuple[int, int, int]) -> None:
+    guide = SceneGuide(MEMORY, EXPANSION)
+    for step in range(3):
+        wide, _ = view(planar(1.9 + 0.02 * step, 1.7, 35 + step), EXPANSION.target)
+        image = EXPANSION.crop(wide).copy()
+        if step == 2:
+            image[20:, 10:38] = colour  # 30 % of the image
+        found = guide.guide(image)
+        assert found is not None
+        ring = EXPANSION.extrapolated_mask & found.known
+        assert np.abs(found.image - wide)[ring].mean() < 5
+
+
+@pytest.mark.parametrize('gain', [0.3, 1.4], ids=['darker', 'lighter'])
+def test_the_guide_has_the_exposure_of_the_image(gain: float) -> None:
+    wide, _ = view(TRUE_POSE, EXPANSION.target)
+    exposed = np.minimum(gain * wide, 255)
+    found = SceneGuide(MEMORY, EXPANSION).guide(EXPANSION.crop(exposed).astype(np.uint8))
+    assert found is not None
+    ring = EXPANSION.extrapolated_mask & found.known
+    assert np.abs(found.image - exposed)[ring].mean() < 5
+    assert found.image.min() >= 0 and found.image.max() <= 255
+
+
 def test_agreement_of_the_best_part_ignores_an_occluder() -> None:
     image = np.random.default_rng(0).random((30, 30))
     hidden = image.copy()
@@ -139,3 +196,36 @@ def test_the_same_frames_give_the_same_bits() -> None:
         assert one is not None and other is not None
         assert np.array_equal(one.image, other.image)
         assert np.array_equal(one.pose.T_world_cam, other.pose.T_world_cam)
+
+
+@pytest.mark.skipif(ALL_THREADS < 2, reason='one processor')
+def test_a_guide_leaves_the_number_of_threads_as_it_was() -> None:
+    before = get_num_threads()
+    guide = SceneGuide(MEMORY, EXPANSION, threads=1)
+    guide.warm_up()
+    assert guide.guide(photo_at(TRUE_POSE)) is not None
+    assert get_num_threads() == before > 1
+
+
+def test_two_guides_never_run_parallel_loops_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    running: list[int] = []
+    most: list[int] = []
+
+    def watched(self: MemoryRenderer, pose: CameraPose, camera: Any, count: int) -> GuideView:
+        running.append(1)
+        most.append(len(running))
+        time.sleep(0.005)
+        running.pop()
+        shape = (camera.height, camera.width)
+        return GuideView(np.zeros((*shape, 3), np.float32), np.zeros(shape, np.float32),
+                         np.zeros(shape, bool))
+    monkeypatch.setattr(MemoryRenderer, 'render', watched)
+    guides = [SceneGuide(MEMORY, EXPANSION) for _ in range(3)]
+    photo = photo_at(TRUE_POSE)
+    with ThreadPoolExecutor(len(guides)) as pool:
+        tasks: list[Future[Any]] = [pool.submit(guides[0].guide, photo),
+                                    pool.submit(guides[1].guide, photo),
+                                    pool.submit(guides[2].warm_up)]
+        for task in tasks:
+            task.result()
+    assert max(most) == 1

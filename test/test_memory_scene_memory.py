@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 import weakref
 
-from box_room import BAND, box_memory
+from box_room import BAND, box_memory, keyframe
+import cv2
 from neo_ros.errors import ModelError
 from neo_ros.memory import scene_memory
 from neo_ros.memory.scene_memory import CLOSEST, Glances, Keyframe, SceneMemory
@@ -35,12 +36,14 @@ def test_a_memory_comes_back(memory: SceneMemory, tmp_path: Path) -> None:
 
 def test_few_keyframes_stay_decoded_and_none_outlives_the_memory(
         monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scene_memory, 'CACHED', 2)
+    monkeypatch.setattr(scene_memory, 'CACHED_BYTES', 1)
     memory = box_memory()
-    first = memory.keyframe(0)
-    assert memory.keyframe(1) is not first and memory.keyframe(0) is first
-    memory.keyframe(2)  # In the place of 1, which was used before 0.
+    first, second, third = (memory.keyframe(index) for index in range(3))
     assert memory.keyframe(0) is first
+    memory.keyframe(3)  # In the place of 1, which was used before the others.
+    assert memory.keyframe(0) is first and memory.keyframe(2) is third
+    assert memory.keyframe(1) is not second
+    del second, third
     released: list[weakref.ref[Any]] = [weakref.ref(memory), weakref.ref(first)]
     gc.disable()
     try:
@@ -48,6 +51,25 @@ def test_few_keyframes_stay_decoded_and_none_outlives_the_memory(
         assert [reference() for reference in released] == [None, None]
     finally:
         gc.enable()
+
+
+def test_as_many_keyframes_stay_decoded_as_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+    memory = box_memory()
+    frames = [memory.keyframe(index) for index in range(5)]
+    assert all(memory.keyframe(index) is frames[index] for index in range(5))
+    monkeypatch.setattr(scene_memory, 'CACHED_BYTES',
+                        4 * (frames[0].depth.nbytes + frames[0].texture.nbytes))
+    memory = box_memory()
+    frames = [memory.keyframe(index) for index in range(5)]
+    assert memory.keyframe(1) is frames[1] and memory.keyframe(0) is not frames[0]
+
+
+def test_an_opencv_that_decodes_to_bgr_only_gives_the_same(
+        memory: SceneMemory, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr(cv2, 'IMREAD_COLOR_RGB', raising=False)
+    texture = box_memory().keyframe(0).texture
+    truth = keyframe(memory.positions[0]).texture
+    assert np.abs(texture.astype(int) - truth).mean() < 3
 
 
 def test_depth_keeps_its_precision_and_its_gaps() -> None:
@@ -103,6 +125,68 @@ def test_a_newer_schema_and_other_archives_are_refused(tmp_path: Path) -> None:
             SceneMemory.read(path, hashlib.sha256(content.getvalue()).hexdigest())
 
 
+@pytest.mark.parametrize(('field', 'change', 'message'), [
+    ('schema', lambda value: np.array([1, 1]), r'schema: expected int64 \(\), got int64 \(2,\)'),
+    ('schema', lambda value: np.array('one'), 'schema: expected int64'),
+    ('band', lambda value: value[:3], r'band: expected float64 \(4,\), got float64 \(3,\)'),
+    ('band', lambda value: value[[1, 0, 2, 3]], 'band: expected a part of the sphere'),
+    ('band', lambda value: value * np.nan, 'band: expected finite'),
+    ('positions', lambda value: value * np.inf, 'positions: expected finite'),
+    ('positions', lambda value: value[:, :2], r'positions: expected float64 \(any, 3\)'),
+    ('positions', lambda value: value[1:], 'texture_sizes: expected'),
+    ('texture_sizes', lambda value: value + 1, 'texture_sizes: expected sizes that add up'),
+    ('depth_sizes', lambda value: -value, 'depth_sizes: expected sizes that add up'),
+    ('depth_sizes', lambda value: value * 1.0, 'depth_sizes: expected int64'),
+    ('glances', lambda value: value[:0], 'glances: expected'),
+    ('glances', lambda value: value[1:], 'glance_poses: expected'),
+    ('glance_poses', lambda value: 2 * value, 'glance_poses: expected a rotation'),
+])
+def test_fields_that_no_training_writes_are_refused(memory: SceneMemory, tmp_path: Path, field,
+                                                    change, message) -> None:
+    path = tmp_path / 'box.memory'
+    memory.write(path)
+    with np.load(path) as data:
+        fields = dict(data)
+    fields[field] = change(fields[field])
+    content = io.BytesIO()
+    np.savez(content, **fields)
+    path.write_bytes(content.getvalue())
+    with pytest.raises(ModelError, match=message):
+        SceneMemory.read(path, hashlib.sha256(content.getvalue()).hexdigest())
+
+
+@pytest.mark.parametrize('save', [np.save, np.savez_compressed], ids=['one array', 'packed'])
+def test_other_files_of_numpy_are_refused(tmp_path: Path, save) -> None:
+    content = io.BytesIO()
+    save(content, np.zeros(1000))
+    path = tmp_path / 'box.memory'
+    path.write_bytes(content.getvalue())
+    with pytest.raises(ModelError, match='expected a scene memory: (File is not|its arrays)'):
+        SceneMemory.read(path, hashlib.sha256(content.getvalue()).hexdigest())
+
+
+def test_keyframes_of_different_sizes_are_refused(memory: SceneMemory, tmp_path: Path) -> None:
+    one = keyframe(memory.positions[0])
+    less = Keyframe(one.position, one.depth[:-1].copy(), one.texture[:-2].copy())
+    mixed = SceneMemory.from_keyframes([one, less], BAND, memory.glances)
+    mixed.keyframe(0)
+    with pytest.raises(ModelError, match='keyframe 1: expected texture and depth of the shapes'):
+        mixed.keyframe(1)
+    path = tmp_path / 'mixed.memory'
+    with pytest.raises(ModelError, match='depths: expected keyframes of one size'):
+        SceneMemory.read(path, mixed.write(path))
+
+
+@pytest.mark.parametrize('shape', [(16, 24, 3), (15, 16, 3), (4, 4, 3)],
+                         ids=['wider only', 'no multiple', 'coarser'])
+def test_a_texture_is_some_times_finer_than_its_depth(shape: tuple[int, int, int]) -> None:
+    frame = Keyframe(np.zeros(3), np.ones((8, 8), np.float32), np.zeros(shape, np.uint8))
+    memory = SceneMemory.from_keyframes([frame], BAND, Glances(
+        np.zeros((1, 4, 4), np.uint8), np.eye(4)[None]))
+    with pytest.raises(ModelError, match='keyframe 0 is damaged'):
+        memory.keyframe(0)
+
+
 def test_a_damaged_keyframe_is_named() -> None:
     memory = SceneMemory(np.zeros((1, 3)), BAND, [b'no picture'], [b'none'],
                          Glances(np.zeros((1, 4, 4), np.uint8), np.eye(4)[None]))
@@ -113,3 +197,11 @@ def test_a_damaged_keyframe_is_named() -> None:
 def test_an_unwritable_folder_is_named(memory: SceneMemory, tmp_path: Path) -> None:
     with pytest.raises(ModelError, match='cannot write'):
         memory.write(tmp_path / 'missing' / 'box.memory')
+
+
+def test_what_could_not_be_read_is_not_written(
+        memory: SceneMemory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scene_memory, 'MAX_BYTES', 1000)
+    with pytest.raises(ModelError, match='set memory.distance to more'):
+        memory.write(tmp_path / 'box.memory')
+    assert not list(tmp_path.iterdir())

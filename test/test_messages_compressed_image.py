@@ -56,6 +56,20 @@ def test_jpeg_comes_back_nearly(options: tuple[int, ...]) -> None:
     np.testing.assert_array_equal(read_compressed_image(_message(data + bytes(500))), found)
 
 
+@pytest.mark.parametrize(('image', 'form'), [
+    (IMAGE, 'bgr8; png compressed bgr8'), (IMAGE[..., ::-1], 'rgb8; png compressed rgb8'),
+    (np.dstack([np.full_like(IMAGE[..., 0], 9), IMAGE])[..., [1, 2, 3, 0]], ''),
+], ids=['colour', 'swapped', 'alpha'])
+def test_an_opencv_that_decodes_to_bgr_only_gives_the_same(
+        monkeypatch: pytest.MonkeyPatch, image: np.ndarray, form: str) -> None:
+    monkeypatch.delattr(cv2, 'IMREAD_COLOR_RGB', raising=False)
+    order = [2, 1, 0, 3][:image.shape[2]]
+    data = cv2.imencode('.png', np.ascontiguousarray(image[..., order]))[1].tobytes()
+    found = read_compressed_image(_message(data, form))
+    assert found.flags['C_CONTIGUOUS']
+    np.testing.assert_array_equal(found, IMAGE)
+
+
 def test_grey_has_three_equal_channels() -> None:
     grey = _message(_encode('.png', IMAGE[..., 0]), 'mono8; png compressed ')
     found = read_compressed_image(grey)

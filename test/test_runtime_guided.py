@@ -68,8 +68,8 @@ def test_a_missing_or_exchanged_memory_is_refused(model: Path, tmp_path: Path) -
         np.zeros((64, 64, 3), np.uint8)).guided
 
 
-@pytest.mark.parametrize('name', ['../x.memory', '/etc/passwd', 'a/b', ''],
-                         ids=['above', 'absolute', 'below', 'empty'])
+@pytest.mark.parametrize('name', ['../x.memory', '/etc/passwd', 'a/b', '', '.', '..'],
+                         ids=['above', 'absolute', 'below', 'empty', 'folder', 'folder above'])
 def test_a_card_names_only_files_beside_the_model(name: str) -> None:
     with pytest.raises(ValidationError):
         MemoryFile(file=name, sha256='0' * 64)

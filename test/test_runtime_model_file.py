@@ -164,6 +164,17 @@ def test_a_file_of_countless_small_parts_is_refused(tmp_path, monkeypatch, no_se
         FovExtrapolator.load(write(tmp_path / 'm.onnx', model))
 
 
+def test_countless_fields_that_onnx_does_not_know_are_refused(
+        tmp_path, monkeypatch, no_session) -> None:
+    monkeypatch.setattr(onnx_file, 'MAX_PARTS', 2000)
+    path = write_tiny_model(tmp_path / 'm.onnx')
+    scan_onnx_file(path)
+    with path.open('ab') as file:
+        file.write(b'\x98\x06\x00' * 2000)  # Field 99, a number: 0.
+    with pytest.raises(ModelError, match='more than 2000 parts'):
+        FovExtrapolator.load(path)
+
+
 def test_a_card_of_a_gigantic_view_is_refused(tmp_path, no_session) -> None:
     expansion = ViewExpansion.to_size(Intrinsics(32, 24, 16, 16, 16, 12), 200_000, 200_000)
     path = tmp_path / 'm.onnx'

@@ -15,7 +15,7 @@ from neo_ros.evaluation.speed_images import PAPER_VIEW, walk_at_30_hz
 from neo_ros.evaluation.speed_model import write_stand_in_model
 from neo_ros.evaluation.speed_record import Effort, Record, time_calls
 from neo_ros.evaluation.speed_runtime import size_name
-from neo_ros.field.memory_baking import keyframe_glances, keyframe_size
+from neo_ros.field.memory_baking import keyframe_glances, keyframe_size, mesh_depth
 from neo_ros.field.panorama import view_band
 from neo_ros.geometry import Band, CameraPose, Intrinsics, ViewExpansion
 from neo_ros.memory.scene_memory import Keyframe, SceneMemory
@@ -93,8 +93,7 @@ def exact_keyframe(flat: DemoFlat, position: np.ndarray, band: Band, focal: floa
         rows = (local[..., 1] / ahead + rise) * scale - 0.5
         texture[mine] = cv2.remap(image, columns, rows, cv2.INTER_LINEAR)[mine]
         depth[mine] = (cv2.remap(z, columns, rows, cv2.INTER_NEAREST) / ahead)[mine]
-    blocks = depth.reshape(height, finer, width, finer)
-    return Keyframe(position, np.median(blocks, axis=(1, 3)).astype(np.float32), texture)
+    return Keyframe(position, mesh_depth(depth, finer), texture)
 
 
 def _follow(extrapolator: FovExtrapolator, images: Sequence[np.ndarray]

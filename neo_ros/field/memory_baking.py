@@ -35,7 +35,8 @@ class MemoryConfig:
     """What the robot keeps of the scene beside the network."""
 
     __pydantic_config__ = {'extra': 'forbid'}
-    distance: float = 0.3    # metres; a keyframe is at most so far from where a camera can be
+    # metres from any place of a robot, or any photo of a hand-held camera, to the nearest keyframe
+    distance: float = 0.3
 
     def __post_init__(self) -> None:
         if not self.distance > 0:
@@ -54,7 +55,7 @@ class Photos:
 def bake_memory(field: RadianceField, photos: Photos, expansion: ViewExpansion,
                 sampler: PoseSampler, config: MemoryConfig, seed: int,
                 progress: Callable[[int, int], None] = lambda done, total: None) -> SceneMemory:
-    """Render and colour keyframes wherever the sampler's camera can be."""
+    """Render and colour the keyframes of `keyframe_positions`, and take glances from them."""
     random = np.random.default_rng([seed, 3])
     band = view_band(expansion.target,
                      np.stack([sampler.draw_rotation(random) for _ in range(500)]),
@@ -81,7 +82,12 @@ def bake_memory(field: RadianceField, photos: Photos, expansion: ViewExpansion,
 
 
 def keyframe_positions(sampler: PoseSampler, photos: Photos, distance: float) -> np.ndarray:
-    """Choose positions (K, 3) so that each place of the camera has one within `distance`."""
+    """
+    Choose positions (K, 3) so that each place of the camera has one within `distance`.
+
+    On a floor these are the places where the robot can be. A hand-held camera's are those of the
+    photos; poses are sampled a little farther around them, and some may have none so near.
+    """
     if sampler.height[1] == 0:
         places = np.column_stack([sampler.positions_xy,
                                   np.full(len(sampler.positions_xy), sampler.height[0])])
@@ -125,8 +131,18 @@ def _bake_keyframe(field: RadianceField, photos: Photos, seen: np.ndarray, gains
         np.ascontiguousarray(photos.T_world_cam[near, :3, :3], np.float32),
         centres[near].astype(np.float32), gains[near],
         camera.fx, camera.fy, camera.cx, camera.cy, texture)
-    blocks = depth.reshape(height, finer, width, finer)
-    return Keyframe(position, np.median(blocks, axis=(1, 3)).astype(np.float32), texture)
+    return Keyframe(position, mesh_depth(depth, finer), texture)
+
+
+def mesh_depth(depth: np.ndarray, finer: int) -> np.ndarray:
+    """
+    Take one depth of each block of finer x finer pixels: float32 (h, w) of (finer h, finer w).
+
+    The middle one of those that are there: a mean of two surfaces would hang in mid-air.
+    """
+    height, width = depth.shape[0] // finer, depth.shape[1] // finer
+    blocks = depth.reshape(height, finer, width, finer).swapaxes(1, 2).reshape(height, width, -1)
+    return np.sort(blocks, axis=-1)[..., blocks.shape[-1] // 2].copy()
 
 
 def keyframe_glances(keyframes: list[Keyframe], band: Band, source: Intrinsics,
@@ -160,7 +176,7 @@ def _headings(sampler: PoseSampler) -> list[np.ndarray]:
     """Return rotations (3, 3) all over the sampler's headings, with its mean tilt."""
     low, width = sampler.yaw_range
     (pitch, roll), _ = sampler.pitch_roll
-    count = math.ceil(width / GLANCE_YAW)
+    count = max(math.ceil(width / GLANCE_YAW), 1)
     return [rotation_from_angles(yaw, pitch, roll)
             for yaw in low + width * (np.arange(count) + 0.5) / count]
 

@@ -4,6 +4,9 @@ Find a camera's pose from its image: direct photometric alignment with the scene
 Gauss-Newton on the difference of grey images, coarse to fine, in six degrees of freedom, with
 gain and bias free and Huber weights (Lucas and Kanade 1981; as in DSO, Engel et al. 2018).
 """
+import math
+from typing import NamedTuple
+
 import cv2
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.geometry.camera_pose import rotation_from_vector
@@ -25,8 +28,18 @@ DAMPING = 1e-4
 # Keyframes that the image is aligned with: fewer than are shown.
 ALIGNED_WITH = 2
 LEAST_OVERLAP = 0.3
+# A step that leaves less than this share of the guide's pixels in the image has lost it.
+LOST = 0.05
 # Share of an image that somebody may hide.
 OCCLUDED = 0.35
+
+
+class PhotoLevel(NamedTuple):
+    """A camera image at one scale, grey float32 (h, w) in [0, 1], and its gradients."""
+
+    grey: np.ndarray
+    gradient_x: np.ndarray
+    gradient_y: np.ndarray
 
 
 class Aligner:
@@ -40,16 +53,22 @@ class Aligner:
             self.levels.append(finest.scaled(0.5 ** len(self.levels)))
         self._rays = [level.pixel_rays() for level in self.levels]
 
-    def pyramid(self, image: np.ndarray) -> list[np.ndarray]:
+    def photo(self, image: np.ndarray) -> list[PhotoLevel]:
+        """Prepare a camera image, RGB uint8 (h, w, 3), for `align` and `agreement`."""
+        return [PhotoLevel(grey, np.gradient(grey, axis=1).astype(np.float32),
+                           np.gradient(grey, axis=0).astype(np.float32))
+                for grey in self._pyramid(image)]
+
+    def _pyramid(self, image: np.ndarray) -> list[np.ndarray]:
         """Return grey float32 in [0, 1] of an RGB uint8 or 0 ... 255 float image, by level."""
         grey = cv2.cvtColor(image.astype(np.float32) / 255, cv2.COLOR_RGB2GRAY)
         return [cv2.resize(grey, (level.width, level.height), interpolation=cv2.INTER_AREA)
                 for level in self.levels]
 
-    def align(self, photo: list[np.ndarray], start: CameraPose, rounds: int,
+    def align(self, photo: list[PhotoLevel], start: CameraPose, rounds: int,
               near: bool = False) -> CameraPose:
         """
-        Improve a pose until image and memory agree; `photo` is from `pyramid`.
+        Improve a pose until image and memory agree; `photo` is what `self.photo` gave.
 
         Every round draws the memory anew from the pose that the round before has found. `near`:
         the start is a few centimetres and degrees off; then occluders do little harm.
@@ -57,7 +76,7 @@ class Aligner:
         pose, coarsest = start, len(self.levels) - 1
         for _ in range(rounds):
             guide = self.renderer.render(pose, self.levels[0], ALIGNED_WITH)
-            greys = self.pyramid(guide.image)
+            greys = self._pyramid(guide.image)
             # From the guide's camera to the photo's; then what maps the photo's grey to the
             # guide's.
             T, gain, bias = np.eye(4), 1.0, 0.0
@@ -69,32 +88,30 @@ class Aligner:
             coarsest = min(coarsest, 1)
         return pose
 
-    def agreement(self, photo: list[np.ndarray], pose: CameraPose) -> float:
+    def agreement(self, photo: list[PhotoLevel], pose: CameraPose) -> float:
         """Return the correlation of image and memory at a pose, in [-1, 1]."""
         level = min(1, len(self.levels) - 1)
         guide = self.renderer.render(pose, self.levels[level], ALIGNED_WITH)
         grey = cv2.cvtColor(guide.image / 255, cv2.COLOR_RGB2GRAY)
-        return agreement(photo[level], grey, guide.depth > 0)[0]
+        return agreement(photo[level].grey, grey, guide.depth > 0)[0]
 
     def _depth(self, guide: GuideView, level: int) -> np.ndarray:
         size = (self.levels[level].width, self.levels[level].height)
         return cv2.resize(guide.depth, size, interpolation=cv2.INTER_NEAREST)
 
-    def _align_level(self, level: int, photo: np.ndarray, guide: np.ndarray, depth: np.ndarray,
+    def _align_level(self, level: int, photo: PhotoLevel, guide: np.ndarray, depth: np.ndarray,
                      T: np.ndarray, gain: float, bias: float, near: bool
                      ) -> tuple[np.ndarray, float, float]:
         camera = self.levels[level]
-        gradient_x = np.gradient(photo, axis=1).astype(np.float32)
-        gradient_y = np.gradient(photo, axis=0).astype(np.float32)
+        away = max(float(np.median(depth[depth > 0])), 0.5) if (depth > 0).any() else 1.0
         H, g = np.empty((8, 8)), np.empty(8)
         before, kept = np.inf, (T, gain, bias)
         for _ in range(ITERATIONS):
             error, overlap = kernels.normal_equations(
-                photo, gradient_x, gradient_y, guide, depth, self._rays[level], camera.fx,
-                camera.fy, camera.cx, camera.cy, T, gain, bias,
-                GEMAN_MCCLURE if near else HUBER, near, H, g)
+                *photo, guide, depth, self._rays[level], camera.fx, camera.fy, camera.cx,
+                camera.cy, T, gain, bias, GEMAN_MCCLURE if near else HUBER, near, H, g)
             # Pixels that are lost must not look like an improvement.
-            cost = error / max(overlap, 0.05)
+            cost = error / overlap if overlap >= LOST else np.inf
             if cost > before:
                 T, gain, bias = kept
                 break
@@ -104,7 +121,6 @@ class Aligner:
             move[:3, :3], move[:3, 3] = rotation_from_vector(step[3:6]), step[:3]
             T = move @ T
             gain, bias = float(np.clip(gain + step[6], 0.3, 3)), bias + float(step[7])
-            away = max(float(np.median(depth[depth > 0])), 0.5) if (depth > 0).any() else 1.0
             moved = camera.fx * (np.linalg.norm(step[:3]) / away + np.linalg.norm(step[3:6]))
             if moved < STILL:
                 break
@@ -134,8 +150,7 @@ def agreement(image: np.ndarray, guide: np.ndarray, known: np.ndarray) -> tuple[
 
 def detail_correlation(a: np.ndarray, b: np.ndarray, places: np.ndarray) -> float:
     """Correlate a and b (N,) without the planes through them; places (N, 3): row, column, 1."""
-    # Directions that the places do not span, such as one row of pixels, have no slope. Not by
-    # matrix products: their threads would wait for one another on a busy machine.
+    # Directions that the places do not span, such as one row of pixels, have no slope.
     inverse = np.linalg.pinv(np.einsum('ni,nj->ij', places, places), hermitian=True)
 
     def detail(values: np.ndarray) -> np.ndarray:
@@ -148,12 +163,21 @@ def detail_correlation(a: np.ndarray, b: np.ndarray, places: np.ndarray) -> floa
 def correlation(a: np.ndarray, b: np.ndarray) -> float:
     """Return the correlation coefficient of two float arrays (N,); 0 if one is constant."""
     a, b = a - a.mean(), b - b.mean()
-    norm = float(np.linalg.norm(a) * np.linalg.norm(b))
-    return float(a @ b) / norm if norm > 1e-6 else 0.0
+    norm = math.sqrt(inner(a, a) * inner(b, b))
+    return inner(a, b) / norm if norm > 1e-6 else 0.0
 
 
 def fitted_line(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
     """Return slope and offset of the line through (x, y), least squares."""
     dx = x - x.mean()
-    slope = float(dx @ y) / max(float(dx @ dx), 1e-9)
+    slope = inner(dx, y) / max(inner(dx, dx), 1e-9)
     return slope, float(y.mean() - slope * x.mean())
+
+
+def inner(x: np.ndarray, y: np.ndarray) -> float:
+    """
+    Return the sum of the products of two float arrays (N,).
+
+    As all sums over pixels here not by BLAS, whose threads wait for one another on a busy machine.
+    """
+    return float(np.einsum('i,i->', x, y))

@@ -8,6 +8,9 @@ import warnings
 import numba
 from numba.core.caching import FunctionCache
 
+# What `set_num_threads` takes at most; `get_num_threads` tells what was set last.
+ALL_THREADS: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
+
 
 class _Cache(FunctionCache):
     """The cache of `cache=True`, but a full disk or a broken file only costs time."""

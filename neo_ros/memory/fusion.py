@@ -12,8 +12,9 @@ REACH = 0.12
 MOST_HEALED = 24.0
 # Pixels stretched over a gap of the memory are so much less sure.
 STRETCHED = 0.05
-# Small gaps are filled from their surroundings, over squares of these sides, pixels.
-GAPS = (9, 33, 129)
+# Gaps are filled from their surroundings, over squares of these sides, pixels: the smallest first,
+# the largest for the gaps in the largest view that a model may have.
+GAPS = (9, 33, 129, 513, 2049)
 GAP_ERROR = 0.15
 # Error that a guide has even where image and memory agree, in units of full brightness.
 LEAST_ERROR = 0.02
@@ -83,6 +84,8 @@ def _filled(image: np.ndarray, known: np.ndarray) -> np.ndarray:
     result, weight = image.astype(np.float32), known.astype(np.float32)
     result *= weight[..., None]
     for side in GAPS:
+        if weight.all():
+            break
         around = cv2.blur(weight, (side, side))
         gap = (weight == 0) & (around > 1e-6)
         colours = cv2.blur(result, (side, side))

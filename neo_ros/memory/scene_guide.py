@@ -1,9 +1,13 @@
 """Where is the camera, and what does the memory show around its image: frame after frame."""
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+import threading
 
 import cv2
 from neo_ros.geometry import CameraPose, ViewExpansion
-from neo_ros.memory.alignment import agreement, Aligner
+from neo_ros.memory.alignment import agreement, Aligner, PhotoLevel
+from neo_ros.memory.compiled import ALL_THREADS
 from neo_ros.memory.rendering import GuideView, MemoryRenderer
 from neo_ros.memory.scene_memory import SceneMemory
 from numba import get_num_threads, set_num_threads
@@ -26,6 +30,13 @@ SHOWN = 3
 # Places that a lost camera is compared with closely, and how far apart they are at least.
 CANDIDATES = 8
 APART_METRES, APART_COSINE = 0.25, 0.97
+# An image may be so many times brighter or darker than the memory. By how much, at most some 64 by
+# 64 of its pixels tell; not those that a channel of this grey level or more may have clipped.
+MOST_GAIN = 4.0
+SAMPLES = 64
+CLIPPED = 248
+# Numba may not run parallel loops of two threads at once: one of its backends ends the process.
+_PARALLEL_LOOPS = threading.Lock()
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +82,7 @@ class SceneGuide:
 
     def __init__(self, memory: SceneMemory, expansion: ViewExpansion, threads: int = 0) -> None:
         self.expansion = expansion
-        self._threads = min(threads or get_num_threads(), get_num_threads())
+        self._threads = min(threads or ALL_THREADS, ALL_THREADS)
         self.renderer = MemoryRenderer(memory)
         self.aligner = Aligner(self.renderer, expansion.source)
         pictures = memory.glances.pictures
@@ -88,19 +99,23 @@ class SceneGuide:
 
     def guide(self, image: np.ndarray) -> Guide | None:
         """Find the pose of an image, uint8 RGB (h, w, 3), and draw the wide view; None if lost."""
-        set_num_threads(self._threads)
-        photo = self.aligner.pyramid(image)
+        with _parallel_loops(self._threads):
+            return self._guide(image)
+
+    def _guide(self, image: np.ndarray) -> Guide | None:
+        photo = self.aligner.photo(image)
         # Whatever goes wrong with this image, the next one starts anew.
         last, self._last = self._last, None
-        best = self._track(photo, last) if last is not None else None
+        best = tracked = self._track(photo, last) if last is not None else None
         self._since_search += 1
         if self._search_is_due(best):
             self._since_search = 0
             best = better(best, self._search(image, photo))
         if best is None or not best.believed:
             return None
-        self._motion = (last.inverse() @ best.pose.T_world_cam if last is not None
-                        else np.eye(4))
+        # What was searched for has not moved there: it was taken there.
+        self._motion = (last.inverse() @ best.pose.T_world_cam
+                        if last is not None and best is tracked else np.eye(4))
         self._last = best.pose
         known = best.view.depth > 0
         return Guide(self._expose(best.view.image, known, image), known, best.view.stretched,
@@ -116,12 +131,12 @@ class SceneGuide:
     def warm_up(self) -> None:
         """Compile what is compiled at first use, which takes seconds on a new machine."""
         pose = CameraPose(self._poses[0])
-        view = self.renderer.render(pose, self.expansion.source, SHOWN)
-        photo = self.aligner.pyramid(view.image)
-        self.aligner.align(photo, pose, rounds=1)
+        with _parallel_loops(self._threads):
+            view = self.renderer.render(pose, self.expansion.source, SHOWN)
+            self.aligner.align(self.aligner.photo(view.image), pose, rounds=1)
         self.reset()
 
-    def _track(self, photo: list[np.ndarray], last: CameraPose) -> Sight:
+    def _track(self, photo: list[PhotoLevel], last: CameraPose) -> Sight:
         """Begin where a camera in steady motion would be now; if it is not there, where it was."""
         expected = CameraPose(last.T_world_cam @ self._motion)
         found = self._look(photo, self.aligner.align(photo, expected, 1, near=True), expected)
@@ -130,25 +145,25 @@ class SceneGuide:
         again = self._look(photo, self.aligner.align(photo, last, 3))
         return max(found, again, key=Sight.rank)
 
-    def _look(self, photo: list[np.ndarray], pose: CameraPose,
+    def _look(self, photo: list[PhotoLevel], pose: CameraPose,
               expected: CameraPose | None = None) -> Sight:
         """Draw the wide view from a pose and compare the image with its part of it."""
         view = self.renderer.render(pose, self.expansion.target, SHOWN)
         rows, columns = self.expansion.observed
-        size = photo[0].shape[::-1]
+        size = photo[0].grey.shape[::-1]
         grey = cv2.cvtColor(view.image[rows, columns] / 255, cv2.COLOR_RGB2GRAY)
         known = view.depth[rows, columns]
         if size != grey.shape[::-1]:
             grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
             known = cv2.resize(known, size, interpolation=cv2.INTER_NEAREST)
-        whole, partial = agreement(photo[0], grey, known > 0)
+        whole, partial = agreement(photo[0].grey, grey, known > 0)
         there = expected is not None and (
             np.linalg.norm(pose.position - expected.position) < EXPECTED_METRES
             and pose.forward @ expected.forward > EXPECTED_COSINE)
         return Sight(pose, view, whole,
                      whole >= LEAST_AGREEMENT or bool(there and partial >= LEAST_PARTIAL))
 
-    def _search(self, image: np.ndarray, photo: list[np.ndarray]) -> Sight | None:
+    def _search(self, image: np.ndarray, photo: list[PhotoLevel]) -> Sight | None:
         """Compare with all glances, align with the best ones, take the pose that agrees most."""
         grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
         small = cv2.resize(grey, self._glance_size, interpolation=cv2.INTER_AREA)
@@ -180,10 +195,41 @@ class SceneGuide:
     def _expose(self, guide: np.ndarray, known: np.ndarray, image: np.ndarray) -> np.ndarray:
         """Give the guide the brightness and colour balance of the image."""
         rows, columns = self.expansion.observed
-        seen = known[rows, columns].astype(np.uint8)
-        inside = np.array(cv2.mean(guide[rows, columns], seen)[:3])
-        gain = np.clip(np.array(cv2.mean(image, seen)[:3]) / np.maximum(inside, 1), 0.5, 2)
-        return guide * gain.astype(np.float32)
+        every = max(image.shape[1] // SAMPLES, 1)
+        some = (slice(None, None, every), slice(None, None, every))
+        seen = known[rows, columns][some]
+        gain = exposure_gain(guide[rows, columns][some][seen], image[some][seen])
+        return np.minimum(guide * gain, 255)
+
+
+@contextmanager
+def _parallel_loops(threads: int) -> Iterator[None]:
+    """Let this thread alone run parallel loops, on so many cores."""
+    with _PARALLEL_LOOPS:
+        before = get_num_threads()
+        set_num_threads(threads)
+        try:
+            yield
+        finally:
+            set_num_threads(before)
+
+
+def exposure_gain(shown: np.ndarray, observed: np.ndarray) -> np.ndarray:
+    """
+    Return the gains float32 (3,) that take colours `shown` to `observed`, (N, 3) in 0 ... 255.
+
+    Of all gains it leaves the least sum of absolute differences, as the median of the ratios does
+    when bright pixels count more: neither an occluder nor misplaced edges move it much.
+    """
+    gain = np.ones(3, np.float32)
+    for channel, (x, y) in enumerate(zip(shown.T, observed.T)):
+        usable = (x > 0) & (y < CLIPPED)
+        if usable.any():
+            ratio, weight = y[usable] / x[usable], x[usable]
+            order = np.argsort(ratio, kind='stable')
+            below = np.cumsum(weight[order])
+            gain[channel] = ratio[order[np.searchsorted(below, below[-1] / 2)]]
+    return np.clip(gain, 1 / MOST_GAIN, MOST_GAIN)
 
 
 def better(one: Sight | None, other: Sight | None) -> Sight | None:

@@ -1,16 +1,19 @@
 """The scene memory: what a robot keeps of a scene to see it again from other poses."""
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 import hashlib
 import io
+import math
 import os
 from pathlib import Path
-from zipfile import BadZipFile
+from typing import Any
+from zipfile import ZIP_STORED, ZipFile
 
 import cv2
 from neo_ros.errors import ModelError
 from neo_ros.geometry import Band
-from neo_ros.model_bytes import read_model_bytes
+from neo_ros.geometry.camera_pose import check_transform
+from neo_ros.model_bytes import MAX_BYTES, read_model_bytes
 import numpy as np
 
 SCHEMA = 1
@@ -19,8 +22,11 @@ SCHEMA = 1
 STEPS = 4095
 CLOSEST = 0.25
 JPEG_QUALITY = 92
-# Decoded keyframes that are kept; a robot walks through them one by one.
-CACHED = 24
+# Decoded keyframes that are kept: what fits into so many bytes, but at least all that are drawn.
+CACHED_BYTES = 256 << 20
+LEAST_CACHED = 3
+# A size in the file that may be any but 0.
+ANY = -1
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,23 +67,33 @@ class SceneMemory:
         self._textures, self._depths = textures, depths
         # The last one used is the last. An lru_cache of a method would keep this object alive.
         self._decoded: dict[int, Keyframe] = {}
+        self._shapes: tuple[tuple[int, ...], ...] | None = None
 
     def keyframe(self, index: int) -> Keyframe:
         """Return keyframe `index`; it must not be changed."""
         found = self._decoded.pop(index, None) or self._decode(index)
         self._decoded[index] = found
-        if len(self._decoded) > CACHED:
+        if len(self._decoded) > max(
+                LEAST_CACHED, CACHED_BYTES // (found.depth.nbytes + found.texture.nbytes)):
             del self._decoded[next(iter(self._decoded))]
         return found
 
     def _decode(self, index: int) -> Keyframe:
-        texture = _decode_image(self._textures[index], cv2.IMREAD_COLOR_RGB)
+        texture = _decode_image(self._textures[index], cv2.IMREAD_COLOR)
         coded = _decode_image(self._depths[index], cv2.IMREAD_UNCHANGED)
         if texture is None or coded is None or coded.dtype != np.uint16 or coded.ndim != 2 \
-                or texture.shape[0] % coded.shape[0] or texture.shape[1] % coded.shape[1]:
+                or not _is_finer(texture.shape, coded.shape):
             raise ModelError(f'scene memory: keyframe {index} is damaged; export it again')
+        # The compiled loops trust that all are of the same size.
+        shapes = (texture.shape, coded.shape)
+        self._shapes = self._shapes or shapes
+        if shapes != self._shapes:
+            raise ModelError(
+                f'scene memory: keyframe {index}: expected texture and depth of the shapes '
+                f'{self._shapes} as the others, got {shapes}; export it again')
         depth = np.where(coded > 0, STEPS * CLOSEST / np.maximum(coded, 1), 0)
-        return Keyframe(self.positions[index], depth.astype(np.float32), texture)
+        return Keyframe(self.positions[index], depth.astype(np.float32),
+                        cv2.cvtColor(texture, cv2.COLOR_BGR2RGB, texture))
 
     @classmethod
     def from_keyframes(cls, keyframes: Sequence[Keyframe], band: Band,
@@ -99,20 +115,25 @@ class SceneMemory:
         band = self.band
         np.savez(
             content, schema=SCHEMA, positions=self.positions,
-            band=[band.top, band.bottom, band.low, band.width],
+            band=np.array([band.top, band.bottom, band.low, band.width], np.float64),
             textures=np.frombuffer(b''.join(self._textures), np.uint8),
             depths=np.frombuffer(b''.join(self._depths), np.uint8),
             texture_sizes=[len(item) for item in self._textures],
             depth_sizes=[len(item) for item in self._depths],
             glances=self.glances.pictures, glance_poses=self.glances.T_world_cam)
+        data = content.getbuffer()
+        if len(data) > MAX_BYTES:
+            raise ModelError(
+                f'{path}: expected a scene memory of at most {MAX_BYTES >> 20} MB, got '
+                f'{len(data) >> 20} MB; set memory.distance to more')
         partial = path.with_suffix('.partial')
         try:
-            partial.write_bytes(content.getvalue())
+            partial.write_bytes(data)
             os.replace(partial, path)
         except OSError as error:
             partial.unlink(missing_ok=True)
             raise ModelError(f'{path}: cannot write the scene memory: {error.strerror}') from error
-        return hashlib.sha256(content.getvalue()).hexdigest()
+        return hashlib.sha256(data).hexdigest()
 
     @classmethod
     def read(cls, path: Path, sha256: str) -> 'SceneMemory':
@@ -131,17 +152,66 @@ class SceneMemory:
             raise ModelError(f'{path}: expected the scene memory with sha256 {sha256}, as the '
                              f'model card says, got {found}; copy model and memory together')
         try:
-            with np.load(io.BytesIO(content), allow_pickle=False) as data:
-                if int(data['schema']) != SCHEMA:
-                    raise ModelError(f'{path}: expected a scene memory of schema {SCHEMA}, got '
-                                     f'{int(data["schema"])}; update neo_ros')
-                return cls(
-                    data['positions'], Band(*(float(x) for x in data['band'])),
-                    _split(data['textures'], data['texture_sizes']),
-                    _split(data['depths'], data['depth_sizes']),
-                    Glances(data['glances'], data['glance_poses']))
-        except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
-            raise ModelError(f'{path}: expected a scene memory: {error}') from error
+            with _archive(content) as data:
+                schema = int(_field(data, 'schema', np.int64, ()))
+                if schema == SCHEMA:
+                    return cls._from_fields(data)
+        except Exception as error:  # zipfile and numpy raise a dozen types.
+            raise ModelError(f'{path}: expected a scene memory: {error}; export it again'
+                             ) from error
+        raise ModelError(f'{path}: expected a scene memory of schema {SCHEMA}, got {schema}; '
+                         'update neo_ros')
+
+    @classmethod
+    def _from_fields(cls, data: Mapping[str, np.ndarray]) -> 'SceneMemory':
+        """Check everything that the compiled loops trust; raises ValueError."""
+        positions = _field(data, 'positions', np.float64, (ANY, 3))
+        top, bottom, low, width = _field(data, 'band', np.float64, (4,)).tolist()
+        if not (-math.pi / 2 <= bottom < top <= math.pi / 2 and 0 < width <= 2 * math.pi):
+            raise ValueError('band: expected a part of the sphere, got elevations '
+                             f'{bottom} to {top} and a width of {width}')
+        textures, depths = (_split(
+            name, _field(data, f'{name}s', np.uint8, (ANY,)),
+            _field(data, f'{name}_sizes', np.int64, (len(positions),)))
+            for name in ('texture', 'depth'))
+        # Where a PNG has its width and height.
+        if len({coded[16:24] for coded in depths}) > 1:
+            raise ValueError('depths: expected keyframes of one size, got several')
+        pictures = _field(data, 'glances', np.uint8, (ANY, ANY, ANY))
+        poses = _field(data, 'glance_poses', np.float64, (len(pictures), 4, 4))
+        for pose in poses:
+            check_transform(pose, 'glance_poses')
+        return cls(positions, Band(top, bottom, low, width), textures, depths,
+                   Glances(pictures, poses))
+
+
+def _archive(content: bytes) -> Any:
+    """Open what `np.savez` wrote; what is packed could unpack to more than fits in memory."""
+    with ZipFile(io.BytesIO(content)) as archive:
+        if any(item.compress_type != ZIP_STORED for item in archive.infolist()):
+            raise ValueError('its arrays are packed')
+    return np.load(io.BytesIO(content), allow_pickle=False)
+
+
+def _field(data: Mapping[str, np.ndarray], name: str, dtype: type, shape: tuple[int, ...]
+           ) -> np.ndarray:
+    """Return an array of finite numbers of this dtype and shape; ANY: of one or more."""
+    found = data[name]
+    if found.dtype != dtype or found.ndim != len(shape) or not all(
+            size == wanted or (wanted == ANY and size > 0)
+            for size, wanted in zip(found.shape, shape)):
+        raise ValueError(f'{name}: expected {np.dtype(dtype)} {shape}, got {found.dtype} '
+                         f'{found.shape}'.replace(str(ANY), 'any'))
+    if found.dtype.kind == 'f' and not np.isfinite(found).all():
+        raise ValueError(f'{name}: expected finite numbers')
+    return found
+
+
+def _is_finer(texture: tuple[int, ...], depth: tuple[int, ...]) -> bool:
+    """Tell whether a texture is a whole number of times as large as its depth, a mesh."""
+    rows, columns = depth
+    times = texture[0] // rows
+    return min(depth) > 1 and times > 0 and texture[:2] == (times * rows, times * columns)
 
 
 def _encode(kind: str, image: np.ndarray, options: list[int]) -> bytes:
@@ -155,6 +225,9 @@ def _decode_image(content: bytes, flags: int) -> np.ndarray | None:
     return cv2.imdecode(np.frombuffer(content, np.uint8), flags)
 
 
-def _split(content: np.ndarray, sizes: np.ndarray) -> list[bytes]:
+def _split(name: str, content: np.ndarray, sizes: np.ndarray) -> list[bytes]:
+    """Cut bytes into pieces of these sizes; raises ValueError if they do not add up."""
+    if sizes.min() < 1 or sizes.max() > len(content) or sizes.sum() != len(content):
+        raise ValueError(f'{name}_sizes: expected sizes that add up to {len(content)} bytes')
     ends = np.cumsum(sizes)
     return [content[end - size:end].tobytes() for end, size in zip(ends, sizes)]

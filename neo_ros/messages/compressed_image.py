@@ -62,12 +62,14 @@ def read_compressed_image(message: Any) -> np.ndarray:
     width, height = compressed_size(message)
     try:
         image = cv2.imdecode(np.frombuffer(message.data, np.uint8),
-                             cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION)
+                             cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     except cv2.error as error:
         raise _broken(f'OpenCV cannot decode it ({error.err})') from None
     if image is None or image.shape[:2] != (height, width):
         raise _broken(f'OpenCV cannot decode the {width}x{height} pixels of its header')
-    return image[..., ::-1].copy() if _is_swapped(message.format) else image
+    # The OpenCV of ROS 2 Jazzy decodes to BGR only.
+    return image if _is_swapped(message.format) else cv2.cvtColor(
+        image, cv2.COLOR_BGR2RGB, image)
 
 
 def jpeg_fields(image: np.ndarray, quality: int) -> dict[str, Any]:

@@ -57,7 +57,8 @@ class Parity(_Part):
 class MemoryFile(_Part):
     """The scene memory that belongs to a model: a file beside it."""
 
-    file: str = Field(pattern=r'^[\w.-]+$')  # noqa: A003
+    # Never a folder: at least one character is no dot.
+    file: str = Field(pattern=r'^[\w.-]*[\w-][\w.-]*$')  # noqa: A003
     sha256: str = Field(pattern=r'^[0-9a-f]{64}$')
 
 
