@@ -5,7 +5,7 @@ from neo_ros.errors import ConfigError
 from neo_ros.evaluation.pose_map import COUNTS_FILE, draw_poses, write_poses
 from neo_ros.field.free_space import find_free_floor
 from neo_ros.field.voxel_field import RadianceField
-from neo_ros.outpaint.pair_stream import FIRST, PairStream, source_view_enlarged
+from neo_ros.outpaint.pair_stream import PairStream, source_view_enlarged
 from neo_ros.outpaint.panorama_cache import PanoramaCache
 from neo_ros.outpaint.real_centres import RealCentres, same_focal_length
 from neo_ros.scenes.pose_sampling import PoseSampler
@@ -52,13 +52,15 @@ def make_stream(run: 'TrainingRun', field: RadianceField, seed: int) -> PairStre
     return stream
 
 
-def make_sampler(run: 'TrainingRun', field: RadianceField) -> PoseSampler:
-    """Choose poses where the experiment says; see `SamplingConfig.area`."""
+def make_sampler(run: 'TrainingRun', field: Optional[RadianceField]) -> PoseSampler:
+    """Choose poses where the experiment says; only `free_space` needs the field."""
     config, area = run.experiment.sampling, _area(run)
     if area == 'photos':
         return PoseSampler.around_photos(run.scene.train, config)
-    floor = (run.scene.walkable if area == 'walkable'
-             else find_free_floor(field, run.scene.train, config))
+    floor = run.scene.walkable
+    if area == 'free_space':
+        assert field is not None
+        floor = find_free_floor(field, run.scene.train, config)
     if floor is None:
         raise ConfigError(
             f'sampling.area: {area} needs walkable.json in the scene folder, there is none; '
@@ -71,7 +73,7 @@ def note_poses(run: 'TrainingRun', stream: PairStream, steps: int) -> None:
     pool = stream.pool
     if (run.out / COUNTS_FILE).exists() and not pool.panoramas:
         return  # A training that had ended was only read again.
-    pool.fill(FIRST + steps - 1)
+    stream.render_for(steps - 1)
     positions = np.stack([panorama.position for panorama in pool.panoramas])
     write_poses(run.out, pool.summary(), draw_poses(
         pool.sampler.positions_xy, positions, np.array(pool.refused_positions).reshape(-1, 3),

@@ -3,6 +3,7 @@ from pathlib import Path
 
 from neo_ros.outpaint.compact_weights import compact_weights, LEAST_ELEMENTS, round_weights
 import numpy as np
+import onnx
 import onnxruntime
 import pytest
 import torch
@@ -49,3 +50,21 @@ def test_weights_that_were_not_rounded_stay(network: nn.Module, tmp_path: Path) 
     size = path.stat().st_size
     compact_weights(path)
     assert path.stat().st_size > 0.98 * size
+
+
+def test_a_file_that_cannot_be_written_leaves_the_old_one(
+        network: nn.Module, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    round_weights(network)
+    path = tmp_path / 'model.onnx'
+    torch.onnx.export(network, (torch.rand(1, 3, 8, 8),), str(path), input_names=['x'],
+                      dynamo=True, external_data=False, verbose=False)
+    before = path.read_bytes()
+
+    def break_off(model: onnx.ModelProto, file: str) -> None:
+        Path(file).write_bytes(b'half')
+        raise OSError('no space left on device')
+
+    monkeypatch.setattr(onnx, 'save_model', break_off)
+    with pytest.raises(OSError):
+        compact_weights(path)
+    assert path.read_bytes() == before

@@ -1,6 +1,7 @@
 from pathlib import Path
 from typing import NamedTuple
 
+from neo_ros.errors import ModelError
 from neo_ros.geometry import Intrinsics, ViewExpansion
 import neo_ros.outpaint.export
 from neo_ros.outpaint.export import check_parity, export_onnx, ExportedFunction, OPSET
@@ -139,3 +140,12 @@ def test_colours_are_rounded_and_scales_become_confidence(
     ring = torch.from_numpy(expansion.extrapolated_mask)
     assert wide[0][ring].unique().tolist() == [colour]
     assert sure[0][ring].unique().tolist() == [confidence]
+
+
+def test_a_refused_graph_leaves_nothing_behind(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    expansion = EXPANSIONS['to the right alone']
+    monkeypatch.setattr(neo_ros.outpaint.export, 'ALLOWED_OPERATORS', frozenset({'Conv'}))
+    with pytest.raises(ModelError, match='express the network without them'):
+        export_onnx(randomised(expansion), expansion, tmp_path / 'model.onnx')
+    assert not list(tmp_path.iterdir())

@@ -131,7 +131,7 @@ def test_fewer_recalled_channels_make_a_smaller_network() -> None:
 ], ids=str)
 def test_settings_that_make_no_network(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
-        build_network(SQUARE, NetworkConfig(**changes))
+        check_network(SQUARE, NetworkConfig(**changes))
 
 
 @settings(max_examples=25)

@@ -52,10 +52,14 @@ def test_positions_come_as_training_goes_on(field: RadianceField) -> None:
     stream = PairStream(field, sampler(), VIEW, FIRST + 4, seed=0)
     assert not stream.pool.panoramas
     counts = []
-    for step in (0, 1, 3, 40):
+    every = stream.steps_per_panorama
+    # A level camera's panoramas are a few views each, narrow views' are many.
+    narrow = Intrinsics.from_hfov(16, 16, 0.5)
+    assert 4 <= every < 10 < PairStream(field, sampler(), narrow, 1, seed=0).steps_per_panorama
+    for step in (0, every - 1, every, 10 * every):
         stream.batch(step, 1)
         counts.append(len(stream.pool.panoramas))
-    assert counts == [FIRST, FIRST + 1, FIRST + 3, FIRST + 4]
+    assert counts == [FIRST, FIRST, FIRST + 1, FIRST + 4]
     few = PairStream(field, sampler(), VIEW, 3, seed=0)
     few.batch(0, 2)
     assert len(few.pool.panoramas) == 3

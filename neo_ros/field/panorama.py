@@ -55,15 +55,19 @@ class Panorama:
 def render_panorama(field: RadianceField, position: np.ndarray, view: Intrinsics,
                     band: Band) -> Panorama:
     """Render a band of the sphere around a position for views like `view`."""
-    # At the rim a perspective view has 1 / cos^2 as many pixels per radian as in its middle.
-    density = min(1 / np.cos(max(view.hfov, view.vfov) / 2) ** 2, MOST_DENSE)
-    width = int(band.width * view.fx * density)
-    height = max(int((band.top - band.bottom) * view.fy * density), 2)
-    rendering = render_rays(field, position, band.rays(height, width))
+    rendering = render_rays(field, position, band.rays(*panorama_size(view, band)))
     image = np.dstack([rendering.image, rendering.coverage])
     near = rendering.depth < field.near + BLOCKED_VOXELS * field.voxel
     return Panorama(np.asarray(position), to_uint8(image), band, float(rendering.opacity.mean()),
                     float((near & (rendering.opacity > 0.5)).mean()))
+
+
+def panorama_size(view: Intrinsics, band: Band) -> tuple[int, int]:
+    """Return height and width, pixels, of a panorama for views like `view`."""
+    # At the rim a perspective view has 1 / cos^2 as many pixels per radian as in its middle.
+    density = min(1 / np.cos(max(view.hfov, view.vfov) / 2) ** 2, MOST_DENSE)
+    return (max(int((band.top - band.bottom) * view.fy * density), 2),
+            int(band.width * view.fx * density))
 
 
 def view_band(view: Intrinsics, rotations: np.ndarray, yaw_range: tuple[float, float]) -> Band:

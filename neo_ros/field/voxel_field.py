@@ -172,8 +172,8 @@ class RadianceField:
             raise SceneError(f'{path}: cannot write the field: {error.strerror}') from error
 
     @classmethod
-    def load(cls, path: Path) -> 'RadianceField':
-        """Read what `save` wrote; raises SceneError for other files."""
+    def load(cls, path: Path, device: str = 'cpu') -> 'RadianceField':
+        """Read what `save` wrote, to be rendered on a device; SceneError for other files."""
         try:
             with np.load(path) as data:
                 shell, step, near, initial_alpha = data['settings']
@@ -183,5 +183,6 @@ class RadianceField:
                 result.seen = data['seen']
         except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
             raise SceneError(f'{path}: expected a radiance field: {error}') from error
+        result.device = device
         result.update_occupancy()
         return result

@@ -38,7 +38,8 @@ class Band:
         Column and row, pixel centres at whole numbers; columns run on to the left of an image
         that does not wrap (-1 and less) for directions outside its azimuths.
         """
-        azimuth = np.mod(np.arctan2(rays[..., 1], rays[..., 0]) - self.low, 2 * np.pi)
+        turns = (np.arctan2(rays[..., 1], rays[..., 0]) - self.low) / (2 * np.pi)
+        azimuth = 2 * np.pi * (turns - np.floor(turns))  # np.mod is slow.
         rise = np.arctan2(rays[..., 2], np.hypot(rays[..., 0], rays[..., 1]))
         return np.stack([(1 - azimuth / self.width) * width - 0.5,
                          (self.top - rise) / (self.top - self.bottom) * height - 0.5],

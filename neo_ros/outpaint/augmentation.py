@@ -1,10 +1,24 @@
 """
-What a camera does to a picture and a stream of renderings does not: applied to the input alone.
+What a camera does to a picture and a stream of renderings does not. Seeded by the caller.
 
-The truth stays as it is, so the network learns to look through it. Seeded by the caller.
+Exposure and white balance are the whole camera's: they change the wide view, so that the ring is
+learnt in the light of its middle. Faults and things in the way are put into the input alone: the
+truth stays as it is, and the network learns to look through them.
 """
 import cv2
 import numpy as np
+
+
+def expose_views(views: np.ndarray, strength: float, random: np.random.Generator) -> np.ndarray:
+    """Return copies of wide views, RGBA uint8 (B, H, W, 4), as other exposures show them."""
+    exposed = views.copy()
+    for view in exposed:
+        # By up to about a stop, and colours by some per cent.
+        exposure = 2 ** (0.35 * strength * random.standard_normal())
+        gain = exposure * (1 + 0.06 * strength * random.standard_normal(3))
+        table = np.clip(np.arange(256)[:, None] * gain + 0.5, 0, 255).astype(np.uint8)
+        view[..., :3] = cv2.LUT(np.ascontiguousarray(view[..., :3]), table[None])
+    return exposed
 
 
 def augment_inputs(images: np.ndarray, photometric: float, occluders: float,
@@ -12,7 +26,7 @@ def augment_inputs(images: np.ndarray, photometric: float, occluders: float,
     """
     Return altered copies of narrow images, RGB uint8 (B, h, w, 3).
 
-    photometric  strength of exposure, white balance, blur, noise and JPEG: 0 none, 1 a poor camera
+    photometric  strength of blur, noise and JPEG: 0 none, 1 a poor camera
     occluders    share of the images into which somebody or something is put that was not there
     """
     altered = []
@@ -27,16 +41,13 @@ def augment_inputs(images: np.ndarray, photometric: float, occluders: float,
 
 
 def _photographed(image: np.ndarray, strength: float, random: np.random.Generator) -> np.ndarray:
-    """Change exposure by up to about a stop, colours by some per cent, and add faults."""
-    exposure = 2 ** (0.35 * strength * random.standard_normal())
-    balance = 1 + 0.06 * strength * random.standard_normal(3)
+    """Add the faults of lens, sensor and compression."""
     blur = strength * max(random.uniform(-1, 1), 0) * image.shape[1] / 100
     noise = 5 * strength * max(random.uniform(-0.5, 1), 0)
     quality = 100 - 70 * min(strength, 1) * max(random.uniform(-1, 1), 0)
     pixels = image.astype(np.float32)
     if blur > 0.2:
         pixels = _blurred(pixels, blur, random)
-    pixels = pixels * (exposure * balance).astype(np.float32)
     if noise > 0:
         pixels += noise * random.standard_normal(pixels.shape, np.float32)
     result = np.clip(pixels + 0.5, 0, 255).astype(np.uint8)

@@ -1,5 +1,6 @@
 """Step 3 of the paper: train the outpainter on the stream of rendered views."""
-from dataclasses import asdict, dataclass
+import copy
+from dataclasses import dataclass
 import math
 import os
 import time
@@ -7,7 +8,7 @@ from typing import Any, Optional
 
 from neo_ros.errors import ConfigError
 from neo_ros.geometry import ViewExpansion
-from neo_ros.outpaint.augmentation import augment_inputs
+from neo_ros.outpaint.augmentation import augment_inputs, expose_views
 from neo_ros.outpaint.distributed import from_first, processes, shared_gradients
 from neo_ros.outpaint.network import NetworkConfig
 from neo_ros.outpaint.networks import build_network
@@ -17,6 +18,8 @@ import torch
 
 
 THREADS = len(os.sched_getaffinity(0))
+# Below half a grey level the likelihood has nothing to learn, and its gradient explodes.
+LEAST_LOG_SCALE = -6.0
 
 
 @dataclass(frozen=True)
@@ -27,7 +30,7 @@ class OutpaintConfig:
     steps: int = 4000              # optimiser steps; not read where `minutes` is given
     minutes: Optional[float] = None  # of training time, rendering included, instead of steps
     batch: int = 16                # wide views in a step, over all processes
-    learning_rate: float = 1e-3    # peak; warmed up over 100 steps, then a cosine to zero
+    learning_rate: float = 2e-3    # peak; warmed up over 100 steps or 5 %, then a cosine to zero
     weight_decay: float = 0.01
     clip: float = 1.0              # largest gradient norm
     average: float = 0.998         # decay of the weights' moving average, which is exported
@@ -35,7 +38,7 @@ class OutpaintConfig:
     device: str = 'auto'           # cpu, cuda, or auto: cuda where there is one
     training_view: str = 'wide'    # what is rendered: wide views, or (ablation) the source view
     real_centre: float = 0.25      # share of the views with a real photo in the middle
-    photometric: float = 0.25      # faults of a camera in the input: 0 none ... 1 a poor camera
+    photometric: float = 0.25      # exposure, and faults in the input: 0 none ... 1 a poor camera
     occluders: float = 0.1         # share of the inputs with a person or a thing put into them
     perceptual: float = 0.0        # weight of LPIPS-VGG in the loss; its weights are a download
     perceptual_window: int = 64    # pixels a side of the window it looks at, another every step
@@ -76,6 +79,7 @@ def outpaint_loss(colour: torch.Tensor, log_scale: torch.Tensor, truth: torch.Te
     gradient does not reach the colour.
     """
     error = (colour - truth).abs().mean(1, keepdim=True)
+    log_scale = log_scale.clamp(min=LEAST_LOG_SCALE)
     likelihood = error.detach() * torch.exp(-log_scale) + log_scale
     return ((error + 0.05 * likelihood) * weight).sum() / weight.sum().clamp(min=1)
 
@@ -93,16 +97,15 @@ class OutpaintTrainer:
         torch.manual_seed(seed)
         self.config, self.expansion, self.seed = config, expansion, seed
         self.rank, self.world = processes()
-        self.batch_size = _share_of_batch(config.batch, self.world)
-        self.device = _chosen_device(config.device, self.rank)
+        self.batch_size = share_of_batch(config.batch, self.world)
+        self.device = outpaint_device(config.device, self.rank)
         self.network = build_network(expansion, network).to(self.device)
         self.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-        self.averaged = build_network(expansion, network).to(self.device)
-        self.averaged.load_state_dict(self.network.state_dict())
+        self.averaged = copy.deepcopy(self.network)
         self._parallel = shared_gradients(self.network)
         self.optimizer = torch.optim.AdamW(
             self.network.parameters(), lr=config.learning_rate, betas=(0.9, 0.98),
-            weight_decay=config.weight_decay)
+            weight_decay=config.weight_decay, fused=True)
         self.perceptual = (
             PerceptualDistance('vgg').to(self.device) if config.perceptual > 0 else None)
         self.ring = torch.from_numpy(expansion.extrapolated_mask)[None, None].to(self.device)
@@ -139,7 +142,7 @@ class OutpaintTrainer:
 
     def rate(self) -> float:
         """Learning rate of the present step."""
-        warm = min((self.step + 1) / 100, 1.0)
+        warm = min(max((self.step + 1) / 100, 20 * self.share), 1.0)
         cosine = 0.5 * (1 + math.cos(math.pi * self.share))
         return self.config.learning_rate * warm * cosine
 
@@ -168,6 +171,9 @@ class OutpaintTrainer:
         self.optimizer.step()
         self._average()
         value = float(loss.detach())
+        if not math.isfinite(value):
+            raise ConfigError(f'outpaint: the loss of step {self.step} is {value}; choose a lower '
+                              f'outpaint.learning_rate than {self.config.learning_rate}')
         self.loss = value if math.isnan(self.loss) else 0.98 * self.loss + 0.02 * value
         before = self.share
         self.step += 1
@@ -175,12 +181,15 @@ class OutpaintTrainer:
         times = self.config.validations
         if self.held_out is not None and int(before * times) < int(self.share * times):
             self.validation.append([self.step, self.seconds, self.validate()])
+            self._clock = time.monotonic()  # Looking at it is not learning.
         return self.loss
 
     def _tensors(self, batch: np.ndarray, random: np.random.Generator,
                  ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Make the network's input, altered as a camera would, the truth and its weight."""
         config = self.config
+        if config.photometric > 0:
+            batch = expose_views(batch, config.photometric, random)
         rows, columns = self.expansion.observed
         narrow = batch[:, rows, columns, :3]
         if config.photometric > 0 or config.occluders > 0:
@@ -245,28 +254,30 @@ class OutpaintTrainer:
     def state(self) -> dict[str, Any]:
         """Return everything a later `restore` needs to go on."""
         return {'step': self.step, 'seed': self.seed, 'loss': self.loss, 'seconds': self.seconds,
-                'validation': self.validation, 'config': asdict(self.config),
+                'validation': self.validation,
                 'network': self.network.state_dict(), 'averaged': self.averaged.state_dict(),
                 'optimizer': self.optimizer.state_dict()}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on from `state`; a checkpoint of an older neo_ros has no clock and no validation."""
+        """Go on from `state`."""
         self.step, self.loss = state['step'], state['loss']
-        self.seed = state.get('seed', self.seed)
-        self.seconds, self.validation = state.get('seconds', 0.0), state.get('validation', [])
+        self.seed, self.seconds = state['seed'], state['seconds']
+        self.validation = state['validation']
         self.network.load_state_dict(state['network'])
         self.averaged.load_state_dict(state['averaged'])
         self.optimizer.load_state_dict(state['optimizer'])
 
 
-def _share_of_batch(batch: int, world: int) -> int:
+def share_of_batch(batch: int, world: int) -> int:
+    """Return how many views of a batch each process has; ConfigError if they do not divide."""
     if batch % world:
         raise ConfigError(f'outpaint.batch: expected a multiple of {world}, the number of '
                           f'processes, got {batch}')
     return batch // world
 
 
-def _chosen_device(name: str, rank: int) -> torch.device:
+def outpaint_device(name: str, rank: int) -> torch.device:
+    """Return the device of `outpaint.device`; raises ConfigError where it is not there."""
     if name == 'cuda' and not torch.cuda.is_available():
         raise ConfigError('outpaint.device: expected a CUDA device, there is none; '
                           'choose cpu or auto')

@@ -25,9 +25,9 @@ class NetworkConfig:
 
     __pydantic_config__ = {'extra': 'forbid'}
     name: str = 'neo_fast'  # neo_fast, mat or lama
-    patch: int = 4          # pixels a side of the finest grid's cells
+    patch: int = 8          # pixels a side of the finest grid's cells
     width: int = 64         # channels on the finest grid; neo_fast and lama double them downwards
-    depth: int = 3          # number of grids, each half as fine as the one before
+    depth: int = 2          # number of grids, each half as fine as the one before
     memory: int = 1024      # neo_fast: units of the fully connected middle
     recall: int = 0         # neo_fast: channels that the middle gives each cell; 0 = all of them
     blocks: int = 2         # mat, lama: blocks in a stage

@@ -1,6 +1,7 @@
 """Narrow/wide training pairs, rendered on the fly."""
 from typing import Optional
 
+from neo_ros.field.panorama import panorama_size
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.outpaint.panorama_cache import PanoramaCache
@@ -11,10 +12,11 @@ import numpy as np
 
 # Panoramas there must be before the first batch, so that its views do not repeat.
 FIRST = 32
-# Photos that are there at the first batch, and the steps until there is one more: rendering the
-# surroundings of a photo costs a quarter of a panorama.
+# Photos that are there at the first batch.
 FIRST_PHOTOS = 16
-STEPS_PER_PHOTO = 2
+# Steps until there is one photo more. Rendering at every step would take as long as learning.
+STEPS_PER_PHOTO = 4
+LEAST_STEPS_PER_PANORAMA = 4
 
 
 class PairStream:
@@ -34,20 +36,30 @@ class PairStream:
         self.seed = seed
         self.pool = PanoramaPool(field, sampler, view, positions, seed, cache)
         self.real, self.real_share = real, real_share
+        # As many as wide views have a panorama's rays: 3 on a level floor, 30 for a narrow camera
+        # that is held in the hand.
+        height, width = panorama_size(view, self.pool.band)
+        self.steps_per_panorama = max(round(height * width / (view.width * view.height)),
+                                      LEAST_STEPS_PER_PANORAMA)
         self.real_order = np.random.default_rng([seed, 5]).permutation(len(real) if real else 0)
 
     def batch(self, step: int, size: int) -> np.ndarray:
         """Return batch `step`: RGBA uint8 (size, H, W, 4); A is coverage, 255 = seen."""
-        ready = self.pool.fill(FIRST + step)
+        ready = self.render_for(step)
         random = np.random.default_rng([self.seed, 2, step])
-        views = np.stack([self.pool.draw_view(int(index), random)
-                          for index in random.integers(ready, size=size)])
-        if self.real is not None:
-            choice = np.random.default_rng([self.seed, 4, step])
-            photos = self.real_order[:FIRST_PHOTOS + step // STEPS_PER_PHOTO]
-            for place in np.flatnonzero(choice.random(size) < self.real_share):
-                views[place] = self.real.view(int(choice.choice(photos)))
-        return views
+        photos = self.real_order[:FIRST_PHOTOS + step // STEPS_PER_PHOTO]
+        views = []
+        for real in random.random(size) < (self.real_share if self.real is not None else 0):
+            if real:
+                assert self.real is not None
+                views.append(self.real.view(int(random.choice(photos))))
+            else:
+                views.append(self.pool.draw_view(int(random.integers(ready)), random))
+        return np.stack(views)
+
+    def render_for(self, step: int) -> int:
+        """Render the panoramas that batch `step` draws from; returns how many they are."""
+        return self.pool.fill(FIRST + step // self.steps_per_panorama)
 
 
 def source_view_enlarged(expansion: ViewExpansion) -> Intrinsics:

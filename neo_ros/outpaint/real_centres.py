@@ -17,6 +17,15 @@ def same_focal_length(camera: Intrinsics, view: Intrinsics) -> bool:
     return np.allclose([camera.fx, camera.fy], [view.fx, view.fy], rtol=1e-3)
 
 
+def check_focal_length(camera: Intrinsics, view: Intrinsics) -> None:
+    """Raise ConfigError where photos do not fit into the middle of views."""
+    if not same_focal_length(camera, view):
+        raise ConfigError(
+            'outpaint.real_centre: expected photos of the focal length of the views, '
+            f'{view.fx:.1f} x {view.fy:.1f} pixels, got {camera.fx:.1f} x '
+            f'{camera.fy:.1f}; set it to 0')
+
+
 class RealCentres:
     """Wide views at the poses of photos: photo where it reaches, field around it."""
 
@@ -25,12 +34,7 @@ class RealCentres:
         self.field, self.photos = field, photos
         self.expansion, self.scale = expansion, scale
         self.camera = photos.intrinsics.scaled(scale)
-        target = expansion.target
-        if not same_focal_length(self.camera, target):
-            raise ConfigError(
-                'outpaint.real_centre: expected photos of the focal length of the views, '
-                f'{target.fx:.1f} x {target.fy:.1f} pixels, got {self.camera.fx:.1f} x '
-                f'{self.camera.fy:.1f}; set it to 0')
+        check_focal_length(self.camera, expansion.target)
         self._rendered: dict[int, np.ndarray] = {}
 
     def __len__(self) -> int:
