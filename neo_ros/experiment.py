@@ -19,7 +19,12 @@ import yaml
 
 @dataclass(frozen=True)
 class ViewConfig:
-    """Sizes in pixels at the resolution of the photos, centred on their optical axis."""
+    """
+    Sizes in pixels at the resolution of the photos.
+
+    The source is the middle of the photo, wherever its optical axis is; the target grows it by
+    as many pixels on either side.
+    """
 
     __pydantic_config__ = {'extra': 'forbid'}
     source: tuple[int, int]   # width, height of the image that the robot's camera gives
@@ -43,6 +48,8 @@ class Experiment:
     def __post_init__(self) -> None:
         if not 0 < self.scale < math.inf:
             raise ConfigError(f'scale: expected a number > 0, got {self.scale}')
+        if not 0 <= self.seed < 2 ** 63:
+            raise ConfigError(f'seed: expected 0 or more, below 2^63, got {self.seed}')
 
     @property
     def config_hash(self) -> str:

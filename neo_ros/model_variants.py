@@ -55,7 +55,8 @@ def export_variants(run: TrainingRun, formats: Sequence[Format] = FORMATS,
                           'there are too few')
     factor = calibration_factor(network, run.expansion, views)
     function = ExportedFunction(network, run.expansion, factor).eval()
-    card = read_model_card(run.model_path)
+    # What is measured here is of other frames than the scores of a card.
+    card = read_model_card(run.model_path).model_copy(update={'scores': {}})
     models = {'as trained': run.model_path}
     for number_format in formats:
         path = run.model_path.with_suffix(f'.{number_format}.onnx')

@@ -28,14 +28,15 @@ from neo_ros.outpaint.distributed import process_group, wait_for_all
 from neo_ros.outpaint.export import (
     calibration_factor, check_parity, export_onnx, require_parity)
 from neo_ros.outpaint.fitting import OutpaintTrainer
-from neo_ros.outpaint.networks import check_network
 from neo_ros.outpaint.training_log import TrainingLog
 from neo_ros.runtime import FovExtrapolator, ModelCard
 from neo_ros.runtime.model_card import MemoryFile, Parity, write_model_card
 from neo_ros.runtime.scene_check import fit_scene_reference
-from neo_ros.scenes.levelling import stood_up
+from neo_ros.scenes.digests import floor_digest, list_digest
+from neo_ros.scenes.levelling import read_upright_scene
 from neo_ros.scenes.posed_images import PosedImages
-from neo_ros.scenes.scene import read_scene, Scene
+from neo_ros.scenes.scene import Scene
+from neo_ros.training_checks import check_settings, check_training
 from neo_ros.training_report import write_training_report
 from neo_ros.training_views import (
     held_out_views, make_sampler, make_stream, note_poses)
@@ -55,7 +56,6 @@ class Scoring:
     """The model and the floors on the test frames of a scene."""
 
     frames: TruthFrames
-    methods: list[Method]
     results: list[MethodScores]
 
     def to_json(self, figures: dict[str, float], confidence: dict[str, float]) -> str:
@@ -86,22 +86,10 @@ class TrainingRun:
             [i for i in range(len(self.scene.train)) if i not in held_out])
         self.held_out: Optional[PosedImages] = (
             self.scene.train.subset(sorted(held_out)) if held_out else None)
-        self._check_settings()
+        check_settings(self)
         self.figures: dict[str, float] = {}
         self.log: dict[str, list[list[float]]] = {
             'field': [], 'outpainter': [], 'validation': []}
-
-    def _check_settings(self) -> None:
-        """Raise now what the last steps would raise after all the work of the first."""
-        photo = self.scene.train.intrinsics.scaled(self.experiment.scale)
-        source = self.expansion.source
-        if source.width > photo.width or source.height > photo.height:
-            raise ConfigError(
-                f'view.source: expected at most the size of the photos, {photo.width}x'
-                f'{photo.height} pixels at this scale, got {source.width}x{source.height}')
-        check_network(self.expansion, self.experiment.network)
-        if self.scene.test is not None:
-            TruthFrames(self.scene.test, self.expansion)
 
     @property
     def model_path(self) -> Path:
@@ -119,9 +107,10 @@ def train(scene_folder: Path, experiment: Experiment, out: Path,
     are kept in files instead of in memory. Raises NeoError for scenes and
     settings that cannot be trained, and where `out` holds a run of other settings.
     """
-    scene = stood_up(read_scene(scene_folder))
-    run = TrainingRun(scene, experiment, out, progress, cache_gb)
+    scene = read_upright_scene(scene_folder)
     with process_group() as rank:
+        run = TrainingRun(scene, experiment, out, progress, cache_gb)
+        check_training(run)
         if rank == 0:
             make_output_folder(out)
             claim(out, scene, experiment)
@@ -149,10 +138,10 @@ def fit_field_step(run: TrainingRun, rank: int = 0) -> RadianceField:
     if missing and (rank == 0 or device != 'cpu'):
         _fit_field(run, path, writes=rank == 0)
     wait_for_all()
+    if rank == 0:
+        (run.out / 'field.ckpt').unlink(missing_ok=True)
     run.seconds, run.log['field'] = read_notes(run.out / 'field.json', 'field.npz')
-    field = RadianceField.load(path)
-    field.device = device
-    return field
+    return RadianceField.load(path, device)
 
 
 def _fit_field(run: TrainingRun, path: Path, writes: bool) -> None:
@@ -170,7 +159,6 @@ def _fit_field(run: TrainingRun, path: Path, writes: bool) -> None:
     if writes:
         write_notes(run.out / 'field.json', run.seconds, run.log['field'])
         field.save(path)
-        checkpoint.unlink(missing_ok=True)
 
 
 def fit_outpainter_step(run: TrainingRun, field: RadianceField,
@@ -214,7 +202,7 @@ def memory_step(run: TrainingRun, field: RadianceField) -> Optional[MemoryFile]:
     if path.exists() and notes.exists():
         run.seconds, _ = read_notes(notes, path.name)
     else:
-        scale, started = run.experiment.scale, time.monotonic()
+        scale, before, started = run.experiment.scale, run.seconds, time.monotonic()
         photos = Photos(run.fitted.read_images(scale), run.fitted.intrinsics.scaled(scale),
                         run.fitted.T_world_cam)
         memory = bake_memory(
@@ -222,7 +210,8 @@ def memory_step(run: TrainingRun, field: RadianceField) -> Optional[MemoryFile]:
             lambda done, total: run.progress('memory', done, total, ''))
         memory.write(path)
         run.seconds += time.monotonic() - started
-        write_notes(notes, run.seconds, [])
+        # The log says when it began: its minutes are not the network's.
+        write_notes(notes, run.seconds, [[0, before, 0.0]])
     return MemoryFile(file=path.name, sha256=hashlib.sha256(path.read_bytes()).hexdigest())
 
 
@@ -289,12 +278,14 @@ def score_step(run: TrainingRun) -> Optional[Scoring]:
     scores = {name: round(estimate.mean, 4) for name, estimate in results[0].estimates.items()
               if name != 'milliseconds'}
     write_model_card(run.model_path, neo.card.model_copy(update={'scores': scores}))
-    return Scoring(truth, methods, results)
+    return Scoring(truth, results)
 
 
 def claim(out: Path, scene: Scene, experiment: Experiment) -> None:
     """Refuse a folder that holds another run, so that no two are ever mixed."""
-    note = {'scene': scene.name, 'config_hash': experiment.config_hash}
+    floor = None if scene.walkable is None else floor_digest(scene.walkable)[:12]
+    note = {'scene': scene.name, 'config_hash': experiment.config_hash,
+            'photos': list_digest(scene.train)[:12], 'floor': floor}
     path = out / 'run.json'
     if path.exists():
         try:
@@ -302,6 +293,11 @@ def claim(out: Path, scene: Scene, experiment: Experiment) -> None:
         except (OSError, ValueError) as error:
             raise ConfigError(f'{path}: expected the note of an earlier run: {error}; '
                               'choose another folder') from error
+        if isinstance(found, dict) and found != note and {**note, **found} == note:
+            raise ConfigError(
+                f'{out}: holds a run of an older neo_ros, which did not note its photos; choose '
+                'another folder, or if photos, poses and floor map are still those it was '
+                f'trained on, write this into {path}: {json.dumps(note)}')
         if found != note:
             raise ConfigError(f'{out}: expected an empty folder or a run of {note}, got a run '
                               f'of {found}; choose another folder')

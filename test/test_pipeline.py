@@ -173,11 +173,13 @@ def test_panoramas_in_files_make_the_same_model(tiny_run: TrainingRun, tmp_path:
 def test_a_finished_training_is_not_trained_again(
         tiny_run: TrainingRun, tmp_path: Path) -> None:
     shutil.copytree(tiny_run.out, tmp_path / 'out')
+    (tmp_path / 'out' / 'field.ckpt').touch()  # Killed after the field was written.
     stages: set[str] = set()
     again = train_tiny(tiny_run.out.parent / 'scene', tmp_path / 'out',
                        progress=lambda stage, *rest: stages.add(stage))
     assert stages == {'scoring'}
     assert again.figures == tiny_run.figures and again.seconds == tiny_run.seconds
+    assert not (tmp_path / 'out' / 'field.ckpt').exists()
 
 
 def test_photos_alone_are_enough(tiny_run: TrainingRun, tmp_path: Path) -> None:
@@ -203,10 +205,14 @@ def test_photos_alone_are_enough(tiny_run: TrainingRun, tmp_path: Path) -> None:
     ({'view': ViewConfig((64, 64), (128, 128))}, ConfigError,
      'view.source: expected at most the size of the photos, 32x32 pixels .* got 64x64'),
     ({'scale': 0.25}, ConfigError, 'network: expected multiples of 16 pixels'),
-    ({'network': NetworkConfig(patch=5)}, ConfigError, 'network: expected multiples of 20'),
+    ({'network': NetworkConfig(patch=5)}, ConfigError, 'network: expected multiples of 10'),
     ({'view': ViewConfig((32, 32), (96, 96))}, SceneError,
      'test frames: expected the wide view of the model, 96x96'),
-], ids=['photos smaller than the view', 'scale', 'patch', 'test frames of another view'])
+    ({'network': NetworkConfig(name='mat', width=48)}, ConfigError,
+     'network.width: mat expects a multiple of 32, got 48'),
+    ({'sampling': SamplingConfig(robot_radius=50)}, SceneError, 'sampling.robot_radius: expected'),
+], ids=['photos smaller than the view', 'scale', 'patch', 'test frames of another view',
+        'mat', 'no room for the robot'])
 def test_settings_that_cannot_end_well_are_refused_at_once(
         tiny_run: TrainingRun, tmp_path: Path, changes: dict[str, Any],
         error: type[NeoError], message: str) -> None:

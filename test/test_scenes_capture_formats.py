@@ -14,6 +14,8 @@ from neo_ros.scenes.capture import Capture
 from neo_ros.scenes.capture_writing import write_capture
 from neo_ros.scenes.colmap import read_colmap
 from neo_ros.scenes.formats import CaptureFormat, detect_format, FOLDER_READERS
+from neo_ros.scenes.importing import import_transforms
+from neo_ros.scenes.levelling import level
 from neo_ros.scenes.photos import read_photos
 from neo_ros.scenes.scannet import read_scannet
 from neo_ros.scenes.scene import read_scene
@@ -22,6 +24,7 @@ from neo_ros.scenes.trajectory import read_trajectory
 from neo_ros.scenes.transforms_capture import read_transforms_capture
 import numpy as np
 import pytest
+import zstandard
 
 FORMATS: dict[str, tuple[Callable[..., Path], CaptureFormat]] = {
     'transforms': (write_transforms_capture, CaptureFormat.TRANSFORMS),
@@ -54,6 +57,33 @@ def test_every_format_gives_the_same_scene(tmp_path: Path, write: Callable[..., 
     np.testing.assert_array_equal(found.read_images(), photos.images)
     assert found.path_ids == ((0, 0, 0, 1, 1) if format_ == CaptureFormat.SEVEN_SCENES
                               else (0,) * 5)
+
+
+@pytest.mark.parametrize('whole_folder', [True, False], ids=['folder', 'file'])
+def test_a_bag_that_rosbag2_compressed_as_files_is_a_bag(
+        tmp_path: Path, whole_folder: bool) -> None:
+    source = write_bag(tmp_path / 'source', demo_photos())
+    plain, = source.glob('*.mcap')
+    packed = plain.with_name(plain.name + '.zstd')
+    packed.write_bytes(zstandard.ZstdCompressor().compress(plain.read_bytes()))
+    plain.unlink()
+    capture = read(source if whole_folder else packed)
+    assert len(capture) == 5 and capture.posed
+
+
+@pytest.mark.parametrize('name, defined', [
+    ('scannet', True), ('bag', True), ('transforms', False), ('7scenes', False),
+    ('trajectory', False), ('colmap text', False)])
+def test_formats_that_define_up_say_so_in_the_scene(
+        tmp_path: Path, name: str, defined: bool) -> None:
+    write_capture(read(FORMATS[name][0](tmp_path / 'source', demo_photos())), tmp_path / 'scene')
+    assert read_scene(tmp_path / 'scene').train.z_up == defined
+    # A scene that is copied says it, too, and so does one that was levelled.
+    import_transforms(tmp_path / 'scene', tmp_path / 'copy')
+    copy = tmp_path / 'copy' / 'transforms_train.json'
+    assert read_scene(tmp_path / 'copy').train.z_up == defined
+    assert read_transforms_capture(copy).z_up == defined
+    assert level(read_transforms_capture(copy)).z_up
 
 
 def test_a_plain_folder_of_images_is_taken_for_photos(tmp_path: Path) -> None:

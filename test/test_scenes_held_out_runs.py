@@ -1,8 +1,10 @@
 """Runs of photos that are held back for tests."""
+import json
+
 from neo_ros.cli.main import app
 from neo_ros.errors import ConfigError, SceneError
 from neo_ros.geometry import Intrinsics
-from neo_ros.scenes.held_out_runs import GAP, middle_columns, split_runs
+from neo_ros.scenes.held_out_runs import GAP, hold_out_runs, middle_columns, split_runs
 from neo_ros.scenes.scene import read_scene
 from neo_ros.scenes.transforms_json import read_transforms
 import pytest
@@ -57,6 +59,26 @@ def test_the_import_holds_runs_back_again_and_again(capture, tmp_path):
     assert result.exit_code == 0, result.output
     trained = {path.name for path in found.train.image_paths}
     assert {path.name for path in read_scene(dev).test.image_paths} <= trained
+
+
+def test_an_import_without_test_runs_has_no_test_frames(capture, tmp_path):
+    scene = tmp_path / 'scene'
+    for options in (['--test-runs', '2'], []):
+        result = CliRunner().invoke(app, ['import', str(capture / 'transforms_train.json'),
+                                          str(scene), *options])
+        assert result.exit_code == 0, result.output
+    assert len(read_scene(scene).train) == 60 and read_scene(scene).test is None
+
+
+def test_runs_are_taken_in_the_order_of_the_names(capture):
+    file = capture / 'transforms_train.json'
+    document = json.loads(file.read_text())
+    in_order = split_runs(read_transforms(file), 3)
+    # As text 10.png comes before 2.png.
+    document['frames'].sort(key=lambda frame: frame['file_path'])
+    file.write_text(json.dumps(document))
+    for found, expected in zip(hold_out_runs(capture, 3), in_order):
+        assert found.image_paths == expected.image_paths
 
 
 def test_the_demo_has_test_frames_already(tmp_path):

@@ -70,6 +70,22 @@ def test_pictures_of_another_capture_are_not_taken_for_done(tmp_path: Path) -> N
                                   picture(CAMERA, 77))
 
 
+def test_another_capture_takes_away_what_an_earlier_one_left(
+        tmp_path: Path, source: Path, caplog: pytest.LogCaptureFixture) -> None:
+    scene = tmp_path / 'scene'
+    import_transforms(source, scene)
+    import_transforms(source, scene)
+    assert (scene / 'walkable.json').exists() and not (scene / 'walkable.old.json').exists()
+    write_capture(tmp_path / 'other', 4, images='test')
+    import_transforms(tmp_path / 'other', scene)
+    found = read_scene(scene)
+    assert len(found.train) == 4 and found.test is found.expansion is found.walkable is None
+    assert 'transforms_test.json of an earlier import is deleted' in caplog.text
+    # Perhaps it was made with care.
+    assert (scene / 'walkable.old.json').read_bytes() == (source / 'walkable.json').read_bytes()
+    assert 'rename it back, else run neo floor' in caplog.text
+
+
 def test_images_beside_the_folder_keep_apart(tmp_path: Path) -> None:
     source = tmp_path / 'source'
     write_capture(source, 2)

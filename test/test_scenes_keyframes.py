@@ -1,4 +1,5 @@
 """Sharp frames per step of the camera, and worlds with z up."""
+from dataclasses import replace
 import math
 from pathlib import Path
 
@@ -113,10 +114,14 @@ def hand_held(R_world: np.ndarray, count: int = 40) -> PosedImages:
 
 @pytest.mark.parametrize('up', [
     (0, 0, 1), (0, 1, 0), (1, 0, 0), (0, 0, -1), (0, -1, 0), (-1, 0, 0)], ids=str)
-def test_any_axis_may_point_up(up: tuple[int, int, int]) -> None:
+def test_any_axis_may_point_up(
+        up: tuple[int, int, int], caplog: pytest.LogCaptureFixture) -> None:
     R = rotation_between(np.array([0.0, 0.0, 1.0]), np.array(up, float))
     photos = hand_held(R)
     scene = stood_up(Scene('room', photos, photos.subset([3, 4]), None, None))
+    name = ('-' if sum(up) < 0 else '+') + 'xyz'[int(np.abs(up).argmax())]
+    said = f'room: the photos were held with {name} up: the world is turned'
+    assert (said in caplog.text) == (up != (0, 0, 1))
     np.testing.assert_allclose(scene.train.T_world_cam[:, 2, 3], 1.5, atol=1e-9)
     assert tilt(list(scene.train.poses)) < 1e-6
     assert scene.test is not None
@@ -132,3 +137,15 @@ def test_a_floor_map_says_which_way_is_up() -> None:
     floor = WalkableMap(0.5, (0.0, 0.0), np.ones((2, 2), bool), 1.0)
     scene = Scene('room', photos, None, None, floor)
     assert stood_up(scene) is scene
+
+
+def test_a_camera_on_its_side_does_not_turn_a_world_with_z_up(
+        caplog: pytest.LogCaptureFixture) -> None:
+    photos = hand_held(np.eye(3))
+    roll = np.eye(4)
+    roll[:3, :3] = rotation_from_vector(np.array([0.0, 0.0, math.pi / 2]))
+    rolled = replace(photos, z_up=True, poses=tuple(
+        CameraPose(pose.T_world_cam @ roll) for pose in photos.poses))
+    scene = Scene('room', rolled, None, None, None)
+    assert tilt(list(rolled.poses)) > 1
+    assert stood_up(scene) is scene and not caplog.text

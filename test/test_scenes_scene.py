@@ -38,3 +38,11 @@ def test_what_is_no_scene_is_told(tmp_path: Path) -> None:
     (tmp_path / 'walkable.json').write_text('{}')
     with pytest.raises(SceneError, match="walkable.json: expected the key 'width'"):
         read_scene(tmp_path)
+
+
+def test_photos_in_both_lists_are_named(tmp_path: Path) -> None:
+    write_capture(tmp_path, 3)
+    write_capture(tmp_path, 2, name='transforms_test.json')
+    with pytest.raises(SceneError, match=r'not trained on, got 2 that transforms_train.json has, '
+                                         r'too \(0.png, 1.png\); import the capture again'):
+        read_scene(tmp_path)

@@ -48,6 +48,7 @@ def test_what_a_foreign_file_leaves_out_is_filled_in(file: Path) -> None:
     document = change(file, fl_y=None, cx=None, cy=None, camera_model='OPENCV', k1=0.0, p2=0)
     for frame in document['frames']:
         del frame['path_id']
+        frame |= {'fl_x': 10.0, 'k1': 0.0, 'camera_model': 'OPENCV'}  # Said again, no other.
     change(file, fl_y=None, cx=None, cy=None, frames=document['frames'])
     found = read_transforms(file)
     assert found.intrinsics == Intrinsics(16, 12, 10, 10, 8, 6)
@@ -96,6 +97,13 @@ NAN_POSE = [[math.nan, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
     (lambda file: change(file, fl_y=0), 'intrinsics: fy: expected a focal length > 0'),
     (lambda file: change(file, h='tall'), 'intrinsics: .*tall'),
     (lambda file: change(file, k1=0.1, p1=-0.01), r"undistorted pinhole camera, got {'k1': 0.1"),
+    (lambda file: change(file, camera_model='OPENCV_FISHEYE'),
+     r"got {'camera_model': 'OPENCV_FISHEYE'}; make a scene of it with: neo import \S+ SCENE"),
+    (lambda file: change(file, is_fisheye=True), "got {'is_fisheye': True}; make a scene"),
+    (lambda file: change(file, fl_x=None, camera_angle_x=1.0), "'fl_x' .*make a scene of it"),
+    (with_frame('fl_x', 9.0),
+     r"frames\[1\]: expected the one camera .*{'fl_x': 9.0} .*neo import"),
+    (with_frame('k1', 0.1), r"frames\[1\]: expected the one camera of the file, got {'k1': 0.1}"),
     (lambda file: change(file, frames=[]), 'frames: expected a list with at least one frame'),
     (lambda file: change(file, frames={'0': 1}), 'frames: expected a list'),
     (lambda file: change(file, frames=['x']), r'frames\[0\]: string indices'),
@@ -107,7 +115,8 @@ NAN_POSE = [[math.nan, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
     (with_frame('file_path', None), r"frames\[1\]: expected the key 'file_path'"),
     (with_frame('path_id', 'first'), r'frames\[1\]: invalid literal'),
 ], ids=['missing', 'cut off', 'binary', 'a list', 'no width', 'no focal length', 'NaN focal',
-        'zero focal', 'text for a number', 'distorted', 'no frames', 'frames no list',
+        'zero focal', 'text for a number', 'distorted', 'fisheye model', 'fisheye flag',
+        'an angle', 'a second camera', 'a second lens', 'no frames', 'frames no list',
         'frame no object', 'NaN pose', 'mirrored pose', '2x2 pose', 'text pose', 'no pose',
         'no file', 'text path id'])
 def test_bad_files_are_refused_with_the_reason(

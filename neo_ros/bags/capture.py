@@ -82,7 +82,8 @@ def read_bag_capture(path: Path, image_topic: Optional[str] = None,
         raise BagError(f'{path}: expected a camera_info beside {image.name}, the poses need the '
                        'calibration that belongs to them; the bag has '
                        f'{describe_topics(_info_topics(path))}')
-    return Capture(tuple(frames), tuple(notes), _stream(path, image, places), origin_of(path))
+    return Capture(tuple(frames), tuple(notes), _stream(path, image, places), origin_of(path),
+                   z_up=pose_at is not None)  # REP-103
 
 
 def _pose_topics(reader: BagReader, wanted: Optional[str]) -> list[BagTopic]:

@@ -22,13 +22,14 @@ def export(
     from neo_ros.experiment import Experiment, read_experiment
     from neo_ros.model_variants import export_variants
     from neo_ros.pipeline import TrainingRun
-    from neo_ros.scenes.scene import read_scene
+    from neo_ros.scenes.levelling import read_upright_scene
     import rich
     from rich.markup import escape
     from rich.table import Table
 
     experiment = read_experiment(config) if config is not None else Experiment()
-    run = TrainingRun(read_scene(scene), experiment, out, lambda stage, done, total, note: None)
+    run = TrainingRun(read_upright_scene(scene), experiment, out,
+                      lambda stage, done, total, note: None)
     variants = export_variants(run, threads=threads)
     table = Table('format', 'file', 'MB', 'ms', 'ring dB', 'loss dB')
     best = max(variant.ring_psnr for variant in variants)

@@ -124,8 +124,10 @@ def _import_capture(source: Path, scene: Path, format_: Any, image_topic: Option
     else:
         angle = tilt([frame.pose for frame in capture.frames if frame.pose is not None])
         if angle > CLEARLY_TILTED:
+            which = (', which points up in this format; if it does not' if capture.z_up
+                     else '; if z shall point up')
             notes.append(f'the photos were held {math.degrees(angle):.0f} degrees from the '
-                         "world's z axis; if z shall point up, import with --level")
+                         f"world's z axis{which}, import with --level")
     if keyframe_distance is not None or keyframe_angle is not None:
         capture = keyframes(
             capture, keyframe_distance,

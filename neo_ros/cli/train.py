@@ -15,7 +15,8 @@ def train(
     )] = None,
     cache_gb: Annotated[float, typer.Option(
         help='Keep up to so many GB of panoramas in files of OUT instead of in memory; a training '
-        'that was broken off reads them back.', min=0)] = 0.0,
+        'that was broken off reads them back. Several processes keep so many each.', min=0,
+    )] = 0.0,
 ) -> None:
     """
     Fit the scene, render wide views of it, train the outpainter, make the memory, export.

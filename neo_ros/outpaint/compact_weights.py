@@ -4,6 +4,7 @@ Store a network's weights in a quarter of the space: int8 with one scale per out
 The rounding happens in torch, before the export, so that torch and the exported file are the same
 function; the graph multiplies the integers out once, when ONNX Runtime folds its constants.
 """
+import os
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +31,8 @@ def compact_weights(path: Path) -> None:
     """
     Replace the rounded float32 weights of an ONNX file by int8 and scales, exactly.
 
-    Weights that are not a multiple of their channel's scale are left as they are.
+    Weights that are not a multiple of their channel's scale are left as they are. A kill in
+    between leaves the old file whole.
     """
     model = onnx.load(path)
     graph, nodes = model.graph, []
@@ -51,7 +53,9 @@ def compact_weights(path: Path) -> None:
                   helper.make_node('Mul', [name + '_steps', name + '_scale'], [name])]
     for node in reversed(nodes):
         graph.node.insert(0, node)
-    onnx.save_model(model, str(path))
+    partial = path.with_suffix('.partial')
+    onnx.save_model(model, str(partial))
+    os.replace(partial, path)
 
 
 def _integers(weight: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:

@@ -95,11 +95,14 @@ def write_graph(function: ExportedFunction, expansion: ViewExpansion, path: Path
     partial = path.with_suffix('.partial')
     # It would warn of every operator of torchvision, which nothing here uses.
     logging.getLogger('torch.onnx._internal.exporter._registration').setLevel(logging.ERROR)
-    torch.onnx.export(function, (example,), str(partial), input_names=['image'],
-                      output_names=['wide', 'confidence'], opset_version=OPSET,
-                      dynamo=True, external_data=False, verbose=False)
-    _clean_graph(partial)
-    os.replace(partial, path)
+    try:
+        torch.onnx.export(function, (example,), str(partial), input_names=['image'],
+                          output_names=['wide', 'confidence'], opset_version=OPSET,
+                          dynamo=True, external_data=False, verbose=False)
+        _clean_graph(partial)
+        os.replace(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)
 
 
 def _clean_graph(path: Path) -> None:

@@ -2,7 +2,8 @@
 from neo_ros.geometry import ViewExpansion
 from neo_ros.outpaint.lama import Lama
 from neo_ros.outpaint.mat import Mat
-from neo_ros.outpaint.network import check_fits, NetworkConfig, Outpainter
+from neo_ros.outpaint.network import NetworkConfig, Outpainter
+import torch
 from torch import nn
 
 
@@ -21,6 +22,6 @@ def build_network(expansion: ViewExpansion, config: NetworkConfig) -> nn.Module:
 
 
 def check_network(expansion: ViewExpansion, config: NetworkConfig) -> None:
-    """Raise ConfigError for sizes that the network cannot take; only neo_fast has such."""
-    if config.name == 'neo_fast':
-        check_fits(expansion, config)
+    """Raise ConfigError for settings and sizes that make no network; costs no memory."""
+    with torch.device('meta'):
+        build_network(expansion, config)

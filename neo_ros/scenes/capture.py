@@ -51,12 +51,14 @@ class Capture:
     stream  yields (index, RGB uint8 (H, W, 3) or None if unreadable) for indices, in any order;
             None for frames that are files
     origin  what tells the source of a stream from any other one
+    z_up    the format says that the world's z axis points up
     """
 
     frames: tuple[CapturedFrame, ...]
     notes: tuple[str, ...] = ()
     stream: Optional[ImageStream] = None
     origin: str = ''
+    z_up: bool = False
 
     def __len__(self) -> int:
         return len(self.frames)

@@ -14,6 +14,7 @@ from neo_ros.scenes.capture import (
     Capture, CapturedFrame, listed, no_progress, photo_size, Progress)
 from neo_ros.scenes.lens import common_pinhole, Lens, Straightener
 from neo_ros.scenes.posed_images import PosedImages
+from neo_ros.scenes.scene import clear_earlier_import
 from neo_ros.scenes.transforms_json import write_transforms
 import numpy as np
 
@@ -28,9 +29,9 @@ def write_capture(capture: Capture, scene: Path, progress: Progress = no_progres
 
     Image files of a camera without distortion are copied as they are; all others are made
     straight and written as PNG. Frames whose image cannot be read are named in a warning and
-    left out. An import that was broken off goes on where it stopped. Raises SceneError where no
-    image can be read, for images whose size is not their camera's, and where the folder cannot
-    be written.
+    left out. An import that was broken off goes on where it stopped; test frames and floor map of
+    an earlier one are taken away. Raises SceneError where no image can be read, for images whose
+    size is not their camera's, and where the folder cannot be written.
     """
     assert capture.posed, 'structure from motion comes first'
     names, pinhole = write_images(capture, scene, progress)
@@ -38,7 +39,8 @@ def write_capture(capture: Capture, scene: Path, progress: Progress = no_progres
     images = PosedImages(
         pinhole, tuple(scene / str(names[index]) for index in kept),
         tuple(pose for index in kept if (pose := capture.frames[index].pose) is not None),
-        tuple(capture.frames[index].path_id for index in kept))
+        tuple(capture.frames[index].path_id for index in kept), capture.z_up)
+    clear_earlier_import(scene)
     write_transforms(scene / 'transforms_train.json', images)
     return images
 

@@ -36,7 +36,7 @@ FOLDER_READERS = {
     CaptureFormat.PHOTOS: read_photos,
     CaptureFormat.VIDEO: read_video,
 }
-_BAG_SUFFIXES = ('.mcap', '.db3')
+_BAG_SUFFIXES = ('.mcap', '.db3', '.mcap.zstd', '.db3.zstd')
 
 
 def detect_format(source: Path) -> CaptureFormat:
@@ -49,7 +49,7 @@ def detect_format(source: Path) -> CaptureFormat:
     if source.is_file():
         if source.suffix == '.json':
             return CaptureFormat.TRANSFORMS
-        if source.suffix in _BAG_SUFFIXES:
+        if source.name.endswith(_BAG_SUFFIXES):
             return CaptureFormat.BAG
         if source.suffix.lower() in VIDEO_SUFFIXES:
             return CaptureFormat.VIDEO

@@ -1,8 +1,10 @@
 """Hold photos of a capture back, so that a model of it can be scored."""
+from dataclasses import replace
 from pathlib import Path
 
 from neo_ros.errors import SceneError
 from neo_ros.geometry import Intrinsics, ViewExpansion
+from neo_ros.scenes.capture import natural_key
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.transforms_json import read_transforms, write_transforms
 
@@ -23,7 +25,9 @@ def hold_out_runs(scene: Path, count: int) -> tuple[PosedImages, PosedImages]:
     transforms_test.json. Raises SceneError for captures that are too short.
     """
     photos = read_transforms(scene / 'transforms_train.json')
-    train, test = split_runs(photos, count)
+    # Files list photos in any order; their names count them as they were taken.
+    order = sorted(range(len(photos)), key=lambda i: natural_key(str(photos.image_paths[i])))
+    train, test = split_runs(photos.subset(order), count)
     # In this order: photos must never be in both.
     write_transforms(scene / 'transforms_train.json', train)
     write_transforms(scene / 'transforms_test.json', test, middle_columns(test.intrinsics))
@@ -43,8 +47,7 @@ def split_runs(photos: PosedImages, count: int) -> tuple[PosedImages, PosedImage
     apart = {index for start in starts for index in range(start - GAP, start + length + GAP)}
     test = photos.subset(sorted(held))
     return (photos.subset([index for index in range(total) if index not in apart]),
-            PosedImages(test.intrinsics, test.image_paths, test.poses,
-                        tuple(held[index] for index in sorted(held))))
+            replace(test, path_ids=tuple(held[index] for index in sorted(held))))
 
 
 def middle_columns(photo: Intrinsics) -> ViewExpansion:

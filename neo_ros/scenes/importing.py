@@ -1,4 +1,5 @@
 """Bring a capture into the scene format: read everything once, copy what is good."""
+from dataclasses import replace
 import filecmp
 import os
 from pathlib import Path
@@ -7,6 +8,7 @@ from typing import Callable
 
 from neo_ros.errors import SceneError
 from neo_ros.scenes.posed_images import PosedImages, read_rgb_image
+from neo_ros.scenes.scene import clear_earlier_import
 from neo_ros.scenes.transforms_json import read_input_crop, read_transforms, write_transforms
 
 
@@ -17,8 +19,9 @@ def import_transforms(source: Path, scene: Path,
 
     transforms_train.json (or transforms.json) and transforms_test.json with their images, and
     walkable.json. Images that are there already are not copied again, so that a broken-off
-    import goes on; images from beside the folder ('../photos/1.png') come to 'beside/'. Raises
-    SceneError for images that cannot be read or have another size.
+    import goes on; images from beside the folder ('../photos/1.png') come to 'beside/'. Test
+    frames and floor map of an earlier import are taken away. Raises SceneError for images that
+    cannot be read or have another size.
     """
     if not source.is_dir():
         raise SceneError(f'{source}: expected a folder with transforms_train.json or '
@@ -36,16 +39,20 @@ def import_transforms(source: Path, scene: Path,
         raise SceneError(f'{source}: expected transforms_train.json or transforms.json')
     total = sum(len(images) for images in found.values())
     done = 0
+    copied: dict[str, PosedImages] = {}
     for name, images in found.items():
-        copied = []
+        paths = []
         for path in images.image_paths:
-            copied.append(_copy_image(path, source, scene, images))
+            paths.append(_copy_image(path, source, scene, images))
             done += 1
             progress(done, total)
-        kept = PosedImages(images.intrinsics, tuple(copied), images.poses, images.path_ids)
-        write_transforms(scene / names[name], kept, read_input_crop(source / name))
-    if (source / 'walkable.json').is_file():
-        shutil.copyfile(source / 'walkable.json', scene / 'walkable.json')
+        copied[name] = replace(images, image_paths=tuple(paths))
+    floor = source / 'walkable.json'
+    clear_earlier_import(scene, has_floor=floor.is_file())
+    if floor.is_file():
+        shutil.copyfile(floor, scene / floor.name)
+    for name, images in copied.items():
+        write_transforms(scene / names[name], images, read_input_crop(source / name))
 
 
 def _copy_image(path: Path, source: Path, scene: Path, images: PosedImages) -> Path:

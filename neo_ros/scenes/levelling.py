@@ -1,14 +1,17 @@
 """Which way is up: turn a world so that z points up."""
 from dataclasses import replace
+import logging
 import math
+from pathlib import Path
 
 from neo_ros.geometry import CameraPose
 from neo_ros.geometry.camera_pose import rotation_from_vector
 from neo_ros.scenes.capture import Capture
 from neo_ros.scenes.posed_images import PosedImages
-from neo_ros.scenes.scene import Scene
+from neo_ros.scenes.scene import read_scene, Scene
 import numpy as np
 
+logger = logging.getLogger(__name__)
 # A world whose estimated up is farther from +z than this was not levelled by anyone.
 CLEARLY_TILTED = math.radians(30)
 
@@ -41,7 +44,7 @@ def level(capture: Capture, scale: float = 1.0) -> Capture:
     """
     Turn the world of a posed capture about its origin so that z points up, and scale it.
 
-    Only poses change.
+    Only poses change, and up is known from now on.
     """
     poses = [frame.pose for frame in capture.frames if frame.pose is not None]
     T = np.eye(4)
@@ -51,21 +54,33 @@ def level(capture: Capture, scale: float = 1.0) -> Capture:
         T_world_cam = T @ pose.T_world_cam
         T_world_cam[:3, 3] *= scale
         levelled.append(CameraPose(T_world_cam))
-    return replace(capture, frames=tuple(
+    return replace(capture, z_up=True, frames=tuple(
         replace(frame, pose=pose) for frame, pose in zip(capture.frames, levelled)))
+
+
+def read_upright_scene(folder: Path) -> Scene:
+    """Read a scene folder with z up, as trainings do; see `read_scene` and `stood_up`."""
+    return stood_up(read_scene(folder))
 
 
 def stood_up(scene: Scene) -> Scene:
     """
     Turn a scene whose world has another axis up so that z is up; by quarter turns only.
 
-    The axis nearest to the estimated up is taken. A scene with a floor map has z up by
-    definition and stays as it is.
+    The axis nearest to the estimated up is taken, and the log says so. A scene with a floor map,
+    or whose file says `z_up`, has z up by definition and stays as it is.
     """
-    up = estimate_up(list(scene.train.poses))
-    axis = np.eye(3)[np.abs(up).argmax()] * np.sign(up[np.abs(up).argmax()])
-    if scene.walkable is not None or axis[2] == 1:
+    if scene.walkable is not None or scene.train.z_up:
         return scene
+    up = estimate_up(list(scene.train.poses))
+    nearest = int(np.abs(up).argmax())
+    axis = np.eye(3)[nearest] * np.sign(up[nearest])
+    if axis[2] == 1:
+        return scene
+    logger.warning(
+        '%s: the photos were held with %s%s up: the world is turned so that z points up; if it '
+        'did already, write "z_up": true into transforms_train.json', scene.name,
+        '-' if axis[nearest] < 0 else '+', 'xyz'[nearest])
     T = np.eye(4)
     T[:3, :3] = rotation_between(axis, np.array([0.0, 0.0, 1.0])).round()
 

@@ -17,12 +17,14 @@ class PosedImages:
     image_paths  files of `intrinsics` size
     poses        one CameraPose (OpenCV camera axes, metres) per image
     path_ids     which walk or run each image belongs to; scores are averaged over these
+    z_up         the world's z axis points up by definition, however the photos were held
     """
 
     intrinsics: Intrinsics
     image_paths: tuple[Path, ...]
     poses: tuple[CameraPose, ...]
     path_ids: tuple[int, ...]
+    z_up: bool = False
 
     def __post_init__(self) -> None:
         counts = {len(self.image_paths), len(self.poses), len(self.path_ids)}

@@ -45,7 +45,7 @@ def read_scannet(source: Path) -> Capture:
     if not frames:
         raise SceneError(f'{source}: none of the {len(photos)} images has a pose: '
                          f'{len(lost)} lost, {len(without)} without a file in pose/')
-    return Capture(tuple(frames), tuple(notes))
+    return Capture(tuple(frames), tuple(notes), z_up=True)
 
 
 def _intrinsics(path: Path, width: int, height: int) -> Intrinsics:

@@ -1,13 +1,17 @@
 """A scene folder: training photos, and where there are any, wide test truth and a floor map."""
 from dataclasses import dataclass
+import logging
 from pathlib import Path
 from typing import Optional
 
 from neo_ros.errors import SceneError
 from neo_ros.geometry import ViewExpansion
+from neo_ros.scenes.capture import listed
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.transforms_json import read_input_crop, read_transforms
 from neo_ros.scenes.walkable import read_walkable, WalkableMap
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -41,9 +45,38 @@ def read_scene(folder: Path) -> Scene:
     test_file = folder / 'transforms_test.json'
     has_test = test_file.is_file()
     walkable_file = folder / 'walkable.json'
+    train = read_transforms(train_file)
+    test = read_transforms(test_file) if has_test else None
+    if test is not None:
+        shared = sorted(set(train.image_paths) & set(test.image_paths))
+        if shared:
+            raise SceneError(
+                f'{test_file}: expected test frames that are not trained on, got {len(shared)} '
+                f'that {train_file.name} has, too ({listed([path.name for path in shared])}); '
+                'import the capture again')
     return Scene(
-        name=folder.resolve().name,
-        train=read_transforms(train_file),
-        test=read_transforms(test_file) if has_test else None,
+        name=folder.resolve().name, train=train, test=test,
         expansion=read_input_crop(test_file) if has_test else None,
         walkable=read_walkable(walkable_file) if walkable_file.is_file() else None)
+
+
+def clear_earlier_import(folder: Path, has_floor: bool = False) -> None:
+    """
+    Take what an earlier import left away, before another training list is written.
+
+    Test frames are deleted, as the new list may hold the same photos. A floor map, unless the
+    new import has one, is set aside: it belongs to the world of the earlier one. The log says so.
+    Raises SceneError where the folder cannot be changed.
+    """
+    test_file, floor = folder / 'transforms_test.json', folder / 'walkable.json'
+    try:
+        if test_file.exists():
+            test_file.unlink()
+            logger.warning('%s of an earlier import is deleted', test_file)
+        if floor.exists() and not has_floor:
+            floor.replace(folder / 'walkable.old.json')
+            logger.warning('%s of an earlier import is set aside as walkable.old.json; if the '
+                           'world is still the same, rename it back, else run neo floor', floor)
+    except OSError as error:
+        raise SceneError(f'{folder}: cannot remove what an earlier import left: '
+                         f'{error.strerror}; choose another scene folder') from error

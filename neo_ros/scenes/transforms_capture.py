@@ -17,11 +17,12 @@ from neo_ros.scenes.capture import (
     Capture, CapturedFrame, first_photo_size, listed, PHOTO_SUFFIXES)
 from neo_ros.scenes.lens import Lens
 from neo_ros.scenes.pose_files import pose_or_lost
+from neo_ros.scenes.transforms_json import STRAIGHT_MODELS
 import numpy as np
 
 TRANSFORMS_FILE = 'transforms.json'
 _FISHEYE = 'OPENCV_FISHEYE'
-_MODELS = ('', 'PINHOLE', 'SIMPLE_PINHOLE', 'OPENCV', 'SIMPLE_RADIAL', 'RADIAL', _FISHEYE)
+_MODELS = (*STRAIGHT_MODELS, _FISHEYE)
 
 
 def read_transforms_capture(source: Path) -> Capture:
@@ -70,7 +71,7 @@ def read_transforms_capture(source: Path) -> Capture:
         notes.append(f'{len(missing)} listed images are missing and left out: {listed(missing)}')
     if lost:
         notes.append(f'{len(lost)} frames have no finite pose and are left out: {listed(lost)}')
-    return Capture(tuple(frames), tuple(notes))
+    return Capture(tuple(frames), tuple(notes), z_up=document.get('z_up') is True)
 
 
 def _image_file(path: Path, index: int, entry: Any) -> Optional[Path]:

@@ -1,7 +1,8 @@
 """
 Read and write the scene format: nerfstudio / instant-ngp `transforms_*.json`.
 
-Camera-to-world 4x4 matrices with OpenGL camera axes, metres, pixel centres at +0.5.
+Camera-to-world 4x4 matrices with OpenGL camera axes, metres, pixel centres at +0.5. One pinhole
+camera for all: files of other cameras are for `transforms_capture`, which `neo import` uses.
 """
 import json
 import logging
@@ -14,6 +15,11 @@ from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
 from neo_ros.scenes.posed_images import PosedImages
 
 logger = logging.getLogger(__name__)
+# Values of `camera_model` that keep straight lines straight where all distortion is zero.
+STRAIGHT_MODELS = ('', 'PINHOLE', 'SIMPLE_PINHOLE', 'OPENCV', 'SIMPLE_RADIAL', 'RADIAL')
+_BENDING_KEYS = ('k1', 'k2', 'k3', 'k4', 'p1', 'p2', 'is_fisheye')
+_CAMERA_KEYS = ('camera_model', 'w', 'h', 'fl_x', 'fl_y', 'cx', 'cy', 'camera_angle_x',
+                *_BENDING_KEYS)
 
 
 def read_transforms(path: Path) -> PosedImages:
@@ -21,7 +27,8 @@ def read_transforms(path: Path) -> PosedImages:
     Read one transforms file; image paths are relative to it.
 
     Listed files that are missing are named in a warning and skipped. Raises SceneError for
-    files that are not such JSON, distorted cameras and poses that are no rigid transforms.
+    files that are not such JSON, distorted cameras, several cameras, and poses that are no rigid
+    transforms.
     """
     document = _read_json(path)
     intrinsics = _read_intrinsics(document, path)
@@ -34,6 +41,7 @@ def read_transforms(path: Path) -> PosedImages:
             image_path = path.parent / frame['file_path']
             pose = CameraPose.from_opengl(frame['transform_matrix'])
             path_id = int(frame.get('path_id', 0))
+            _check_camera_of_frame(frame, document, path)
         except KeyError as error:
             raise SceneError(f'{path}: frames[{index}]: expected the key {error}') from error
         except (TypeError, ValueError) as error:
@@ -49,7 +57,8 @@ def read_transforms(path: Path) -> PosedImages:
                        path, len(missing), ', '.join(missing[:5]))
     if not image_paths:
         raise SceneError(f'{path}: none of the {len(frames)} listed images exists')
-    return PosedImages(intrinsics, tuple(image_paths), tuple(poses), tuple(path_ids))
+    return PosedImages(intrinsics, tuple(image_paths), tuple(poses), tuple(path_ids),
+                       document.get('z_up') is True)
 
 
 def read_input_crop(path: Path) -> Optional[ViewExpansion]:
@@ -78,6 +87,8 @@ def write_transforms(path: Path, images: PosedImages,
         'camera_model': 'PINHOLE', 'w': camera.width, 'h': camera.height,
         'fl_x': camera.fx, 'fl_y': camera.fy, 'cx': camera.cx, 'cy': camera.cy,
         'note': 'camera-to-world, OpenGL axes (+X right, +Y up, +Z back), metres'}
+    if images.z_up:
+        document['z_up'] = True
     if expansion is not None:
         document['input_crop'] = {
             'x': expansion.left, 'y': expansion.top,
@@ -107,18 +118,33 @@ def _read_json(path: Path) -> dict[str, Any]:
     return document
 
 
+def _check_camera_of_frame(frame: dict[str, Any], document: dict[str, Any], path: Path) -> None:
+    own = {key: frame[key] for key in _CAMERA_KEYS
+           if key in frame and (frame[key] or 0) != (document.get(key) or 0)}
+    if own:
+        raise SceneError(
+            f'expected the one camera of the file, got {own} of its own; {_advice(path)}')
+
+
 def _read_intrinsics(document: dict[str, Any], path: Path) -> Intrinsics:
-    distortion = {key: document[key] for key in ('k1', 'k2', 'k3', 'k4', 'p1', 'p2')
-                  if document.get(key)}
-    if distortion:
-        raise SceneError(f'{path}: expected an undistorted pinhole camera, got {distortion}; '
-                         'undistort the images first')
+    bending = {key: document[key] for key in _BENDING_KEYS if document.get(key)}
+    if (document.get('camera_model') or '') not in STRAIGHT_MODELS:
+        bending['camera_model'] = document['camera_model']
+    if bending:
+        raise SceneError(f'{path}: expected an undistorted pinhole camera, got {bending}; '
+                         f'{_advice(path)}')
     try:
         width, height = int(document['w']), int(document['h'])
         return Intrinsics(width, height, document['fl_x'],
                           document.get('fl_y', document['fl_x']),
                           document.get('cx', width / 2), document.get('cy', height / 2))
     except KeyError as error:
-        raise SceneError(f'{path}: expected the key {error} (pixels)') from error
+        raise SceneError(
+            f'{path}: expected the key {error} (pixels); {_advice(path)}') from error
     except (TypeError, ValueError) as error:
         raise SceneError(f'{path}: intrinsics: {error}') from error
+
+
+def _advice(path: Path) -> str:
+    # The file itself: a folder with transforms_train.json would be taken for a scene again.
+    return f'make a scene of it with: neo import {path} SCENE'

@@ -1,0 +1,39 @@
+"""Checksums of what a training is made of: written again, the same scene has the same ones."""
+import hashlib
+
+from neo_ros.geometry import ViewExpansion
+from neo_ros.scenes.posed_images import PosedImages
+from neo_ros.scenes.walkable import WalkableMap
+
+
+def list_digest(images: PosedImages, window: ViewExpansion | None = None) -> str:
+    """
+    Return the sha256 of a list of images; their pixels are not looked at.
+
+    It counts names, poses to a micrometre, path ids, the camera, and the source window of wide
+    truth.
+    """
+    camera = images.intrinsics
+    lines = [f'{camera.width} {camera.height} ' + _numbers(
+        [camera.fx, camera.fy, camera.cx, camera.cy])]
+    if window is not None:
+        lines.append(f'{window.left} {window.top} {window.source.width} {window.source.height}')
+    lines += [f'{path.name} {path_id} {_numbers(pose.T_world_cam[:3].ravel())}'
+              for path, pose, path_id in zip(images.image_paths, images.poses, images.path_ids)]
+    return _sha256('\n'.join(lines).encode())
+
+
+def floor_digest(floor: WalkableMap) -> str:
+    """Return the sha256 of a floor map."""
+    rows, columns = floor.cells.shape
+    numbers = _numbers([floor.resolution, *floor.origin, floor.camera_height, floor.clearance])
+    return _sha256(f'{rows} {columns} {numbers}\n'.encode() + floor.cells.tobytes())
+
+
+def _sha256(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
+
+
+def _numbers(values: object) -> str:
+    # Adding zero makes -0 one with 0.
+    return ' '.join(f'{round(float(value), 6) + 0.0:.6f}' for value in values)  # type: ignore

@@ -1,0 +1,51 @@
+"""What can be found wrong with a training before any of its work is done."""
+from typing import TYPE_CHECKING
+
+from neo_ros.errors import ConfigError
+from neo_ros.evaluation.evaluate import TruthFrames
+from neo_ros.field.device import chosen_device
+from neo_ros.outpaint.distributed import processes
+from neo_ros.outpaint.fitting import outpaint_device, share_of_batch
+from neo_ros.outpaint.networks import check_network
+from neo_ros.outpaint.perceptual import fetch_weights
+from neo_ros.outpaint.real_centres import check_focal_length
+from neo_ros.outpaint.training_log import TrainingLog
+from neo_ros.training_views import make_sampler
+
+if TYPE_CHECKING:
+    from neo_ros.pipeline import TrainingRun
+
+
+def check_settings(run: 'TrainingRun') -> None:
+    """Raise NeoError where view, network and test frames do not fit the photos."""
+    photo = run.scene.train.intrinsics.scaled(run.experiment.scale)
+    source = run.expansion.source
+    if source.width > photo.width or source.height > photo.height:
+        raise ConfigError(
+            f'view.source: expected at most the size of the photos, {photo.width}x'
+            f'{photo.height} pixels at this scale, got {source.width}x{source.height}')
+    check_network(run.expansion, run.experiment.network)
+    if run.scene.test is not None:
+        TruthFrames(run.scene.test, run.expansion)
+
+
+def check_training(run: 'TrainingRun') -> None:
+    """
+    Raise NeoError where scene or machine lack what the last steps of a training need.
+
+    What was trained elsewhere is exported without such things: a GPU, weights of LPIPS.
+    """
+    rank, world = processes()
+    config, area = run.experiment.outpaint, run.experiment.sampling.area
+    chosen_device(run.experiment.field.device)
+    outpaint_device(config.device, rank)
+    share_of_batch(config.batch, world)
+    if config.real_centre > 0:
+        check_focal_length(run.scene.train.intrinsics.scaled(run.experiment.scale),
+                           run.expansion.target)
+    if area == 'walkable' or (area == 'auto' and run.scene.walkable is not None):
+        make_sampler(run, None)  # Only free_space needs the field.
+    if config.tensorboard:
+        TrainingLog(run.out / 'tensorboard')
+    if config.perceptual > 0 and rank == 0:
+        fetch_weights()

@@ -1,0 +1,83 @@
+"""What is refused before a training begins: settings, machines, folders of other runs."""
+from dataclasses import replace
+import json
+from pathlib import Path
+import sys
+from typing import Any
+
+from neo_ros import training_checks
+from neo_ros.errors import ConfigError, ModelError, NeoError
+from neo_ros.geometry import Intrinsics, ViewExpansion
+from neo_ros.pipeline import claim, train, TrainingRun
+from neo_ros.scenes.pose_sampling import SamplingConfig
+import pytest
+from tiny_training import TINY
+import torch
+
+
+def refuse_weights() -> None:
+    raise ModelError('LPIPS weights: go online once')
+
+
+@pytest.mark.parametrize('changes, message', [
+    ({'field': replace(TINY.field, device='cuda')}, 'field.device: cuda needs a GPU'),
+    ({'outpaint': replace(TINY.outpaint, device='cuda')},
+     'outpaint.device: expected a CUDA device, there is none'),
+    ({'outpaint': replace(TINY.outpaint, batch=5)}, 'outpaint.batch: expected a multiple of 2'),
+    ({'outpaint': replace(TINY.outpaint, tensorboard=True)},
+     'outpaint.tensorboard: the package tensorboard is not installed'),
+    ({'outpaint': replace(TINY.outpaint, perceptual=0.1)}, 'LPIPS weights: go online once'),
+], ids=['GPU for the field', 'GPU for the network', 'processes', 'tensorboard', 'LPIPS'])
+def test_a_machine_that_cannot_train_says_so_at_once(
+        tiny_run: TrainingRun, monkeypatch: pytest.MonkeyPatch, changes: dict[str, Any],
+        message: str) -> None:
+    monkeypatch.setattr(torch.cuda, 'is_available', lambda: False)
+    monkeypatch.setattr(training_checks, 'processes', lambda: (0, 2))
+    monkeypatch.setattr(training_checks, 'fetch_weights', refuse_weights)
+    monkeypatch.setitem(sys.modules, 'torch.utils.tensorboard', None)
+    run = TrainingRun(
+        tiny_run.scene, replace(TINY, **changes), tiny_run.out, tiny_run.progress)
+    with pytest.raises(NeoError, match=message):
+        training_checks.check_training(run)
+
+
+def test_a_scene_that_cannot_be_trained_as_asked_says_so_at_once(tiny_run: TrainingRun) -> None:
+    far = ViewExpansion.to_size(Intrinsics(32, 32, 20, 20, 16, 16), 64, 64)
+    cases: list[tuple[dict[str, Any], SamplingConfig, str]] = [
+        ({'test': None, 'expansion': far}, TINY.sampling, 'real_centre: .* focal length'),
+        ({'walkable': None}, SamplingConfig(area='walkable'), 'walkable needs walkable.json')]
+    for changes, sampling, message in cases:
+        run = TrainingRun(replace(tiny_run.scene, **changes), replace(TINY, sampling=sampling),
+                          tiny_run.out, tiny_run.progress)
+        with pytest.raises(ConfigError, match=message):
+            training_checks.check_training(run)
+
+
+@pytest.mark.parametrize('changes, message', [
+    ({'train': 'fewer'}, "photos': '[0-9a-f]{12}'.*got a run of"),
+    ({'train': 'moved'}, "photos': '[0-9a-f]{12}'.*got a run of"),
+    ({'walkable': 'lower'}, "floor': '[0-9a-f]{12}'.*got a run of"),
+    ({'walkable': None}, "floor': None.*got a run of"),
+], ids=['fewer photos', 'other poses', 'another floor', 'no floor'])
+def test_a_folder_of_the_scene_as_it_was_is_refused(
+        tiny_run: TrainingRun, changes: dict[str, Any], message: str) -> None:
+    scene = tiny_run.scene
+    assert scene.walkable is not None
+    claim(tiny_run.out, scene, TINY)
+    others: dict[Any, Any] = {
+        'fewer': scene.train.subset(range(59)),
+        'moved': replace(scene.train, poses=scene.train.poses[::-1]),
+        'lower': replace(scene.walkable, camera_height=0.5), None: None}
+    with pytest.raises(ConfigError, match=message):
+        claim(tiny_run.out, replace(
+            scene, **{name: others[value] for name, value in changes.items()}), TINY)
+
+
+def test_a_folder_of_an_older_version_is_taken_when_the_user_says_so(
+        tiny_run: TrainingRun, tmp_path: Path) -> None:
+    note = tmp_path / 'run.json'
+    note.write_text(json.dumps({'scene': 'scene', 'config_hash': TINY.config_hash}))
+    with pytest.raises(ConfigError, match='of an older neo_ros, which did not note') as caught:
+        train(tiny_run.out.parent / 'scene', TINY, tmp_path)
+    note.write_text(str(caught.value).split('run.json: ')[1])
+    claim(tmp_path, tiny_run.scene, TINY)
