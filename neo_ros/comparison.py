@@ -1,20 +1,19 @@
 """Several experiments on one scene, side by side: networks at equal time, ablations."""
 from dataclasses import asdict, dataclass, replace
 import json
-import os
 from pathlib import Path
 import statistics
 import time
 from typing import Any, Optional, Sequence
 
 from neo_ros.errors import ConfigError
-from neo_ros.evaluation.output import make_output_folder, write_bytes
+from neo_ros.evaluation.output import make_output_folder, share_file, write_bytes
 from neo_ros.evaluation.report import Plot, Section, Series, Table, Text, write_report
 from neo_ros.evaluation.speed_runtime import noise_image
 from neo_ros.experiment import Experiment, read_experiment
 from neo_ros.pipeline import claim, Progress, train
 from neo_ros.runtime import FovExtrapolator
-from neo_ros.scenes.scene import read_scene
+from neo_ros.scenes.levelling import read_upright_scene
 
 # What of an experiment decides its field: those that agree in it share one.
 FIELD_SETTINGS = ('seed', 'scale', 'field')
@@ -52,7 +51,8 @@ def compare(scene_folder: Path, configs: Sequence[Path], out: Path,
     minutes or steps, where given, replace those of all experiments; with several minutes each is
     trained once for each of them. None has a scene memory.
     Experiments whose fields agree share the first one's. What is finished is not done again: a
-    run that was broken off goes on. Raises ConfigError for files of one name.
+    run that was broken off goes on. Raises ConfigError for files of one name, and where `out`
+    holds a run of other settings or of another scene.
     """
     names = [path.stem for path in configs]
     if len(set(names)) != len(names):
@@ -62,17 +62,19 @@ def compare(scene_folder: Path, configs: Sequence[Path], out: Path,
             read_experiment(path), length, steps)
         for path in configs for length in minutes or (None,)}
     make_output_folder(out)
+    scene = read_upright_scene(scene_folder)
     rows: list[Row] = []
     fields: dict[str, Path] = {}
     for name, experiment in experiments.items():
-        folder = out / name
+        folder = make_output_folder(out / name)
+        claim(folder, scene, experiment)
         rows.append(_finished_row(folder) or _trained_row(
             scene_folder, name, experiment, folder, fields, progress))
         fields.setdefault(_field_key(experiment), folder)
         written = marked_front(rows)
         write_bytes(out / 'comparison.json', json.dumps(
             [asdict(row) for row in written], indent=1).encode())
-        write_report(out / 'comparison.html', f'Experiments on {read_scene(scene_folder).name}',
+        write_report(out / 'comparison.html', f'Experiments on {scene.name}',
                      _sections(written, len(minutes) > 1))
     return marked_front(rows)
 
@@ -100,14 +102,11 @@ def _prepared(experiment: Experiment, minutes: Optional[float],
 
 def _trained_row(scene_folder: Path, name: str, experiment: Experiment, folder: Path,
                  fields: dict[str, Path], progress: Progress) -> Row:
-    make_output_folder(folder)
-    claim(folder, read_scene(scene_folder), experiment)
     shared = fields.get(_field_key(experiment))
     if shared is not None and not (folder / 'field.npz').exists():
         # The field last: where it is, its notes are.
         for file in ('field.json', 'field.npz'):
-            (folder / file).unlink(missing_ok=True)
-            os.link(shared / file, folder / file)
+            share_file(shared / file, folder / file)
 
     run = train(scene_folder, experiment, folder,
                 lambda stage, *rest: progress(f'{name}: {stage}', *rest))

@@ -38,8 +38,7 @@ def write_training_report(run: 'TrainingRun', field: RadianceField, scoring: 'Sc
     if scoring is not None:
         figures['oracle_whole_psnr'], figures['oracle_ring_psnr'] = _oracle(field, scoring)
         figures['ring_psnr'] = scoring.results[0].estimates['ring_psnr'].mean
-        sections += evaluation_sections(
-            run.scene.name, scoring.frames, scoring.methods, scoring.results)
+        sections += evaluation_sections(run.scene.name, scoring.frames, scoring.results)
         calibration = _calibration(run, scoring)
         sections += calibration.sections()
         confidence = calibration.summary()

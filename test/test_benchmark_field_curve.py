@@ -1,6 +1,8 @@
 """Quality of the field over training time, and the public field beside it."""
+from dataclasses import replace
 from importlib.util import find_spec
 import json
+import shutil
 
 from neo_ros.benchmark import field_curve
 from neo_ros.benchmark.field_curve import measure_field_curve
@@ -20,15 +22,22 @@ EXPERIMENT = experiment_from({'field': {'voxels': 20_000, 'pixels_per_step': 512
 def short(monkeypatch):
     """Leave out LPIPS, whose weights are a download, and most steps."""
     monkeypatch.setattr(fitting, 'LEAST_STEPS', 200)
-    monkeypatch.setattr(field_curve, 'load_scorers', lambda progress: [score_frame])
+    monkeypatch.setattr(field_curve, 'load_scorers', lambda progress: {'psnr': score_frame})
 
 
-def measure(flat_scene, minutes, out, monkeypatch, rival=False):
+def measure(scene, minutes, out, monkeypatch, rival=False, experiment=EXPERIMENT):
     monkeypatch.setattr(field_curve, 'find_spec', lambda name: True if rival else None)
     seen = []
-    table = measure_field_curve(flat_scene, EXPERIMENT, 'full', minutes, 3, out,
+    table = measure_field_curve(scene, experiment, 'full', minutes, 3, out,
                                 lambda stage, done, total, note: seen.append(stage))
     return table, set(seen)
+
+
+def fit_grey(run, seconds, stage):
+    """Stand in for a training: a field that is grey everywhere."""
+    run.progress(stage, 1, 1, '')
+    return (lambda view, pose: np.full((view.height, view.width, 3), 0.5),
+            {'steps': 1, 'minutes': seconds / 60})
 
 
 def test_longer_trainings_are_better_and_none_is_measured_twice(flat_scene, tmp_path, monkeypatch):
@@ -47,6 +56,31 @@ def test_longer_trainings_are_better_and_none_is_measured_twice(flat_scene, tmp_
     assert long['held_out_psnr'] > 15 and long['ring_psnr'] > 10
     assert table.count('| flat | neo_ros |') == 2
     assert f'{long["whole_psnr"]:.2f}' in table
+
+
+def test_other_settings_or_photos_are_measured_anew(flat_scene, tmp_path, monkeypatch):
+    monkeypatch.setattr(field_curve, 'fit_own', fit_grey)
+    shutil.copytree(flat_scene, tmp_path / 'flat')
+    scene, out = tmp_path / 'flat', tmp_path / 'curve.json'
+    stage = 'flat, neo_ros, 1 min'
+
+    def is_fitted(experiment=EXPERIMENT):
+        return stage in measure(scene, (1.0,), out, monkeypatch, experiment=experiment)[1]
+
+    assert is_fitted() and not is_fitted()
+    assert is_fitted(replace(EXPERIMENT, seed=7)) and not is_fitted()
+    photos = sorted((scene / 'train').glob('*'))
+    photos[0].write_bytes(photos[1].read_bytes())
+    assert is_fitted() and not is_fitted()
+    assert len(json.loads(out.read_text())) == 3
+
+
+def test_on_a_gpu_the_rival_on_the_cpu_is_left_out(flat_scene, tmp_path, monkeypatch):
+    monkeypatch.setattr(field_curve, 'fit_own', fit_grey)
+    monkeypatch.setattr(field_curve, 'chosen_device', lambda name: 'cuda')
+    _, seen = measure(flat_scene, (1.0,), tmp_path / 'curve.json', monkeypatch, rival=True)
+    assert 'without nerfacto' in seen and 'flat, neo_ros, 1 min' in seen
+    assert len(json.loads((tmp_path / 'curve.json').read_text())) == 1
 
 
 @pytest.mark.skipif(find_spec('nerfstudio') is None, reason='nerfstudio is not installed')

@@ -117,8 +117,8 @@ def test_b3_and_neo_fill_in_for_each_other():
     lower = np.arange(len(field.grid)) % field.shape[2] < field.shape[2] // 2
     field.seen = lower.astype(np.uint8)
     b3 = Relocalized(Finder(), FieldView(field, EXPANSION, 1), 1.0, 3.0)
-    method = RelocalizedNeo(b3, Grey())
-    assert (method.train_minutes, method.model_mb) == (4.0, 5.0)
+    method = RelocalizedNeo(b3, Grey(), 4.5)
+    assert (method.train_minutes, method.model_mb) == (4.5, 5.0)
     narrow_image = np.full((96, 96, 3), 128, np.uint8)
     wide, shown = method.expand(narrow_image), b3.expand(narrow_image)
     made_up = (wide == 90).all(2)

@@ -34,7 +34,7 @@ def scene_of(folder, camera, count=3):
 def test_views_of_the_protocols(tmp_path, size, protocol, scale, source, target):
     camera = Intrinsics.from_hfov(*size, 1.5)
     scene = scene_of(tmp_path, camera, 1)
-    view = choose_view(scene, scene.train, None, protocol, scale)
+    view = choose_view(scene, protocol, scale)
     assert view == ViewConfig(source, target)
     experiment = Experiment(scale=scale, view=view)
     expansion = experiment.expansion(camera, None)
@@ -49,8 +49,8 @@ def test_stated_views_are_taken_as_they_are(tmp_path):
     photos = write_capture(tmp_path, 1, camera)
     stated = ViewExpansion.to_size(camera, 128, 128)
     scene = Scene('room', photos, photos, stated, None)
-    assert choose_view(scene, photos, stated, 'square', 1.0) is None
-    assert choose_view(scene, photos, stated, 'horizontal', 1.0) == ViewConfig((32, 64), (64, 64))
+    assert choose_view(scene, 'square', 1.0) is None
+    assert choose_view(scene, 'horizontal', 1.0) == ViewConfig((32, 64), (64, 64))
 
 
 @pytest.mark.parametrize('protocol, size, message', [
@@ -58,7 +58,7 @@ def test_stated_views_are_taken_as_they_are(tmp_path):
 def test_impossible_protocols(tmp_path, protocol, size, message):
     scene = scene_of(tmp_path, Intrinsics.from_hfov(*size, 1.5), 1)
     with pytest.raises(ConfigError, match=message):
-        choose_view(scene, scene.train, None, protocol, 1.0)
+        choose_view(scene, protocol, 1.0)
 
 
 @pytest.fixture

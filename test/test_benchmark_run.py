@@ -1,29 +1,27 @@
-"""A benchmark of a tiny scene from end to end: resumed, with its files, by the command too."""
+"""A benchmark of a tiny scene from end to end: resumed, with its files."""
 from dataclasses import replace
 import json
 import shutil
-import tarfile
+import time
 
-from neo_ros.benchmark import bundle, run, scoring
-from neo_ros.benchmark.bundle import write_bundle
+from neo_ros.benchmark import scoring, workbench
 from neo_ros.benchmark.methods import make_method, METHODS
 from neo_ros.benchmark.run import run_jobs
 from neo_ros.benchmark.scoring import fill_gap_closed, run_benchmark
 from neo_ros.benchmark.tables import markdown
 from neo_ros.benchmark.workbench import Job, Workbench
-from neo_ros.cli.main import app
 from neo_ros.errors import ConfigError, ModelError
 from neo_ros.evaluation import lpips
 from neo_ros.evaluation.baselines import EdgeReplication, NeoModel
 from neo_ros.evaluation.evaluate import evaluate, ROW_KEYS, TruthFrames
 from neo_ros.evaluation.metrics import Estimate, score_frame
+from neo_ros.evaluation.sparse_model import SparseModel
 from neo_ros.field import fitting
 from neo_ros.geometry import CameraPose
 from neo_ros.scenes.scene import read_scene
 from neo_ros.scenes.transforms_json import read_input_crop, read_transforms, write_transforms
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 SETTINGS = {
     'field': {'voxels': 20_000, 'pixels_per_step': 512},
@@ -41,7 +39,7 @@ def quiet(stage, done, total, note):
 def plain_scores(monkeypatch):
     """Do without LPIPS, whose weights are a download, a process per method, and most steps."""
     monkeypatch.setattr(fitting, 'LEAST_STEPS', 200)
-    monkeypatch.setattr(scoring, 'load_scorers', lambda progress: [score_frame])
+    monkeypatch.setattr(scoring, 'load_scorers', lambda progress: {'psnr_ssim': score_frame})
     monkeypatch.setattr(scoring, 'measure_memory', lambda folder, name: 12.5)
 
 
@@ -54,7 +52,7 @@ def job(scene, **changed):
 def test_all_that_can_be_trained_on_a_tiny_scene_is_scored(flat_scene, tmp_path):
     rows_file = tmp_path / 'results/flat.json'
     table = run_jobs({'flat': job(flat_scene)}, TRAINED, tmp_path / 'work', rows_file, 'flat',
-                     False, quiet)
+                     quiet)
     rows = json.loads(rows_file.read_text())
     assert [row['method'] for row in rows] == TRAINED
     by_name = {row['method']: row for row in rows}
@@ -68,7 +66,11 @@ def test_all_that_can_be_trained_on_a_tiny_scene_is_scored(flat_scene, tmp_path)
         assert row['ring_lpips_vgg'] is None
     assert by_name['naive']['oracle_gap_closed'] == 0
     assert by_name['oracle']['oracle_gap_closed'] == 1
-    assert by_name['neo_fast']['train_minutes'] > 0
+    # The scene memory is charged to the method that uses it.
+    assert by_name['guided']['train_minutes'] > by_name['neo_fast']['train_minutes'] > 0
+    memory = json.loads((tmp_path / 'work/flat_square_full/neo_fast/memory.json').read_text())
+    assert by_name['guided']['train_minutes'] == pytest.approx(memory['seconds'] / 60)
+    assert by_name['neo_fast']['train_minutes'] == pytest.approx(memory['log'][0][1] / 60)
     assert by_name['neo_fast']['model_mb'] > 0
     assert by_name['edge_replication']['train_minutes'] is None
     page = (tmp_path / 'work/flat.html').read_text()
@@ -101,6 +103,66 @@ def test_what_is_scored_is_not_scored_again(flat_scene, tmp_path, monkeypatch):
     assert fewer[0].row['n_frames'] == 2
 
 
+def test_what_lacks_a_measure_is_scored_again_and_not_trained(flat_scene, tmp_path, monkeypatch):
+    def score(**further):
+        bench = Workbench(job(flat_scene, most_frames=3), tmp_path, quiet)
+        monkeypatch.setattr(scoring, 'load_scorers',
+                            lambda progress: {'psnr_ssim': score_frame, **further})
+        scored.clear()
+        return run_benchmark(bench, ['edge_replication'])[0].row
+
+    scored = []
+    real = scoring._score
+    monkeypatch.setattr(scoring, '_score', lambda *all: scored.append(1) or real(*all))
+    with monkeypatch.context() as without_depth:
+        without_depth.setattr(scoring, 'is_demo_flat', lambda folder: False)
+        first = score()
+    assert scored and first['warping_error'] is first['ring_lpips_vgg'] is None
+    with_depth = score()
+    assert scored and with_depth['warping_error'] >= 0
+    score()
+    assert not scored
+    lpips_too = score(lpips_vgg=lambda *images: {'ring_lpips_vgg': 0.25})
+    assert scored and lpips_too['ring_lpips_vgg'] == 0.25
+    # Without the network, what is there is kept.
+    assert score() == lpips_too and not scored
+    file = tmp_path / 'scores/edge_replication.json'
+    stored = json.loads(file.read_text())
+    del stored['measures']
+    file.write_text(json.dumps(stored))
+    score()
+    assert scored, 'an older file does not say what it was scored with'
+
+
+def test_the_map_is_charged_to_those_that_use_it(flat_scene, tmp_path, monkeypatch):
+    def triangulate(bank, folder, progress):
+        if not (folder / 'points.npz').exists():
+            folder.mkdir(exist_ok=True)
+            (folder / 'points.npz').touch()
+            time.sleep(0.12)
+        return SparseModel(np.zeros((1000, 3)), [
+            np.zeros(len(one.points), np.int64) for one in bank.features])
+
+    def bench():
+        found = Workbench(job(flat_scene), tmp_path, quiet)
+        monkeypatch.setattr(found, 'field', lambda: (None, 2.0, 30.0))
+        return found
+
+    monkeypatch.setattr(workbench, 'read_sparse_model', triangulate)
+    bank, minutes = bench().bank()
+    assert minutes > 0 and make_method('warping', bench()).train_minutes == minutes
+    pytest.importorskip('pycolmap')
+    first, again = (make_method('relocalized', bench()) for _ in range(2))
+    assert first.train_minutes == again.train_minutes >= 2 + minutes + 0.12 / 60
+    features = sum(len(one.points) for one in bank.features)
+    assert first.model_mb == pytest.approx(30 + bank.megabytes + (24_000 + 8 * features) / 1e6)
+    # What was made before times were kept is made again.
+    written = (tmp_path / 'features.npz').stat().st_mtime_ns
+    (tmp_path / 'features.json').unlink()
+    assert bench().bank()[1] not in (0, minutes)
+    assert (tmp_path / 'features.npz').stat().st_mtime_ns > written
+
+
 def test_a_run_that_dies_keeps_what_was_through(flat_scene, tmp_path, monkeypatch):
     def break_off(name, bench):
         if name == 'mean_image':
@@ -111,7 +173,7 @@ def test_a_run_that_dies_keeps_what_was_through(flat_scene, tmp_path, monkeypatc
     monkeypatch.setattr(scoring, 'make_method', break_off)
     with pytest.raises(KeyboardInterrupt):
         run_jobs({'flat': job(flat_scene)}, ['edge_replication', 'mean_image'], tmp_path / 'work',
-                 tmp_path / 'rows.json', 'flat', False, quiet)
+                 tmp_path / 'rows.json', 'flat', quiet)
     rows = json.loads((tmp_path / 'rows.json').read_text())
     assert [row['method'] for row in rows] == ['edge_replication']
 
@@ -130,7 +192,7 @@ def test_without_the_weights_of_lpips_the_rest_is_scored(monkeypatch):
     monkeypatch.setattr(lpips, 'Lpips', refuse)
     said = []
     assert scoring.load_scorers(
-        lambda stage, done, total, note: said.append(note)) == [score_frame]
+        lambda stage, done, total, note: said.append(note)) == {'psnr_ssim': score_frame}
     assert 'offline' in said
 
 
@@ -138,7 +200,7 @@ def test_memory_is_measured_in_a_process_of_its_own(flat_scene, tmp_path):
     from neo_ros.benchmark.method_memory import measure_memory
     Workbench(job(flat_scene), tmp_path, quiet)
     megabytes = measure_memory(tmp_path, 'edge_replication')
-    assert megabytes is not None and 0 <= megabytes < 500
+    assert megabytes is not None and 0 < megabytes < 500
     assert measure_memory(tmp_path, 'no_such_method') is None
 
 
@@ -200,72 +262,6 @@ def test_the_gap_needs_both_of_its_ends():
     assert [row['oracle_gap_closed'] for row in rows] == [0.0, 0.3, 1.0]
 
 
-def test_the_command_scores_a_scene_folder(flat_scene, tmp_path):
-    result = CliRunner().invoke(app, [
-        'benchmark', '--scene', str(flat_scene), '--protocol', 'square', '--scale', 'full',
-        '--methods', 'edge_replication,mean_image', '--frames', '2',
-        '--out', str(tmp_path / 'x.json'), '--work', str(tmp_path / 'work')],
-        catch_exceptions=False)
-    assert result.exit_code == 0, result.output
-    assert [row['n_frames'] for row in json.loads((tmp_path / 'x.json').read_text())] == [2, 2]
-    assert (tmp_path / 'work/flat.html').is_file()
-
-
-def test_a_method_whose_package_is_missing_is_left_out(flat_scene, tmp_path, monkeypatch):
-    monkeypatch.setattr(run, 'find_spec', lambda package: None)
-    said = []
-    run_jobs({'flat': job(flat_scene, most_frames=2)}, ['edge_replication', 'relocalized'],
-             tmp_path / 'work', tmp_path / 'rows.json', 'flat', False,
-             lambda stage, done, total, note: said.append(f'{stage}: {note}'))
-    rows = json.loads((tmp_path / 'rows.json').read_text())
-    assert [row['method'] for row in rows] == ['edge_replication']
-    assert 'without relocalized: pycolmap is not installed' in said
-
-
-def test_a_bundle_is_cut_into_files_that_are_one_archive(tmp_path, monkeypatch):
-    monkeypatch.setattr(bundle, 'PART_BYTES', 4000)
-    rows_file, work = tmp_path / 'full.json', tmp_path / 'work'
-    content = {'full.json': b'[]', 'full.md': b'table', 'flat/job.json': b'{}',
-               'flat/neo_fast/flat.onnx': bytes(range(256)) * 40,
-               'flat/neo_fast/flat.memory': b'\7' * 5000}
-    rows_file.write_bytes(content['full.json'])
-    for name, text in (*content.items(), ('flat/field/field.npz', b'can be made again')):
-        if name != 'full.json':
-            (work / name).parent.mkdir(parents=True, exist_ok=True)
-            (work / name).write_bytes(text)
-    (tmp_path / 'bundle').mkdir()
-    (tmp_path / 'bundle/full.tar.77').write_bytes(b'of an earlier call')
-    parts = write_bundle(tmp_path / 'bundle', rows_file, work)
-    assert sorted((tmp_path / 'bundle').iterdir()) == parts
-    assert all(path.stat().st_size == 4000 for path in parts[:-1])
-    whole = tmp_path / 'whole.tar'
-    whole.write_bytes(b''.join(path.read_bytes() for path in parts))
-    with tarfile.open(whole) as archive:
-        assert {member.name: archive.extractfile(member).read() for member in archive} == content
-
-
-def test_a_broken_off_run_leaves_its_bundle(flat_scene, tmp_path, monkeypatch):
-    monkeypatch.setattr(scoring, 'make_method', lambda name, bench: 1 / 0)
-    result = CliRunner().invoke(app, [
-        'benchmark', '--scene', str(flat_scene), '--scale', 'full',
-        '--methods', 'edge_replication',
-        '--out', str(tmp_path / 'x.json'), '--work', str(tmp_path / 'work'),
-        '--bundle', str(tmp_path / 'bundle')])
-    assert isinstance(result.exception, ZeroDivisionError)
-    with tarfile.open(tmp_path / 'bundle/x.tar.00') as archive:
-        assert archive.getnames() == ['flat_square_full/job.json']
-
-
-@pytest.mark.parametrize('arguments, message', [
-    ([], 'either --suite'), (['--suite', 'quarter', '--scene', '.'], 'either --suite'),
-    (['--suite', 'eighth'], 'quarter'), (['--scene', '.', '--methods', 'mat,magic'], 'magic'),
-], ids=['nothing', 'both', 'unknown suite', 'unknown method'])
-def test_the_command_says_what_it_expects(arguments, message):
-    result = CliRunner().invoke(app, ['benchmark', *arguments])
-    assert isinstance(result.exception, ConfigError)
-    assert message in str(result.exception)
-
-
 def test_every_method_has_a_description():
     assert {'naive', 'warping', 'relocalized', 'oracle', 'neo_fast'} <= METHODS.keys()
-    assert all(METHODS.values())
+    assert all(entry.words for entry in METHODS.values())

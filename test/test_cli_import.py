@@ -3,10 +3,12 @@ import json
 import math
 from pathlib import Path
 
-from capture_files import demo_photos, write_bag, write_seven_scenes, write_transforms_capture
+from capture_files import (
+    demo_photos, Photos, write_bag, write_seven_scenes, write_transforms_capture)
 from neo_ros.cli.import_scene import import_scene
 from neo_ros.errors import ConfigError, SceneError
-from neo_ros.scenes.levelling import tilt
+from neo_ros.geometry import CameraPose
+from neo_ros.scenes.levelling import stood_up, tilt
 from neo_ros.scenes.scene import read_scene
 import numpy as np
 import pytest
@@ -83,3 +85,14 @@ def test_a_wrong_format_is_named(tmp_path: Path, arguments: list[str], error: ty
 def test_a_source_that_is_not_there_is_named(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match='no such file or folder'):
         run(tmp_path / 'nothing', tmp_path / 'scene')
+
+
+def test_a_camera_on_its_side_does_not_turn_the_world_of_a_bag(tmp_path: Path) -> None:
+    roll = np.array([[0.0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    photos = demo_photos()
+    rolled = Photos(photos.images, tuple(
+        CameraPose(pose.T_world_cam @ roll) for pose in photos.poses))
+    output = run(write_bag(tmp_path / 'bag', rolled), tmp_path / 'scene')
+    assert 'which points up in this format; if it does not, import with --level' in output
+    scene = read_scene(tmp_path / 'scene')
+    assert stood_up(scene) is scene

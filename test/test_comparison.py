@@ -36,7 +36,7 @@ def test_the_front_holds_what_nothing_beats() -> None:
 
 
 def test_experiments_share_a_field_and_are_not_trained_twice(
-        tiny_run: TrainingRun, tmp_path: Path) -> None:
+        tiny_run: TrainingRun, flat_scene: Path, tmp_path: Path) -> None:
     scene, configs = tiny_run.out.parent / 'scene', tmp_path / 'configs'
     configs.mkdir()
     (configs / 'fast.yaml').write_text(SHORT % '{width: 8, memory: 32}')
@@ -59,6 +59,9 @@ def test_experiments_share_a_field_and_are_not_trained_twice(
     again = compare(scene, [configs / 'fast.yaml', configs / 'lama.yaml'], tmp_path / 'out',
                     steps=2, progress=lambda stage, *rest: stages.append(stage))
     assert not stages and [found.name for found in again] == ['fast', 'lama']
+    for other_scene, steps in ((scene, 3), (flat_scene, 2)):
+        with pytest.raises(ConfigError, match='choose another folder'):
+            compare(other_scene, [configs / 'fast.yaml'], tmp_path / 'out', steps=steps)
 
 
 def test_several_training_times_make_a_curve(tiny_run: TrainingRun, tmp_path: Path) -> None:
@@ -90,6 +93,8 @@ def test_a_finished_run_is_exported_in_other_formats(
     assert cards['fp32'].parity.share_within_1 >= 0.999
     assert cards['int8'].parity.max_abs_error > cards['fp32'].parity.max_abs_error
     assert cards['int8'].scene_id == 'scene' and (cards['fp32'].gflop or 0) > 0
+    # The scores of the model as trained are not those of its variants.
+    assert cards['as trained'].scores and not cards['fp32'].scores and not cards['int8'].scores
 
 
 def test_other_settings_and_unfinished_runs_are_not_exported(

@@ -1,6 +1,7 @@
 """Whether a confidence is true, on errors that are known."""
 from hypothesis import given, settings, strategies as st
 from neo_ros.evaluation.calibration import calibrate, Calibration, DROPPED
+from neo_ros.evaluation.report import Plot, Table
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.runtime import WideView
 from neo_ros.runtime.confidence import DECAY, expected_error
@@ -97,9 +98,20 @@ def test_observed_pixels_count_for_nothing_and_frames_add_up() -> None:
 
 
 def test_a_report_shows_figures_and_both_curves() -> None:
-    table, reliability, sparsification = calibration().sections()
-    assert [type(s).__name__ for s in (table, reliability, sparsification)] == [
-        'Table', 'Plot', 'Plot']
+    found = calibration()
+    table, reliability, sparsification = found.sections()
+    assert isinstance(table, Table)
+    assert isinstance(reliability, Plot) and isinstance(sparsification, Plot)
+    mean, expected, area = found.summary().values()
+    assert [row[1] for row in table.rows] == [
+        f'{mean:.2f} / 255', f'{expected:.2f} / 255', f'{area:.3f}']
+    predicted, actual, _ = found.reliability()
+    by_confidence, by_truth = found.sparsification()
+    for plot, curves in ((reliability, [(predicted, actual), (predicted, predicted)]),
+                         (sparsification, [(100 * DROPPED, by_confidence),
+                                           (100 * DROPPED, by_truth)])):
+        assert [(series.x, series.y) for series in plot.series] == [
+            (list(x), list(y)) for x, y in curves]
 
 
 @settings(max_examples=30)

@@ -1,5 +1,7 @@
 import json
 import subprocess
+import sys
+from types import SimpleNamespace
 
 import cv2
 from neo_ros.errors import ImageRejected, NeoError, SceneError
@@ -7,8 +9,11 @@ from neo_ros.evaluation import evaluate as evaluate_module
 from neo_ros.evaluation.baselines import EdgeReplication, NeoModel
 from neo_ros.evaluation.evaluate import (
     evaluate, protocol_of, ROW_KEYS, score_frames, TruthFrames)
-from neo_ros.evaluation.evaluation_report import pick_frames, write_evaluation
+from neo_ros.evaluation.evaluation_report import evaluation_sections, write_evaluation
+from neo_ros.evaluation.kept_pictures import pick_frames
 from neo_ros.evaluation.metrics import score_frame
+from neo_ros.evaluation.report import Strip
+from neo_ros.evaluation.strips import outlined
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
 from neo_ros.scenes.posed_images import PosedImages
 import numpy as np
@@ -177,7 +182,7 @@ def test_a_model_is_evaluated_from_file_to_report(frames, tmp_path):
     neo = NeoModel(write_tiny_model(tmp_path / 'tiny.onnx', trained_seconds=120.0), 'neo')
     methods = [neo, EdgeReplication(TINY_EXPANSION)]
     results = evaluate('tiny', frames, methods)
-    write_evaluation(tmp_path / 'out', 'tiny', frames, methods, results)
+    write_evaluation(tmp_path / 'out', 'tiny', frames, results)
     scores = json.loads((tmp_path / 'out/scores.json').read_text())
     assert [row['method'] for row in scores['rows']] == ['neo', 'edge_replication']
     assert scores['rows'][0]['train_minutes'] == 2.0
@@ -193,12 +198,49 @@ def test_a_model_is_evaluated_from_file_to_report(frames, tmp_path):
     assert f'Worst: {worst["frame"]}' in page
 
 
+def test_a_report_shows_the_images_that_were_scored(frames):
+    class Ageing(EdgeReplication):
+        """Show more of a ring at every call, as a method does that remembers frames."""
+
+        def __init__(self):
+            super().__init__(TINY_EXPANSION)
+            self.shown = []
+
+        def expand(self, narrow_image):
+            ring = np.full((48, 64, 3), 20 * len(self.shown), np.uint8)
+            self.shown.append(self.expansion.paste(narrow_image, ring))
+            return self.shown[-1]
+
+    method = Ageing()
+    results = evaluate('tiny', frames, [method])
+    strips = [section for section in evaluation_sections('tiny', frames, results)
+              if isinstance(section, Strip)]
+    scored = method.shown[1:]  # The first is to warm up.
+    assert len(scored) == len(frames)
+    picked = pick_frames(results[0].frames)
+    assert [strip.images[1][0] for strip in strips] == ['widened view'] * 3
+    for strip, index in zip(strips, picked.values()):
+        np.testing.assert_array_equal(results[0].pictures[index], scored[index])
+        np.testing.assert_array_equal(
+            strip.images[1][1], outlined(scored[index], TINY_EXPANSION))
+
+
+def test_the_gpu_is_named_where_it_is_used(monkeypatch):
+    used = []
+    cuda = SimpleNamespace(is_initialized=lambda: bool(used), get_device_name=lambda: 'Some GPU')
+    monkeypatch.setitem(sys.modules, 'torch', SimpleNamespace(cuda=cuda))
+    alone = evaluate_module.host()
+    assert 'Some GPU' not in alone
+    used.append('the field')
+    assert evaluate_module.host() == f'{alone}, Some GPU'
+
+
 def test_an_unwritable_folder_is_named(frames, tmp_path):
     (tmp_path / 'file').write_text('')
     methods = [EdgeReplication(TINY_EXPANSION)]
     results = evaluate('tiny', frames, methods)
     with pytest.raises(NeoError, match='cannot write.*another output folder'):
-        write_evaluation(tmp_path / 'file/out', 'tiny', frames, methods, results)
+        write_evaluation(tmp_path / 'file/out', 'tiny', frames, results)
 
 
 def test_a_commit_is_dirty_by_code_and_settings_alone(tmp_path, monkeypatch):

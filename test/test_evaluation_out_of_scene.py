@@ -7,7 +7,7 @@ from typing import Any
 from box_room import box_walk, EXPANSION, view, write_box_model
 import cv2
 from neo_ros.errors import ModelError, SceneError
-from neo_ros.evaluation import out_of_scene
+from neo_ros.evaluation import changed_scene, out_of_scene
 from neo_ros.evaluation.out_of_scene import markdown, score_scenes, spoils
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.runtime import FovExtrapolator
@@ -22,6 +22,14 @@ from tiny_model import TINY_EXPANSION, write_tiny_model
 OTHER_CAMERA = Intrinsics.from_hfov(80, 48, 1.8)
 
 
+def write_one_photo(folder: Path) -> None:
+    """Write what makes a folder a scene: a training list, here of one black photo."""
+    path = folder / 'photo.png'
+    write_picture(path, np.zeros((48, 80, 3), np.uint8))
+    write_transforms(folder / 'transforms_train.json', PosedImages(
+        OTHER_CAMERA, (path,), (CameraPose(np.eye(4)),), (0,)))
+
+
 @pytest.fixture(scope='module')
 def noise_scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Write a scene that has test frames of coloured noise, on two walks."""
@@ -30,8 +38,8 @@ def noise_scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for index, path in enumerate(paths):
         write_picture(path, np.random.default_rng(index).integers(0, 256, (48, 80, 3), np.uint8))
     images = PosedImages(OTHER_CAMERA, tuple(paths), (CameraPose(np.eye(4)),) * 4, (0, 0, 1, 1))
-    for name in ('transforms_train.json', 'transforms_test.json'):
-        write_transforms(folder / name, images)
+    write_transforms(folder / 'transforms_test.json', images)
+    write_one_photo(folder)
     return folder
 
 
@@ -67,9 +75,9 @@ def test_a_guided_frame_scores_nothing_and_a_walk_begins_anew(
     paths = tuple(room / f'{step}.png' for step in range(len(poses)))
     for path, pose in zip(paths, poses):
         write_picture(path, view(pose, EXPANSION.target)[0])
-    for name in ('transforms_train.json', 'transforms_test.json'):
-        write_transforms(room / name, PosedImages(
-            EXPANSION.target, paths, poses, (0,) * 3 + (1,) * 3))
+    write_transforms(room / 'transforms_test.json', PosedImages(
+        EXPANSION.target, paths, poses, (0,) * 3 + (1,) * 3))
+    write_one_photo(room)
     # The reference is of another scene, so the network alone finds the room unusual.
     path = write_box_model(tmp_path, scene_reference=FovExtrapolator.load(
         tiny_run.model_path).card.scene_reference)
@@ -106,13 +114,19 @@ def test_what_is_missing_is_said(tiny_run: Any, noise_scene: Path, tmp_path: Pat
     with pytest.raises(ModelError, match='nothing of how the scene looks'):
         score_scenes(plain, noise_scene, [])
     untested = tmp_path / 'untested'
-    untested.mkdir()
-    path = untested / 'photo.png'
-    write_picture(path, np.zeros((48, 80, 3), np.uint8))
-    write_transforms(untested / 'transforms.json', PosedImages(
-        OTHER_CAMERA, (path,), (CameraPose(np.eye(4)),), (0,)))
+    write_one_photo(untested)
     with pytest.raises(SceneError, match='expected test frames'):
         score_scenes(tiny_run.model_path, tiny_run.out.parent / 'scene', [untested])
+
+
+@pytest.mark.parametrize('module, arguments', [
+    (out_of_scene, 'MODEL.onnx SCENE [OTHER...]'), (changed_scene, 'MODEL.onnx')])
+def test_the_programs_say_what_they_want(
+        module: Any, arguments: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr('sys.argv', ['program'])
+    with pytest.raises(SystemExit, match='usage') as ended:
+        module.main()
+    assert ended.value.code == f'usage: python -m {module.__name__} {arguments}'
 
 
 @pytest.mark.parametrize('camera, window', [

@@ -81,6 +81,8 @@ def test_the_hash_does_not_ask_how_a_file_is_written(tmp_path: Path) -> None:
     ('outpaint: {precision: fp8}', 'outpaint.precision: expected bf16 or fp32'),
     ('scale: 0', 'scale: expected a number > 0, got 0.0'),
     ('scale: .nan', 'scale: expected a number > 0, got nan'),
+    ('seed: -1', 'seed: expected 0 or more, below 2.63, got -1'),
+    (f'seed: {2 ** 63}', 'seed: expected 0 or more'),
     ('- 1', r'e.yaml: .*got \[1\]'),
     ('seed: [', 'e.yaml: expected a YAML file'),
 ], ids=lambda value: str(value)[:30])

@@ -1,6 +1,8 @@
 """What a benchmark on a borrowed machine has to leave before the machine is given back."""
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+import signal
 import tarfile
 from typing import Any
 
@@ -9,6 +11,26 @@ from neo_ros.evaluation.output import make_output_folder, write_bytes
 PART_BYTES = 15_000_000
 # Below the working folder; fields and features can be made again and stay behind.
 KEPT = ('*.md', '*.html', '*/*.json', '*/*/*.json', '*/*/*.onnx', '*/*/*.memory')
+
+
+@contextmanager
+def bundled(folder: Path, rows_file: Path, work: Path) -> Iterator[None]:
+    """
+    Write the bundle however the work inside ends, also where the process is told to terminate.
+
+    That is what a machine says that is taken back. The exit code is the one of the signal.
+    """
+    def leave(number: int, frame: object) -> None:
+        # Told again while the bundle is written: there is nothing better to do.
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        raise SystemExit(128 + number)
+
+    before = signal.signal(signal.SIGTERM, leave)
+    try:
+        yield
+    finally:
+        write_bundle(folder, rows_file, work)
+        signal.signal(signal.SIGTERM, before)
 
 
 def write_bundle(folder: Path, rows_file: Path, work: Path) -> list[Path]:

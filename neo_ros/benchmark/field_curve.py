@@ -3,7 +3,7 @@ How good a radiance field is after how many minutes, beside a public implementat
 
 Every point is a training of its own, as its schedule depends on its length. Where nerfstudio is
 installed, its nerfacto (see `neo_ros.benchmark.nerfacto`) trains on the same photos for the
-minutes that ours really took.
+minutes that ours really took, on the CPU; it is left out where ours is fitted on a GPU.
 """
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -13,7 +13,7 @@ from pathlib import Path
 import tempfile
 from typing import Any
 
-from neo_ros.benchmark.protocols import SCALES
+from neo_ros.benchmark.protocols import SCALES, split_checksums
 from neo_ros.benchmark.scoring import load_scorers
 from neo_ros.evaluation.evaluate import commit, host, Scorer, TruthFrames
 from neo_ros.evaluation.field_view import colour_gain
@@ -29,6 +29,8 @@ import numpy as np
 
 # Shows float32 RGB (H, W, 3) in [0, 1] of a view at a pose.
 Renderer = Callable[[Intrinsics, CameraPose], np.ndarray]
+# Trains for so many seconds, and tells its stage: returns what renders, steps and minutes.
+Fitter = Callable[[TrainingRun, float, str], tuple[Renderer, dict[str, Any]]]
 
 
 def measure_field_curve(scene: Path, experiment: Experiment, scale: str,
@@ -38,24 +40,25 @@ def measure_field_curve(scene: Path, experiment: Experiment, scale: str,
     Train the experiment's field for each of the times, and score it; returns a table.
 
     scale: full, half or quarter of the photos. views: test frames, and held-out photos, that
-    are looked at, evenly spread. Rows go into the JSON file `out`; those that it has are not
-    measured again. Raises NeoError where scene or settings are wrong.
+    are looked at, evenly spread. Rows go into the JSON file `out`; those that it has of the same
+    photos, test frames and settings are not measured again. Raises NeoError where scene or
+    settings are wrong.
     """
     make_output_folder(out.parent)
     rows: list[dict[str, Any]] = json.loads(out.read_text()) if out.exists() else []
-    fitters = {'neo_ros': fit_own}
-    if find_spec('nerfstudio') is not None:
-        from neo_ros.benchmark.nerfacto import fit_nerfacto
-        fitters['nerfacto'] = fit_nerfacto
+    fitters = _fitters(experiment, progress)
     with tempfile.TemporaryDirectory() as folder:
         run = TrainingRun(read_scene(scene), replace(experiment, scale=SCALES[scale]),
                           Path(folder), progress)
-        scorers = load_scorers(progress)
+        test = TruthFrames(run.scene.test, run.expansion).images
+        checksums = split_checksums(run.scene.train, test, run.scene.expansion)
+        scorers = list(load_scorers(progress).values())
         for budget in minutes:
             seconds = 60 * budget
             for name, fit in fitters.items():
                 key = {'scene': run.scene.name, 'scale': scale, 'implementation': name,
-                       'budget_minutes': budget, 'views': views}
+                       'budget_minutes': budget, 'views': views, 'checksums': checksums,
+                       'config_hash': run.experiment.config_hash}
                 row = next((row for row in rows if key.items() <= row.items()), None)
                 if row is None:
                     stage = f'{run.scene.name}, {name}, {budget:g} min'
@@ -66,6 +69,19 @@ def measure_field_curve(scene: Path, experiment: Experiment, scale: str,
                     write_bytes(out, (json.dumps(rows, indent=1) + '\n').encode())
                 seconds = 60 * row['minutes']
     return markdown(rows)
+
+
+def _fitters(experiment: Experiment, progress: Progress) -> dict[str, Fitter]:
+    """Return by name what can be fitted here at equal conditions."""
+    fitters: dict[str, Fitter] = {'neo_ros': fit_own}
+    if find_spec('nerfstudio') is None:
+        return fitters
+    if chosen_device(experiment.field.device) == 'cuda':
+        progress('without nerfacto', 0, 1, 'it runs on the CPU here, our field on the GPU; to '
+                 'compare them set field.device to cpu')
+        return fitters
+    from neo_ros.benchmark.nerfacto import fit_nerfacto
+    return fitters | {'nerfacto': fit_nerfacto}
 
 
 def fit_own(run: TrainingRun, seconds: float, stage: str) -> tuple[Renderer, dict[str, Any]]:
@@ -89,7 +105,8 @@ def score(run: TrainingRun, render: Renderer, views: int, scorers: Sequence[Scor
     Score what a field shows at true poses, nothing pasted; means over the views.
 
     Returns held_out_psnr (photos that were not fitted) and whole_* and ring_* of the wide test
-    frames. One gain per channel, from the observed window, takes out differences of exposure.
+    frames. One gain per channel takes out differences of exposure: that of a test frame is from
+    the observed window, that of a held-out photo from all of its truth.
     """
     scores: list[dict[str, float]] = []
     scale = run.experiment.scale

@@ -45,8 +45,19 @@ def _mean_image(bench: Workbench) -> Method:
         photos.read_image(index, scale) for index in range(len(photos))))
 
 
+def _warping(bench: Workbench) -> Method:
+    bank, minutes = bench.bank()
+    return Warping(bank, bench.expansion, minutes)
+
+
 def _network(name: str) -> Callable[[Workbench], NeoModel]:
-    return lambda bench: NeoModel(bench.model(name), name, guided=False)
+    def make(bench: Workbench) -> NeoModel:
+        method = NeoModel(bench.model(name), name, guided=False)
+        # Its model file also has the scene memory that `guided` goes by.
+        method.train_minutes = method.card.trained_seconds / 60 - bench.memory_minutes(name)
+        return method
+
+    return make
 
 
 def _guided(bench: Workbench) -> Method:
@@ -57,12 +68,23 @@ def _guided(bench: Workbench) -> Method:
     return method
 
 
-def _relocalized(bench: Workbench) -> Relocalized:
-    field, minutes, megabytes = bench.field()
-    bank = bench.bank()
-    relocalizer = Relocalizer(bank, bench.sparse_model(bank), bench.expansion.source)
-    return Relocalized(relocalizer, FieldView(field, bench.expansion), minutes,
-                       megabytes + bank.megabytes)
+def _relocalized(bench: Workbench) -> tuple[Relocalized, float]:
+    """Return B3, and the minutes that its map took, beside the field."""
+    field, field_minutes, megabytes = bench.field()
+    bank, bank_minutes = bench.bank()
+    points, points_minutes = bench.sparse_model(bank)
+    map_minutes = bank_minutes + points_minutes
+    relocalizer = Relocalizer(bank, points, bench.expansion.source)
+    return Relocalized(
+        relocalizer, FieldView(field, bench.expansion), field_minutes + map_minutes,
+        megabytes + bank.megabytes + points.megabytes), map_minutes
+
+
+def _relocalized_neo(bench: Workbench) -> RelocalizedNeo:
+    b3, map_minutes = _relocalized(bench)
+    neo = _network('neo_fast')(bench)
+    # The field's minutes are in the network's already.
+    return RelocalizedNeo(b3, neo, (neo.train_minutes or 0) + map_minutes)
 
 
 def _oracle(bench: Workbench) -> Method:
@@ -77,15 +99,15 @@ METHODS = {
     'mean_image': Entry('floor: the mean training photo', _mean_image, True, False),
     'naive': Entry('B1: the same network, trained on resized photos',
                    lambda bench: NeoModel(bench.naive(), 'naive', guided=False), field=False),
-    'warping': Entry('B2: similar photos, warped and blended',
-                     lambda bench: Warping(bench.bank(), bench.expansion), field=False),
-    'relocalized': Entry('B3: estimated pose, the field renders', _relocalized),
+    'warping': Entry('B2: similar photos, warped and blended', _warping, field=False),
+    'relocalized': Entry('B3: estimated pose, the field renders',
+                         lambda bench: _relocalized(bench)[0]),
     'neo_fast': Entry('NEO, fully connected middle', _network('neo_fast')),
     'mat': Entry('NEO, transformer after MAT', _network('mat')),
     'lama': Entry('NEO, Fourier convolutions after LaMa', _network('lama')),
     'relocalized_neo': Entry(
         'B3 and NEO: neo_fast where the field saw nothing or the pose is not found',
-        lambda bench: RelocalizedNeo(_relocalized(bench), _network('neo_fast')(bench))),
+        _relocalized_neo),
     'guided': Entry('neo_fast with its scene memory: aligned to what it keeps of the scene',
                     _guided),
     'oracle': Entry('upper bound: the field at the true pose', _oracle, bound=True),

@@ -1,5 +1,6 @@
 """The page of a benchmark: tables, quality over cost, strips of the best and worst frames."""
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from neo_ros.benchmark.methods import METHODS
@@ -7,9 +8,8 @@ from neo_ros.benchmark.scoring import frame_picture
 from neo_ros.benchmark.tables import best_practical, NOTE, pose_remark
 from neo_ros.benchmark.workbench import Workbench
 from neo_ros.evaluation.evaluate import MethodScores
-from neo_ros.evaluation.evaluation_report import pick_frames
-from neo_ros.evaluation.report import Plot, Section, Series, Strip, Table, Text, write_report
-from neo_ros.evaluation.strips import frame_strip
+from neo_ros.evaluation.evaluation_report import picture_strips
+from neo_ros.evaluation.report import Plot, Section, Series, Table, Text, write_report
 
 _COLUMNS = (('ring_psnr', 'ring PSNR, dB', 2, 1), ('ring_ssim', 'ring SSIM', 3, 1),
             ('ring_lpips_vgg', 'ring LPIPS', 3, 1), ('whole_psnr', 'whole PSNR, dB', 2, 1),
@@ -51,7 +51,8 @@ def _scene_sections(bench: Workbench, results: Sequence[MethodScores]) -> list[S
         if any('pose_error_cm' in frame for frame in result.frames):
             remark += ' ' + pose_remark(result)
         sections.append(Text(remark, f'{bench.scene.name}: {result.method}'))
-        sections += _strips(bench, result)
+        sections += picture_strips(bench.frames, result, partial(
+            frame_picture, bench, result.method))
     return sections
 
 
@@ -66,18 +67,6 @@ def _cost_plots(results: Sequence[MethodScores]) -> list[Plot]:
             plots.append(Plot(f'Ring PSNR over {words}', words, 'ring PSNR, dB', series,
                               'points'))
     return plots
-
-
-def _strips(bench: Workbench, result: MethodScores) -> list[Strip]:
-    strips = []
-    for word, index in pick_frames(result.frames).items():
-        narrow_image, truth = bench.frames.read(index)
-        scores = result.frames[index]
-        strips.append(frame_strip(
-            f'{word.capitalize()}: {scores["frame"]}', bench.expansion, narrow_image,
-            frame_picture(bench, result.method, index), truth,
-            f'ring {scores["ring_psnr"]:.2f} dB, SSIM {scores["ring_ssim"]:.3f}'))
-    return strips
 
 
 def _cell(result: MethodScores, key: str, title: str, digits: int, factor: float) -> str:

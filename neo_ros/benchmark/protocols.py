@@ -15,6 +15,7 @@ from neo_ros.experiment import Experiment, ViewConfig
 from neo_ros.geometry import ViewExpansion
 from neo_ros.outpaint.network import NetworkConfig
 from neo_ros.outpaint.networks import check_network
+from neo_ros.scenes.digests import list_digest
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.scene import Scene
 import numpy as np
@@ -22,22 +23,21 @@ import numpy as np
 PROTOCOLS = ('square', 'horizontal')
 SCALES = {'full': 1.0, 'half': 0.5, 'quarter': 0.25}  # relative to the scene's photos
 # (patch, depth) of the network's grid, best first; sizes must be multiples of the coarsest cell.
-_GRIDS = ((8, 3), (4, 3), (4, 2), (2, 2), (4, 1), (2, 1), (1, 1))
-_LARGE = 256  # from this width of the wide view on, cells of 8 pixels are fine enough
+_GRIDS = ((16, 2), (8, 2), (8, 1), (4, 2), (2, 2), (4, 1), (2, 1), (1, 1))
+_LARGE = 256  # from this width of the wide view on, cells of 16 pixels are fine enough
 
 
-def choose_view(scene: Scene, test: PosedImages, stated: ViewExpansion | None, protocol: str,
-                scale: float) -> ViewConfig | None:
+def choose_view(scene: Scene, protocol: str, scale: float) -> ViewConfig | None:
     """
     Return source and target of a protocol, in pixels at the photos' resolution.
 
-    None: as the test frames state. Where the photos' size does not divide, a few pixels at
+    None: as the scene's test frames state. Where the photos' size does not divide, a few pixels at
     their rim are left out. Raises ConfigError for a protocol that the photos are too small for.
     """
     if protocol not in PROTOCOLS:
         raise ConfigError(f'protocol: expected {" or ".join(PROTOCOLS)}, got {protocol!r}')
     photo = scene.train.intrinsics
-    if stated is not None and protocol_of(stated) == protocol and test is scene.test:
+    if scene.expansion is not None and protocol_of(scene.expansion) == protocol:
         return None
     if protocol == 'horizontal':
         # Half the width, a quarter at each side, and two levels of cells.
@@ -71,15 +71,18 @@ def split_walks(test: PosedImages) -> PosedImages:
 def fitting_network(experiment: Experiment, expansion: ViewExpansion) -> NetworkConfig:
     """Return the experiment's network with the best grid that the image sizes allow."""
     for patch, depth in _GRIDS:
-        if patch == 8 and expansion.target.width < _LARGE:
+        if patch == 16 and expansion.target.width < _LARGE:
             continue
-        network = replace(experiment.network, patch=patch, depth=depth)
+        # The coarsest cells, which the middle sees, have as many channels in every grid.
+        network = replace(experiment.network, patch=patch, depth=depth,
+                          width=experiment.network.width * 2 ** (2 - depth))
         try:
             check_network(expansion, network)
-        except ConfigError:
+        except ConfigError as error:
+            refused = error
             continue
         return network
-    raise AssertionError('cells of one pixel fit every size')
+    raise refused  # Cells of one pixel fit every size: it is another setting.
 
 
 def split_checksums(photos: PosedImages, test: PosedImages,
@@ -94,8 +97,8 @@ def split_checksums(photos: PosedImages, test: PosedImages,
     for path in (*photos.image_paths, *test.image_paths):
         with open(path, 'rb') as file:
             files.update(hashlib.file_digest(file, 'sha256').digest())
-    return {'train': _list_digest(photos), 'images': files.hexdigest(),
-            'test': _list_digest(test, stated)}
+    return {'train': list_digest(photos), 'images': files.hexdigest(),
+            'test': list_digest(test, stated)}
 
 
 def check_split(scene_name: str, found: dict[str, str], frozen_file: Path) -> None:
@@ -118,22 +121,6 @@ def check_split(scene_name: str, found: dict[str, str], frozen_file: Path) -> No
             f'{scene_name}: {" and ".join(words[part] for part in wrong)} are not those of the '
             f'frozen split ({frozen_file.name}); scores on another split cannot be compared: '
             'bring the original scene folder, or benchmark this one with --scene')
-
-
-def _list_digest(images: PosedImages, stated: ViewExpansion | None = None) -> str:
-    camera = images.intrinsics
-    lines = [f'{camera.width} {camera.height} ' + _numbers(
-        [camera.fx, camera.fy, camera.cx, camera.cy])]
-    if stated is not None:
-        lines.append(f'{stated.left} {stated.top} {stated.source.width} {stated.source.height}')
-    lines += [f'{path.name} {path_id} {_numbers(pose.T_world_cam[:3].ravel())}'
-              for path, pose, path_id in zip(images.image_paths, images.poses, images.path_ids)]
-    return hashlib.sha256('\n'.join(lines).encode()).hexdigest()
-
-
-def _numbers(values: object) -> str:
-    # Adding zero makes -0 one with 0.
-    return ' '.join(f'{round(float(value), 6) + 0.0:.6f}' for value in values)  # type: ignore
 
 
 def _floor(size: float, unit: float) -> int:

@@ -16,18 +16,16 @@ from neo_ros.pipeline import Progress
 
 
 def run_jobs(jobs: dict[str, Job], names: Sequence[str], work: Path, rows_file: Path, title: str,
-             frozen: bool, progress: Progress) -> str:
+             progress: Progress, frozen: bool = False) -> str:
     """
     Benchmark scenes one after the other; returns the tables.
 
     jobs by scene name; `frozen` compares every scene with its frozen split before any work.
-    Methods whose packages are not installed are left out, and `progress` is told.
-    Leaves the rows in `rows_file`, written again after every scene, TITLE.md and TITLE.html in
-    `work`; in a source checkout a suite's tables also go into docs/benchmarks.md.
+    Leaves the rows in `rows_file`, written again after every method, TITLE.md and TITLE.html in
+    `work`.
     """
     make_output_folder(work)
     make_output_folder(rows_file.parent)
-    names = [name for name in names if _can_run(name, progress)]
     benches = []
     for name, job in jobs.items():
         folder = work / f'{name}_{job.protocol}_{job.scale}'
@@ -45,17 +43,25 @@ def run_jobs(jobs: dict[str, Job], names: Sequence[str], work: Path, rows_file: 
     table = markdown(benchmarks)
     write_bytes(work / f'{title}.md', table.encode())
     write_benchmark_report(work / f'{title}.html', benches, benchmarks)
-    document = share_dir() / 'docs' / 'benchmarks.md'
-    if frozen and document.is_file():
-        put_between_markers(document, title, table)
     return table
 
 
-def _can_run(method: str, progress: Progress) -> bool:
-    if not method.startswith('relocalized') or find_spec('pycolmap') is not None:
-        return True
-    progress(f'without {method}', 0, 1, 'pycolmap is not installed')
-    return False
+def publish(suite: str, table: str) -> None:
+    """Put the tables of a whole suite into docs/benchmarks.md, in a source checkout."""
+    document = share_dir() / 'docs' / 'benchmarks.md'
+    if document.is_file():
+        put_between_markers(document, suite, table)
+
+
+def installed(names: Sequence[str], progress: Progress) -> list[str]:
+    """Leave out the methods whose packages are not installed, and tell `progress`."""
+    found = []
+    for name in names:
+        if name.startswith('relocalized') and find_spec('pycolmap') is None:
+            progress(f'without {name}', 0, 1, 'pycolmap is not installed')
+        else:
+            found.append(name)
+    return found
 
 
 def _staged(name: str, progress: Progress) -> Progress:

@@ -12,21 +12,19 @@ import shutil
 import time
 from typing import Any, Callable, Sequence
 
-import cv2
 from neo_ros.benchmark.method_memory import measure_memory
 from neo_ros.benchmark.methods import make_method, METHODS
 from neo_ros.benchmark.workbench import Workbench
 from neo_ros.errors import ModelError
 from neo_ros.evaluation.baselines import Method
 from neo_ros.evaluation.evaluate import (
-    method_scores, MethodScores, ROW_KEYS, score_frames, Scorer)
-from neo_ros.evaluation.evaluation_report import pick_frames
+    method_scores, MethodScores, ROW_KEYS, score_frames, Scorer, Watcher)
+from neo_ros.evaluation.kept_pictures import KeptPictures, read_picture
 from neo_ros.evaluation.metrics import Estimate, score_frame
 from neo_ros.evaluation.output import write_bytes
 from neo_ros.evaluation.stability import DepthOf, flicker, stored_depths, WarpingError
 from neo_ros.evaluation.true_depth import demo_depth, field_depth, is_demo_flat
 from neo_ros.pipeline import Progress
-from neo_ros.scenes.posed_images import read_rgb_image
 import numpy as np
 
 
@@ -36,34 +34,36 @@ def run_benchmark(bench: Workbench, names: Sequence[str],
     """
     Score the named methods on the bench's scene; returns them in the order of the names.
 
+    What an earlier run scored is taken, unless it lacks a measure that this one has.
     `through` gets what there is after every method.
     """
     depth_of: DepthOf | None = None
     results: list[MethodScores] = []
-    scorers: list[Scorer] | None = None
+    scorers, depth = load_scorers(bench.progress), depth_source(bench, names)
+    measures = [*scorers, *([f'{depth} depth'] if depth else [])]
     for name in names:
-        stored = _read_scores(bench, name)
+        stored = _read_scores(bench, name, measures)
         if stored is None:
             started = time.monotonic()
             method = make_method(name, bench)
-            if scorers is None:
-                scorers, depth_of = load_scorers(bench.progress), true_depth(bench, names)
-            stored = _score(bench, method, scorers, depth_of)
+            if depth is not None and depth_of is None:
+                depth_of = true_depth(bench, depth)
+            stored = _score(bench, method, list(scorers.values()), depth_of)
             # What an interrupted run had trained before is not in it.
             stored.figures['minutes'] = (time.monotonic() - started) / 60
-            _write_scores(bench, stored)
+            _write_scores(bench, stored, measures)
         results.append(stored)
         fill_gap_closed([result.row for result in results])
         through(results)
     return results
 
 
-def load_scorers(progress: Progress) -> list[Scorer]:
-    """Return PSNR with SSIM, and LPIPS (VGG and Alex) where its weights can be had."""
+def load_scorers(progress: Progress) -> dict[str, Scorer]:
+    """Return by name PSNR with SSIM, and LPIPS (VGG, Alex) where its weights can be had."""
     from neo_ros.evaluation.lpips import Lpips
-    scorers: list[Scorer] = [score_frame]
+    scorers: dict[str, Scorer] = {'psnr_ssim': score_frame}
     try:
-        scorers += [Lpips('vgg'), Lpips('alex')]
+        scorers |= {'lpips_vgg': Lpips('vgg'), 'lpips_alex': Lpips('alex')}
     except ModelError as error:
         progress('without LPIPS', 0, 1, str(error))
     return scorers
@@ -81,24 +81,17 @@ def fill_gap_closed(rows: Sequence[dict[str, Any]]) -> None:
 
 def frame_picture(bench: Workbench, method: str, index: int) -> np.ndarray:
     """Return a kept wide image of a method (best, median or worst), RGB uint8."""
-    path = bench.folder / 'scores' / method / f'{index:05d}.png'
-    return read_rgb_image(path, bench.expansion.target)
+    return read_picture(bench.folder / 'scores' / method, index, bench.expansion.target)
 
 
 def _score(bench: Workbench, method: Method, scorers: Sequence[Scorer],
            depth_of: DepthOf | None) -> MethodScores:
     name = method.name
-    pictures = bench.folder / 'scores' / f'{name}.partial'
-    shutil.rmtree(pictures, ignore_errors=True)
-    pictures.mkdir(parents=True)
-
-    def keep(index: int, wide_image: np.ndarray) -> dict[str, float]:
-        bgr = cv2.cvtColor(wide_image, cv2.COLOR_RGB2BGR)
-        write_bytes(pictures / f'{index:05d}.png', cv2.imencode('.png', bgr)[1].tobytes())
-        return {}
-
+    pictures = KeptPictures(bench.folder / 'scores' / f'{name}.partial')
     frames = bench.frames
-    watchers = [keep] + ([WarpingError(frames, depth_of)] if depth_of else [])
+    watchers: list[Watcher] = [pictures]
+    if depth_of is not None:
+        watchers.append(WarpingError(frames, depth_of))
     scored = score_frames(frames, method, scorers, watchers, lambda done: bench.progress(
         f'scoring {name}', done, len(frames), ''))
     result = method_scores(bench.scene.name, frames, method, scored)
@@ -107,43 +100,43 @@ def _score(bench: Workbench, method: Method, scorers: Sequence[Scorer],
     memory = measure_memory(bench.folder, name)
     if memory is not None:
         figures['memory_mb'] = memory
-    picked = set(pick_frames(scored).values())
-    for path in pictures.iterdir():
-        if int(path.stem) not in picked:
-            path.unlink()
+    pictures.drop_others(scored)
     kept = bench.folder / 'scores' / name
     shutil.rmtree(kept, ignore_errors=True)
-    os.replace(pictures, kept)
+    os.replace(pictures.folder, kept)
     return replace(result, figures=figures)
 
 
-def true_depth(bench: Workbench, names: Sequence[str]) -> DepthOf | None:
+def depth_source(bench: Workbench, names: Sequence[str]) -> str | None:
     """
-    Return the depth at the test frames' poses: exact in the demo flat, else the field's.
+    Say where the depth at the test frames' poses is from: exact in the demo flat, else field.
 
     None where it would need a field that none of the methods does.
     """
-    frames = bench.frames
     if is_demo_flat(Path(bench.job.test_scene or bench.job.scene)):
-        render = demo_depth(frames)
-    elif any(METHODS[name].field for name in names):
-        render = field_depth(frames, bench.field()[0])
-    else:
-        return None
+        return 'exact'
+    return 'field' if any(METHODS[name].field for name in names) else None
+
+
+def true_depth(bench: Workbench, source: str) -> DepthOf:
+    """Return the depth at the test frames' poses from what `depth_source` says."""
+    frames = bench.frames
+    render = (demo_depth(frames) if source == 'exact'
+              else field_depth(frames, bench.field()[0]))
     return stored_depths(frames, render, bench.folder / 'depths.npz',
                          lambda done, total: bench.progress('depth', done, total, ''))
 
 
-def _write_scores(bench: Workbench, result: MethodScores) -> None:
-    text = json.dumps({**result.to_dict(), 'row': result.row},
+def _write_scores(bench: Workbench, result: MethodScores, measures: list[str]) -> None:
+    text = json.dumps({**result.to_dict(), 'row': result.row, 'measures': measures},
                       allow_nan=False, indent=1)
     path = bench.folder / 'scores' / f'{result.method}.json'
     write_bytes(path.with_suffix('.partial'), text.encode())
     os.replace(path.with_suffix('.partial'), path)
 
 
-def _read_scores(bench: Workbench, name: str) -> MethodScores | None:
-    """Return the scores that an earlier run wrote for the same frames, if it did."""
+def _read_scores(bench: Workbench, name: str, measures: list[str]) -> MethodScores | None:
+    """Return what an earlier run scored on the same frames with at least these measures."""
     path = bench.folder / 'scores' / f'{name}.json'
     try:
         stored = json.loads(path.read_text())
@@ -151,7 +144,8 @@ def _read_scores(bench: Workbench, name: str) -> MethodScores | None:
         return None
     wanted = [path.name for path in bench.frames.images.image_paths]
     if ([frame['frame'] for frame in stored['frames']] != wanted
-            or tuple(stored['row']) != ROW_KEYS):
+            or tuple(stored['row']) != ROW_KEYS
+            or not set(measures) <= set(stored.get('measures', []))):
         return None
     return MethodScores(
         stored['method'], stored['observed_pasted'], stored['frames'],

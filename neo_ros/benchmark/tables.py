@@ -16,15 +16,18 @@ _SCORES = {'ring PSNR, dB': ('ring_psnr',), 'ring SSIM': ('ring_ssim',),
            'whole PSNR, dB': ('whole_psnr',), 'whole SSIM': ('whole_ssim',),
            'whole LPIPS VGG': ('whole_lpips_vgg',)}
 NOTE = """\
-Means over the test frames; in brackets bootstrap 95 % intervals over the walks. *Ring*: pixels
-that the camera did not see; *seam*: the part of the ring within 1/16 of the camera's width.
+Means over the test frames; in brackets bootstrap 95 % intervals over the walks. Of two or three
+walks (RedKitchen has three) they are the range over the walks, not 95 %. *Ring*: pixels that the
+camera did not see; *seam*: the part of the ring within 1/16 of the camera's width.
 Pasted: the observed centre is in the wide image as the camera gave it, which lifts the whole
 scores; its difference to the truth is 0, also in the ring's LPIPS. *Gap closed*: (ring PSNR -
 B1's) / (oracle's - B1's). *Warping error*: mean squared difference (colours 0 to 1) between the
 ring and the last wide image brought there by the true motion. *Flicker*: standard deviation
 (grey levels) of the ring while the camera stands still with sensor noise of 2 grey levels.
-*MB*: model file (for B2 the photos and their features, for B3 and the oracle the field, for B3
-also the features); *memory*: what a process grows by when it loads and runs the method."""
+*Training*: the field and the network; for `guided` also the scene memory; for B2 the photos'
+features alone, for B3 the field, the features and their triangulation. *MB*: model file (for B2
+the photos and their features, for B3 and the oracle the field, for B3 also the features and the
+triangulated points); *memory*: what a process grows by when it loads and runs the method."""
 
 
 def markdown(benchmarks: Sequence[Sequence[MethodScores]]) -> str:

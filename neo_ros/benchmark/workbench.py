@@ -4,20 +4,21 @@ Everything that a benchmark's methods need of one scene, made once and kept in o
 Fields, networks and feature banks are trained or built when a method first asks for them; a
 run that was broken off goes on where it stopped.
 """
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 import json
-import os
 from pathlib import Path
-import shutil
-from typing import Any, Optional
+import time
+from typing import Any, Optional, TypeVar
 
 from neo_ros.benchmark.naive import train_naive
 from neo_ros.benchmark.protocols import (
     choose_view, fitting_network, SCALES, split_checksums, split_walks)
+from neo_ros.checkpoint import read_notes, write_notes
 from neo_ros.errors import ConfigError
 from neo_ros.evaluation.evaluate import TruthFrames
 from neo_ros.evaluation.local_features import PhotoBank, read_photo_bank
-from neo_ros.evaluation.output import make_output_folder, write_bytes
+from neo_ros.evaluation.output import make_output_folder, share_file, write_bytes
 from neo_ros.evaluation.sparse_model import read_sparse_model, SparseModel
 from neo_ros.experiment import Experiment, experiment_from
 from neo_ros.field.voxel_field import RadianceField
@@ -28,6 +29,7 @@ from neo_ros.scenes.scene import read_scene
 # Of the training time that goes to the field, which is also B3's: in half of six minutes it comes
 # within 0.3 dB of where it ends (docs/training.md).
 FIELD_SHARE = 0.5
+_Made = TypeVar('_Made')
 
 
 @dataclass(frozen=True)
@@ -69,11 +71,11 @@ class Workbench:
                 'there are none; name a folder of them with --test-scene')
         self.checksums = split_checksums(scene.train, scene.test, scene.expansion)
         self.scene = stood_up(scene)  # As the training does it.
-        test, stated = self.scene.test, self.scene.expansion
+        test = self.scene.test
         assert test is not None
         base = experiment_from({'scale': SCALES[job.scale], **(job.settings or {})},
                                'benchmark settings')
-        view = choose_view(self.scene, test, stated, job.protocol, SCALES[job.scale])
+        view = choose_view(self.scene, job.protocol, SCALES[job.scale])
         base = replace(base, view=view)
         self.expansion = base.expansion(self.scene.train.intrinsics, self.scene.expansion)
         self.base = replace(base, network=fitting_network(base, self.expansion))
@@ -106,10 +108,19 @@ class Workbench:
             run = self._run(replace(self.experiment, network=named, memory=memory), out)
             for name in ('field.npz', 'field.json'):
                 if not (out / name).exists():
-                    _link(self.folder / 'field' / name, out / name)
+                    share_file(self.folder / 'field' / name, out / name)
             train(Path(self.job.scene), run.experiment, run.out, self.progress)
             (out / 'done').touch()
         return path
+
+    def memory_minutes(self, network: str) -> float:
+        """Return what of the minutes on a model's card went into its scene memory."""
+        notes = self.folder / network / 'memory.json'
+        if not notes.exists():
+            return 0.0
+        ended, log = read_notes(notes, f'{self.scene.name}.memory')
+        # Notes of an older neo_ros do not say when it began.
+        return (ended - log[0][1]) / 60 if log else 0.0
 
     def naive(self) -> Path:
         """Return the model file of B1; it may take the time that NEO's network takes."""
@@ -119,16 +130,18 @@ class Workbench:
             (run.out / 'done').touch()
         return run.model_path
 
-    def bank(self) -> PhotoBank:
-        """Return the features of the training photos."""
-        return read_photo_bank(
-            self.scene.train, SCALES[self.job.scale], self.folder / 'features.npz',
-            lambda done, total: self.progress('features', done, total, ''))
+    def bank(self) -> tuple[PhotoBank, float]:
+        """Return the features of the training photos, and the minutes that they took."""
+        path = self.folder / 'features.npz'
+        return _timed(path, lambda: read_photo_bank(
+            self.scene.train, SCALES[self.job.scale], path,
+            lambda done, total: self.progress('features', done, total, '')))
 
-    def sparse_model(self, bank: PhotoBank) -> SparseModel:
-        """Return the triangulated points of the features."""
-        return read_sparse_model(bank, self.folder / 'sparse', lambda done, total: self.progress(
-            'matches', done, total, ''))
+    def sparse_model(self, bank: PhotoBank) -> tuple[SparseModel, float]:
+        """Return the triangulated points of the features, and the minutes that they took."""
+        folder = self.folder / 'sparse'
+        return _timed(folder / 'points.npz', lambda: read_sparse_model(
+            bank, folder, lambda done, total: self.progress('matches', done, total, '')))
 
     def _run(self, experiment: Experiment, out: Path) -> TrainingRun:
         run = TrainingRun(self.scene, experiment, out, self.progress)
@@ -154,9 +167,16 @@ class Workbench:
         write_bytes(note, text.encode())
 
 
-def _link(source: Path, target: Path) -> None:
-    """Share a large file between folders, or copy it where the disk cannot."""
-    try:
-        os.link(source, target)
-    except OSError:
-        shutil.copyfile(source, target)
+def _timed(path: Path, make: Callable[[], _Made]) -> tuple[_Made, float]:
+    """
+    Return what `make` makes, or reads from the file `path`, and the minutes that making it took.
+
+    They are noted beside the file; a file without its note is made again.
+    """
+    notes, started = path.with_suffix('.json'), time.monotonic()
+    if not notes.exists():
+        path.unlink(missing_ok=True)
+    made = make()
+    if not notes.exists():
+        write_notes(notes, time.monotonic() - started, [])
+    return made, read_notes(notes, path.name)[0] / 60

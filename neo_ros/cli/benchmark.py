@@ -13,23 +13,24 @@ def benchmark(
     test_scene: Annotated[Optional[Path], typer.Option(
         help='Scene folder whose photos are the wide truth, where SCENE has no test frames.',
     )] = None,
-    protocol: Annotated[str, typer.Option(
+    protocol: Annotated[Optional[str], typer.Option(
         help='square: photos are the view, grown to twice their size. horizontal: the middle '
-        'half of the columns, grown to the photo.')] = 'square',
-    scale: Annotated[str, typer.Option(
-        help='full, half or quarter of the resolution of the photos.')] = 'quarter',
+        'half of the columns, grown to the photo. Default: square.')] = None,
+    scale: Annotated[Optional[str], typer.Option(
+        help='full, half or quarter of the resolution of the photos. Default: quarter.')] = None,
     methods: Annotated[Optional[str], typer.Option(
-        help='Names, separated by commas. Default: all of the suite quarter.')] = None,
-    budget_minutes: Annotated[float, typer.Option(
-        help='Training time of field and network; naive may take what the network takes.',
-        min=0.01)] = 18.0,
+        help='Names, separated by commas. Default: all of the suite, or of quarter.')] = None,
+    budget_minutes: Annotated[Optional[float], typer.Option(
+        help='Training time of field and network; naive may take what the network takes. '
+        'Default: 18.', min=0.01)] = None,
     frames: Annotated[Optional[int], typer.Option(
         min=1, help='Score only so many test frames, spread evenly; default: all.')] = None,
     scenes: Annotated[Optional[list[Path]], typer.Option(
         help='Folder that holds the scene folders of a suite; may be given several times.',
     )] = None,
     out: Annotated[Optional[Path], typer.Option(
-        help='File for the rows; default: results/<suite>.json or results/<scene>.json.')] = None,
+        help='File for the rows; default: results/NAME.json, where NAME is the suite or the '
+        'scene; of a suite that was run in part, WORK/NAME.json.')] = None,
     work: Annotated[Path, typer.Option(
         help='Folder for fields, models, scores and the report.')] = Path('out/benchmark'),
     bundle: Annotated[Optional[Path], typer.Option(
@@ -39,24 +40,33 @@ def benchmark(
     """
     Score NEO beside its rivals (naive, warping, relocalised) and the bounds on the test frames.
 
-    Writes the rows to OUT, tables (.md) and report.html to WORK. Broken off? The same command
+    Writes the rows to OUT, NAME.md (tables) and NAME.html to WORK. Broken off? The same command
     goes on with the method it was at.
     """
-    from neo_ros.cli.progress import stage_progress
-    from neo_ros.errors import ConfigError
-    from neo_ros.benchmark.bundle import write_bundle
+    from contextlib import nullcontext
+
+    from neo_ros.benchmark.bundle import bundled
     from neo_ros.benchmark.methods import check_methods
-    from neo_ros.benchmark.run import run_jobs
+    from neo_ros.benchmark.run import installed, publish, run_jobs
     from neo_ros.benchmark.suites import prepare_demo, read_suite, suite_jobs
     from neo_ros.benchmark.workbench import Job
+    from neo_ros.cli.progress import stage_progress
+    from neo_ros.errors import ConfigError
+    from neo_ros.evaluation.output import make_output_folder, write_bytes
     import rich
     from rich.markup import escape
 
     if (suite is None) == (scene is None):
         raise ConfigError('benchmark: expected either --suite NAME or --scene FOLDER')
+    _refuse_without('--suite', {'--scenes': scenes} if scene else {})
+    _refuse_without('--scene', {} if scene else {
+        '--test-scene': test_scene, '--protocol': protocol, '--scale': scale,
+        '--budget-minutes': budget_minutes, '--frames': frames})
     plan = read_suite(suite or 'quarter')
     names = check_methods(methods.split(',') if methods else plan.methods)
     with stage_progress() as show:
+        names = installed(names, show)
+        whole = scene is None and set(plan.methods) <= set(names)
         if scene is None:
             jobs = suite_jobs(plan, scenes or [])
             if 'demo_flat' in jobs:
@@ -64,15 +74,34 @@ def benchmark(
             name = str(suite)
         else:
             name = scene.resolve().name
-            jobs = {name: Job(str(scene), protocol, scale, budget_minutes,
-                              str(test_scene) if test_scene else None, frames)}
-        rows_file = out or Path('results') / f'{name}.json'
-        try:
-            table = run_jobs(jobs, names, work, rows_file, name, frozen=suite is not None,
-                             progress=show)
-        finally:
-            if bundle is not None:
-                write_bundle(bundle, rows_file, work)
+            jobs = {name: Job(
+                str(scene), protocol or 'square', scale or 'quarter', budget_minutes or 18.0,
+                str(test_scene) if test_scene else None, frames)}
+        # What is kept of a suite is replaced by a whole one alone, and when it is through.
+        kept = Path('results') / f'{name}.json'
+        rows_file = out or (kept if scene else work / f'{name}.json')
+        if whole and out is None:
+            make_output_folder(kept.parent)
+        with bundled(bundle, rows_file, work) if bundle else nullcontext():
+            table = run_jobs(jobs, names, work, rows_file, name, show, frozen=scene is None)
     rich.print(escape(table))
+    if whole:
+        publish(name, table)
+        if out is None:
+            write_bytes(kept, rows_file.read_bytes())
+            rows_file = kept
+    elif scene is None:
+        missing = ', '.join(method for method in plan.methods if method not in names)
+        rich.print(f'Not run: {escape(missing)}. What is kept of the whole suite '
+                   f'({escape(str(kept))}, docs/benchmarks.md) stays as it was.')
     rich.print(f'Written: {escape(str(rows_file))}, '
                f'{escape(str(work / name))}.md and {escape(str(work / name))}.html')
+
+
+def _refuse_without(needed: str, options: dict[str, object]) -> None:
+    """Raise ConfigError for options that were given and would be ignored."""
+    from neo_ros.errors import ConfigError
+    given = [option for option, value in options.items() if value]
+    if given:
+        raise ConfigError(f'{", ".join(given)}: expected only with {needed}, which was not '
+                          'given; leave it out')

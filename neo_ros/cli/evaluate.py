@@ -47,7 +47,7 @@ def evaluate(
             neo, *alone, EdgeReplication(neo.expansion), MeanImage(neo.expansion, photos())]
         results = score(scene_data.name, truth, methods, progress=lambda done: show(
             'scoring', done, len(truth) * len(methods)))
-    write_evaluation(folder, scene_data.name, truth, methods, results)
+    write_evaluation(folder, scene_data.name, truth, results)
     columns = {'ring_psnr': ('ring dB', 2), 'ring_ssim': ('ring SSIM', 3),
                'whole_psnr': ('whole dB', 2), 'whole_ssim': ('whole SSIM', 3),
                'latency_ms_median': ('ms', 1)}

@@ -18,8 +18,8 @@ def soak(
     """
     Run the node for a long time, to see if it grows, falls silent, or falls behind.
 
-    Exit code 1 where it does: memory grown by 2 %, a second without a diagnosis, or latency (p99)
-    of the last sixth 10 % above that of the first.
+    Exit code 1 where it does: memory grown by 2 %, a second without a diagnosis, no image in the
+    first or the last sixth, or latency (p99) of the last sixth 10 % above that of the first.
     """
     import json
 
@@ -36,9 +36,13 @@ def soak(
     rich.print(
         f'{result["mean_rate_hz"]:.1f} of {rate:.1f} Hz, missed {result["missed"]} of '
         f'{result["sent"]}; latency median {latency["whole"]["median"]:.1f} ms, max '
-        f'{latency["whole"]["max"]:.1f} ms, p99 {latency["first"]["p99"]:.1f} ms at first and '
-        f'{latency["last"]["p99"]:.1f} ms at last; {rss["first"]:.0f} MB, {rss["last"]:.0f} MB '
-        f'at last; {result["missed_beats"]} of {result["beats"]} diagnoses late')
+        f'{latency["whole"]["max"]:.1f} ms, p99 {_p99(latency["first"])} at first and '
+        f'{_p99(latency["last"])} at last; {rss["first"]:.0f} MB, {rss["last"]:.0f} MB '
+        f'at last; {result["beats"]} diagnoses, {result["missed_beats"]} gaps')
     rich.print(f'Written: {escape(str(out))}')
     if not result['steady']:
         raise typer.Exit(1)
+
+
+def _p99(latency: dict[str, float]) -> str:
+    return f'{latency["p99"]:.1f} ms' if latency else 'no image'

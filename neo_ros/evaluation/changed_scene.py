@@ -99,6 +99,8 @@ def _psnr(truth: np.ndarray, image: np.ndarray, where: np.ndarray) -> float:
 
 def main() -> None:
     """Score the model of the command line and print JSON."""
+    if len(sys.argv) != 2:
+        sys.exit('usage: python -m neo_ros.evaluation.changed_scene MODEL.onnx')
     extrapolator = FovExtrapolator.load(Path(sys.argv[1]))
     scores = score_change(extrapolator, walking_paths(build_demo_flat(), 8, 25, 0))
     print(json.dumps(asdict(scores), indent=1))

@@ -4,16 +4,19 @@ Score methods on the wide truth of a scene: per frame, in the mean, and as resul
 The input of a test frame is the window of its wide truth that the expansion calls observed, so
 input and truth agree to the bit.
 """
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 import os
 from pathlib import Path
 import platform
 import subprocess
+import sys
+import tempfile
 import time
 from typing import Any, Callable, Iterator, Protocol, runtime_checkable, Sequence
 
 from neo_ros.errors import ImageRejected, SceneError
 from neo_ros.evaluation.baselines import Method
+from neo_ros.evaluation.kept_pictures import KeptPictures, pick_frames, read_picture
 from neo_ros.evaluation.metrics import Estimate, score_frame, summarise
 from neo_ros.geometry import CameraPose, ViewExpansion
 from neo_ros.scenes.posed_images import PosedImages
@@ -65,6 +68,7 @@ class MethodScores:
     estimates  mean of every score with a bootstrap 95 % interval over the walking paths
     row        the means under the keys ROW_KEYS
     figures    of the method as a whole, e.g. flicker
+    pictures   by index of the frame: the wide images of the best, the median and the worst
     """
 
     method: str
@@ -73,9 +77,10 @@ class MethodScores:
     estimates: dict[str, Estimate]
     row: dict[str, Any]
     figures: dict[str, float] = field(default_factory=dict)
+    pictures: dict[int, np.ndarray] = field(default_factory=dict, compare=False, repr=False)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return everything but the row, ready for JSON."""
+        """Return everything but the row and the pictures, ready for JSON."""
         return {'method': self.method, 'observed_pasted': self.observed_pasted,
                 'estimates': {name: estimate._asdict()
                               for name, estimate in self.estimates.items()},
@@ -123,15 +128,22 @@ def evaluate(scene_name: str, frames: TruthFrames, methods: Sequence[Method],
              scorers: Sequence[Scorer] = (score_frame,),
              progress: Callable[[int], None] = lambda done: None) -> list[MethodScores]:
     """
-    Score every method on every test frame.
+    Score every method on every test frame, and keep three of its pictures.
 
     `progress` is called with the number of (method, frame) pairs done.
     """
-    return [
-        method_scores(scene_name, frames, method, score_frames(
-            frames, method, scorers,
-            progress=lambda done, m=m: progress(m * len(frames) + done)))  # type: ignore[misc]
-        for m, method in enumerate(methods)]
+    results = []
+    for m, method in enumerate(methods):
+        with tempfile.TemporaryDirectory() as folder:
+            kept = Path(folder) / 'pictures'
+            scores = score_frames(
+                frames, method, scorers, [KeptPictures(kept)],
+                lambda done, m=m: progress(m * len(frames) + done))  # type: ignore[misc]
+            pictures = {index: read_picture(kept, index, frames.expansion.target)
+                        for index in pick_frames(scores).values()}
+        results.append(replace(method_scores(scene_name, frames, method, scores),
+                               pictures=pictures))
+    return results
 
 
 def score_frames(frames: TruthFrames, method: Method, scorers: Sequence[Scorer] = (score_frame,),
@@ -252,11 +264,19 @@ def commit() -> str | None:
 
 
 def host() -> str:
-    """Describe the processor that the latencies were taken on."""
+    """Describe the machine that the figures were taken on, with the GPU if it is used."""
     name = platform.processor() or platform.machine()
     try:
         lines = Path('/proc/cpuinfo').read_text().splitlines()
         name = next(line.split(':')[1].strip() for line in lines if 'model name' in line)
     except (OSError, StopIteration, IndexError):
         pass  # Not Linux, or a processor that does not say its name.
-    return f'{name}, {os.cpu_count()} cores'
+    return f'{name}, {os.cpu_count()} cores{_gpu_in_use()}'
+
+
+def _gpu_in_use() -> str:
+    # Who has not loaded torch uses no GPU here, and is not made to load it.
+    torch = sys.modules.get('torch')
+    if torch is None or not torch.cuda.is_initialized():
+        return ''
+    return f', {torch.cuda.get_device_name()}'

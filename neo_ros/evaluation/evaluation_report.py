@@ -1,15 +1,16 @@
 """From the scores of an evaluation to its files: scores.json and report.html."""
+from collections.abc import Callable, Sequence
 import json
 from pathlib import Path
-from typing import Any, Sequence
 
-from neo_ros.evaluation.baselines import Method
 from neo_ros.evaluation.evaluate import MethodScores, TruthFrames
+from neo_ros.evaluation.kept_pictures import pick_frames
 from neo_ros.evaluation.metrics import Estimate
 from neo_ros.evaluation.output import write_bytes
 from neo_ros.evaluation.report import (
     Plot, Section, Series, Strip, Table, Text, write_report)
 from neo_ros.evaluation.strips import frame_strip
+import numpy as np
 
 _COLUMNS = {'ring_psnr': ('Ring PSNR, dB', 2), 'ring_ssim': ('Ring SSIM', 3),
             'seam_psnr': ('Seam PSNR, dB', 2), 'whole_psnr': ('Whole PSNR, dB', 2),
@@ -17,7 +18,7 @@ _COLUMNS = {'ring_psnr': ('Ring PSNR, dB', 2), 'ring_ssim': ('Ring SSIM', 3),
 
 
 def write_evaluation(out: Path, scene_name: str, frames: TruthFrames,
-                     methods: Sequence[Method], results: Sequence[MethodScores]) -> None:
+                     results: Sequence[MethodScores]) -> None:
     """
     Write scores.json and report.html into the folder `out`.
 
@@ -28,12 +29,16 @@ def write_evaluation(out: Path, scene_name: str, frames: TruthFrames,
               'methods': [result.to_dict() for result in results]}
     write_bytes(out / 'scores.json', json.dumps(scores, indent=1, allow_nan=False).encode())
     write_report(out / 'report.html', f'How well {scene_name} is widened',
-                 evaluation_sections(scene_name, frames, methods, results))
+                 evaluation_sections(scene_name, frames, results))
 
 
-def evaluation_sections(scene_name: str, frames: TruthFrames, methods: Sequence[Method],
+def evaluation_sections(scene_name: str, frames: TruthFrames,
                         results: Sequence[MethodScores]) -> list[Section]:
-    """Describe an evaluation: what was scored, the table, ring PSNR by frame, and strips."""
+    """
+    Describe an evaluation: what was scored, the table, ring PSNR by frame, and strips.
+
+    results: as of `evaluate`, with their pictures.
+    """
     expansion = frames.expansion
     source, target = expansion.source, expansion.target
     share = expansion.extrapolated_mask.mean()
@@ -43,9 +48,9 @@ def evaluation_sections(scene_name: str, frames: TruthFrames, methods: Sequence[
              f'{target.width}x{target.height} pixels. The ring is what the camera did not see, '
              f'{share:.0%} of the wide image; the whole score also counts the observed centre.')
     sections: list[Section] = [Text(intro), scores_table(results), _psnr_plot(results)]
-    for method, result in zip(methods, results):
-        sections.append(Text('Best, median and worst frame by ring PSNR.', method.name))
-        sections += _strips(frames, method, result)
+    for result in results:
+        sections.append(Text('Best, median and worst frame by ring PSNR.', result.method))
+        sections += picture_strips(frames, result, result.pictures.__getitem__)
     return sections
 
 
@@ -60,26 +65,25 @@ def scores_table(results: Sequence[MethodScores]) -> Table:
     note = ('Mean over the frames; below it the bootstrap 95 % interval over the paths. '
             'Milliseconds are the median per frame on ' + results[0].row['host'] + '. '
             'Pasted: the observed centre is in the wide image as the camera gave it.')
-    if any(result.estimates['ring_psnr'].low is None for result in results):
+    n_paths = len({frame['path_id'] for frame in results[0].frames})
+    if n_paths == 1:
         note += ' One path alone gives no interval.'
+    elif n_paths <= 3:
+        note += f' Of {n_paths} paths it is the range over the paths, not 95 %.'
     columns = ['Method', *(_COLUMNS[name][0] for name in names), 'ms', 'Pasted']
     return Table(columns, rows, 'Scores', note, strong_row=best)
 
 
-def pick_frames(frames: Sequence[dict[str, Any]], score: str = 'ring_psnr') -> dict[str, int]:
-    """Return the indices of the best, the median and the worst frame by a score."""
-    order = sorted(range(len(frames)), key=lambda i: frames[i][score])
-    return {'best': order[-1], 'median': order[len(order) // 2], 'worst': order[0]}
-
-
-def _strips(frames: TruthFrames, method: Method, result: MethodScores) -> list[Strip]:
+def picture_strips(frames: TruthFrames, result: MethodScores,
+                   picture_of: Callable[[int], np.ndarray]) -> list[Strip]:
+    """Show the best, the median and the worst frame; `picture_of` gives the image scored."""
     strips = []
     for name, index in pick_frames(result.frames).items():
         narrow_image, truth = frames.read(index)
         scores = result.frames[index]
         strips.append(frame_strip(
             f'{name.capitalize()}: {scores["frame"]}', frames.expansion, narrow_image,
-            method.expand(narrow_image), truth,
+            picture_of(index), truth,
             f'ring {scores["ring_psnr"]:.2f} dB, SSIM {scores["ring_ssim"]:.3f}'))
     return strips
 

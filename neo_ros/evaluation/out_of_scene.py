@@ -189,6 +189,8 @@ def _jpeg(image: np.ndarray) -> np.ndarray:
 
 def main() -> None:
     """Score the model and the scenes of the command line, print the table and keep the figures."""
+    if len(sys.argv) < 3:
+        sys.exit('usage: python -m neo_ros.evaluation.out_of_scene MODEL.onnx SCENE [OTHER...]')
     model, scene, *others = (Path(argument) for argument in sys.argv[1:])
     rows = score_scenes(model, scene, others)
     write_bytes(RESULTS, (json.dumps({

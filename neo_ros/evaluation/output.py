@@ -1,5 +1,7 @@
 """Write what an evaluation leaves behind, with errors that say what to do."""
+import os
 from pathlib import Path
+import shutil
 import tempfile
 
 from neo_ros.errors import NeoError
@@ -27,6 +29,25 @@ def write_bytes(path: Path, content: bytes) -> None:
         path.write_bytes(content)
     except OSError as error:
         raise _cannot_write(path, error) from error
+
+
+def share_file(source: Path, target: Path) -> None:
+    """
+    Make a large file appear in another folder, too, or copy it where the disk cannot.
+
+    What was at `target` is replaced. Raises NeoError with the reason.
+    """
+    try:
+        target.unlink(missing_ok=True)
+        try:
+            os.link(source, target)
+        except OSError:
+            # A copy that was broken off must not be taken for the whole file.
+            partial = target.with_name(f'{target.name}.partial')
+            shutil.copyfile(source, partial)
+            partial.replace(target)
+    except OSError as error:
+        raise _cannot_write(target, error) from error
 
 
 def _cannot_write(path: Path, error: OSError) -> NeoError:

@@ -120,9 +120,10 @@ class RelocalizedNeo(Relocalized):
 
     name = 'relocalized_neo'
 
-    def __init__(self, relocalized: Relocalized, neo: NeoModel) -> None:
+    def __init__(self, relocalized: Relocalized, neo: NeoModel,
+                 train_minutes: float | None) -> None:
         mine, other = relocalized.model_mb, neo.model_mb
-        super().__init__(relocalized.relocalizer, relocalized.view, neo.train_minutes,
+        super().__init__(relocalized.relocalizer, relocalized.view, train_minutes,
                          None if mine is None or other is None else mine + other)
         self.neo = neo
 

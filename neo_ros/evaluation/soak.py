@@ -29,8 +29,9 @@ def soak(model: Path, seconds: float, hogs: int = 0, rate: float = RATE_HZ) -> d
     stamp to receipt (mean, median, p95, p99, max) of the whole run and of its first and last
     sixth; jitter_ms (standard deviation of the intervals), cpu_percent (100 = one core); rss_mb
     (median of the first and the last sixth) and rss_growth; beats and missed_beats of the
-    diagnostics; `steady`: no beat missed, memory grown by less than 2 %, and p99 of the last
-    sixth within 10 % of the first. Raises NeoError where nothing comes back.
+    diagnostics, the time before the first and after the last included; `steady`: no beat missed,
+    memory grown by less than 2 %, images in the first and in the last sixth, and p99 of the last
+    within 10 % of the first. Raises NeoError where nothing comes back.
     """
     with _busy_processes(hogs):
         result = run_graph(model, camera_images(model, FRAMES), seconds, rate)
@@ -40,13 +41,15 @@ def soak(model: Path, seconds: float, hogs: int = 0, rate: float = RATE_HZ) -> d
         raise NeoError(f'soak: expected {result["sent"]} wide images and {seconds:.0f} beats of '
                        f'the diagnostics, got {len(times)} and {len(beats)}')
     latency = (times - stamps) / 1e6
-    since = (stamps - stamps[0]) / 1e9
+    since = (stamps - result['first_sent']) / 1e9
     first, last = since < PART * seconds, since >= (1 - PART) * seconds
     part = max(round(len(memory) * PART), 1)
     rss = {'first': float(np.median(memory[:part])), 'last': float(np.median(memory[-part:]))}
     latencies = {'whole': _spread(latency), 'first': _spread(latency[first]),
                  'last': _spread(latency[last])}
-    missed_beats = int((np.diff(beats) > BEAT_TIMEOUT_S).sum())
+    ended = result['ended']
+    gaps = np.diff([ended - seconds, *beats, ended])
+    missed_beats = int((gaps > BEAT_TIMEOUT_S).sum())
     growth = rss['last'] / rss['first'] - 1
     intervals = np.diff(times) / 1e6
     return {
@@ -55,7 +58,8 @@ def soak(model: Path, seconds: float, hogs: int = 0, rate: float = RATE_HZ) -> d
         'missed': result['sent'] - len(times), 'latency_ms': latencies,
         'jitter_ms': float(intervals.std()), 'cpu_percent': result['cpu_percent'],
         'rss_mb': rss, 'rss_growth': growth, 'beats': len(beats), 'missed_beats': missed_beats,
-        'steady': bool(missed_beats == 0 and growth < MOST_GROWTH and latencies['last']['p99']
+        'steady': bool(missed_beats == 0 and growth < MOST_GROWTH and first.any() and last.any()
+                       and latencies['last']['p99']
                        < (1 + MOST_SLOWER) * latencies['first']['p99'])}
 
 

@@ -31,6 +31,11 @@ class SparseModel(NamedTuple):
     points: np.ndarray
     point_of: list[np.ndarray]
 
+    @property
+    def megabytes(self) -> float:
+        """Size of what finding a pose needs beside the features, as it lies on the disk."""
+        return (self.points.nbytes + sum(one.nbytes for one in self.point_of)) / 1e6
+
 
 def read_sparse_model(bank: PhotoBank, folder: Path,
                       progress: Progress = lambda done, total: None) -> SparseModel:

@@ -46,10 +46,11 @@ class Warping:
 
     name = 'warping'
     observed_pasted = True
-    train_minutes: float | None = None
 
-    def __init__(self, bank: PhotoBank, expansion: ViewExpansion) -> None:
+    def __init__(self, bank: PhotoBank, expansion: ViewExpansion,
+                 train_minutes: float | None = None) -> None:
         self.bank, self.expansion = bank, expansion
+        self.train_minutes = train_minutes
         self.images = bank.photos.read_images(bank.scale)
         files = [path.stat().st_size for path in bank.photos.image_paths]
         self.model_mb: float | None = bank.megabytes + sum(files) / 1e6

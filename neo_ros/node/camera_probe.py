@@ -131,10 +131,12 @@ def _measure(probe: CameraProbe, options: argparse.Namespace) -> dict[str, Any]:
     probe.rest()
     cpu_percent = _cpu_percent(
         options.pid, lambda: probe.run(options.rate, options.seconds))
+    ended = time.monotonic()
     rss_mb, beats = _rss_mb(options.pid), probe.beats.copy()
     probe.rest()
     sent = set(probe.sent)
     return {'sent': len(sent), 'arrivals': [pair for pair in probe.arrivals if pair[0] in sent],
+            'first_sent': min(sent), 'ended': ended,
             'cpu_percent': cpu_percent, 'idle_cpu_percent': idle_percent, 'rss_mb': rss_mb,
             'beats': beats, 'diagnostics': probe.stages}
 

@@ -1,0 +1,29 @@
+"""Files that an evaluation leaves, on disks of all kinds."""
+import os
+from pathlib import Path
+
+from neo_ros.errors import NeoError
+from neo_ros.evaluation.output import share_file
+import pytest
+
+
+@pytest.mark.parametrize('links', [True, False], ids=['hard links', 'no hard links'])
+def test_a_file_is_shared_or_copied(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch, links: bool) -> None:
+    def refuse(source: Path, target: Path) -> None:
+        raise PermissionError(1, 'not on this disk')
+
+    if not links:
+        monkeypatch.setattr(os, 'link', refuse)
+    source, target = tmp_path / 'source', tmp_path / 'target'
+    source.write_bytes(b'new')
+    target.write_bytes(b'old')
+    share_file(source, target)
+    assert target.read_bytes() == b'new'
+    assert target.samefile(source) is links
+    assert sorted(path.name for path in tmp_path.iterdir()) == ['source', 'target']
+
+
+def test_a_file_that_cannot_be_shared_is_named(tmp_path: Path) -> None:
+    with pytest.raises(NeoError, match='target: cannot write: No such file'):
+        share_file(tmp_path / 'missing', tmp_path / 'target')
