@@ -86,8 +86,10 @@ def test_a_distance_must_be_positive() -> None:
 @pytest.mark.parametrize(('block', 'expected'), [
     ([[2, 2], [4, 4]], 4), ([[4, 2], [4, 2]], 4), ([[2, 2], [2, 4]], 2), ([[0, 0], [4, 4]], 4),
     ([[0, 0], [0, 4]], 0), ([[1, 2, 9], [9, 3, 9], [1, 2, 2]], 2),
-], ids=['edge', 'upright edge', 'corner', 'edge of the known', 'hardly known', 'three by three'])
-def test_a_vertex_lies_on_a_surface(block: list[list[int]], expected: int) -> None:
+    ([[4, 4.25], [3.75, 4]], 4), ([[4, 4.25], [4, 4.25]], 4.125),
+], ids=['edge', 'upright edge', 'corner', 'edge of the known', 'hardly known', 'three by three',
+        'slope', 'steps of one surface'])
+def test_a_vertex_lies_on_a_surface(block: list[list[float]], expected: float) -> None:
     found = memory_baking.mesh_depth(np.array(block, np.float32), len(block))
     assert found.dtype == np.float32 and found.tolist() == [[expected]]
 
@@ -151,11 +153,14 @@ def test_a_baked_keyframe_has_the_depths_of_the_scene(baked: SceneMemory) -> Non
     truth[rays[..., 2] <= -0.8] = np.inf
     samples = truth.reshape(height, 2, width, 2).swapaxes(1, 2).reshape(height, width, 4)
     nearness = np.divide(1, depth, out=np.zeros_like(depth), where=depth > 0)
-    assert np.abs(nearness[..., None] - 1 / samples).min(-1).max() < 1e-3
+    real = np.abs(nearness[..., None] - 1 / samples).min(-1) < 1e-3
+    # Or between the middle two, where they are of one wall.
+    far, near = np.moveaxis(np.sort(1 / samples, axis=-1)[..., 1:3], -1, 0)
+    one_wall = (near - far < 0.12 * near) & (far - 1e-3 < nearness) & (nearness < near + 1e-3)
+    assert (real | one_wall).all()
     assert 0.02 < (depth == 0).mean() < 0.2
     # Blocks that an edge of the post cuts in halves.
-    ordered = np.sort(1 / samples, axis=-1)
-    assert (ordered[..., 2] - ordered[..., 1] > 0.5).sum() > 20
+    assert (near - far > 0.5).sum() > 20
 
 
 def test_a_baked_keyframe_has_the_colours_of_the_photos(baked: SceneMemory) -> None:

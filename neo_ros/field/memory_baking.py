@@ -25,6 +25,8 @@ MESH_FOCAL = 96.0
 TEXTURE = 2.0
 # Photos nearest to a keyframe that may colour it.
 PHOTOS = 400
+# Depths that differ by less than this share are of one surface.
+ONE_SURFACE = 0.1
 LEAST_COVERAGE = 0.5
 GLANCE_WIDTH = 16
 GLANCE_YAW = math.radians(15)
@@ -138,11 +140,14 @@ def mesh_depth(depth: np.ndarray, finer: int) -> np.ndarray:
     """
     Take one depth of each block of finer x finer pixels: float32 (h, w) of (finer h, finer w).
 
-    The middle one of those that are there: a mean of two surfaces would hang in mid-air.
+    The median; but where the middle two of an even number lie on two surfaces, or one is unknown,
+    the farther one: their mean would hang in mid-air.
     """
     height, width = depth.shape[0] // finer, depth.shape[1] // finer
     blocks = depth.reshape(height, finer, width, finer).swapaxes(1, 2).reshape(height, width, -1)
-    return np.sort(blocks, axis=-1)[..., blocks.shape[-1] // 2].copy()
+    blocks, count = np.sort(blocks, axis=-1), finer * finer
+    near, far = blocks[..., (count - 1) // 2], blocks[..., count // 2]
+    return np.where(far - near < ONE_SURFACE * far, (near + far) / 2, far)
 
 
 def keyframe_glances(keyframes: list[Keyframe], band: Band, source: Intrinsics,
