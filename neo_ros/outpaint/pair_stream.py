@@ -49,9 +49,8 @@ class PairStream:
         random = np.random.default_rng([self.seed, 2, step])
         photos = self.real_order[:FIRST_PHOTOS + step // STEPS_PER_PHOTO]
         views = []
-        for real in random.random(size) < (self.real_share if self.real is not None else 0):
-            if real:
-                assert self.real is not None
+        for shows_photo in random.random(size) < self.real_share:
+            if shows_photo and self.real is not None:
                 views.append(self.real.view(int(random.choice(photos))))
             else:
                 views.append(self.pool.draw_view(int(random.integers(ready)), random))
