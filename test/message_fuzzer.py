@@ -125,6 +125,9 @@ class QuickExtrapolator:
     expansion = TINY_EXPANSION
     scene_check = None
 
+    def reset(self) -> None:
+        """Have nothing to forget."""
+
     def expand(self, image: np.ndarray) -> WideView:
         """Check what comes in; return black."""
         assert image.shape == (SOURCE.height, SOURCE.width, 3) and image.dtype == np.uint8

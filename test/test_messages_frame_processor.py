@@ -47,6 +47,9 @@ def test_network_rests_when_nobody_wants_its_outputs():
         expansion = TINY_EXPANSION
         scene_check = None
 
+        def reset(self):
+            pass
+
         def expand(self, image):
             raise AssertionError('the network ran')
 
@@ -90,6 +93,9 @@ class Watched:
     def score(self, image, confidence):
         return self._score
 
+    def reset(self):
+        pass
+
     def expand(self, image):
         target = TINY_EXPANSION.target
         confidence = np.full((target.height, target.width), 128, np.uint8)
@@ -119,12 +125,16 @@ def test_image_and_camera_info_of_different_sizes_are_refused(extrapolator):
         FrameProcessor(extrapolator).process(
             image_message(noise_image(SOURCE, 1)), camera_info_message(wider))
     assert found.value.reason == 'size'
+    with pytest.raises(ImageRejected, match='image is 64x48, the camera_info says 32x24'):
+        FrameProcessor(extrapolator).process(
+            image_message(noise_image(wider, 1)), camera_info_message(SOURCE))
 
 
 def test_a_new_camera_info_and_rectify_take_effect_at_the_next_frame(extrapolator):
     processor = FrameProcessor(extrapolator)
     image = image_message(noise_image(SOURCE, 1))
-    assert processor.process(image, camera_info_message(SOURCE)).camera_note == ''
+    own = processor.process(image, camera_info_message(SOURCE))
+    assert own.camera_note == 'as the model takes it'
     wider = Intrinsics.from_hfov(64, 48, math.radians(100))
     wide_image = image_message(noise_image(wider, 1))
     bent = camera_info_message(wider, d=[-0.01, 0, 0, 0, 0])
@@ -133,4 +143,4 @@ def test_a_new_camera_info_and_rectify_take_effect_at_the_next_frame(extrapolato
         processor.process(wide_image, bent)
     processor.rectify = True
     assert 'rectified' in processor.process(wide_image, bent).camera_note
-    assert processor.process(image, None).camera_note == ''
+    assert processor.process(image, None).camera_note == 'no camera_info: taken by its size'

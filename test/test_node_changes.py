@@ -19,7 +19,7 @@ from rclpy.time import Time
 from ros_graph import ros_graph
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CompressedImage, Image
-from std_srvs.srv import Trigger
+from std_srvs.srv import SetBool, Trigger
 from tiny_model import TINY_EXPANSION, write_tiny_model
 
 SOURCE = TINY_EXPANSION.source
@@ -58,9 +58,9 @@ def test_another_model_takes_over_without_losing_the_subscription(graph, model, 
     assert (wide['image'].width, wide['mask'].width, wide['camera_info'].width) == (80,) * 3
     np.testing.assert_array_equal(
         pixels(wide['image']), FovExtrapolator.load(larger).expand(image).wide_image)
+    camera.diagnostics.clear()
     lines = camera.wait_for_diagnosis(DiagnosticStatus.OK, 'widening')
-    graph.spin_until(lambda: camera.wait_for_diagnosis(
-        DiagnosticStatus.OK, 'widening') and lines)
+    assert lines['model scene'] == 'kitchen'
     assert lost and not any(lost)
 
 
@@ -135,6 +135,25 @@ def test_a_wider_distorted_camera_is_rectified_on_request(graph, model):
         assert np.array_equal(getattr(wide['camera_info'], name), value), name
     lines = camera.wait_for_diagnosis(DiagnosticStatus.WARN, 'some images are rejected')
     assert lines['camera'].startswith('rectified and resampled from 96x80')
+
+
+def test_the_first_image_waits_for_its_camera_info(graph, model):
+    camera, _ = started(graph, model)
+    wider = Intrinsics.from_hfov(64, 48, math.radians(100))
+    camera.publish_info()  # So that node and publisher have found each other.
+    assert graph.call(SetBool, f'{NODE}/enable', SetBool.Request(data=False)).success
+    assert graph.call(SetBool, f'{NODE}/enable', SetBool.Request(data=True)).success
+    graph.spin_until(lambda: camera.images.get_subscription_count()
+                     and camera.infos.get_subscription_count())
+    graph.spin_for(0.3)
+    sent = camera.publish(noise_image(wider, 1), 1)
+    graph.spin_for(0.2)
+    camera.publish_info(wider)
+    graph.spin_until(lambda: camera.wide['image'] and camera.wide['image'][-1].header
+                     == sent.header)
+    camera.diagnostics.clear()
+    lines = camera.wait_for_diagnosis(DiagnosticStatus.OK, 'widening')
+    assert lines['rejected'] == '0' and lines['camera'].startswith('resampled from 64x48')
 
 
 def test_the_rectified_topic_of_image_proc_is_taken_as_it_is(graph, model):

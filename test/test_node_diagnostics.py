@@ -1,6 +1,7 @@
 """The one line that tells an operator what is wrong."""
 from diagnostic_msgs.msg import DiagnosticStatus
-from neo_ros.node.diagnostics import build_status, Health, judge, SceneWatch
+from neo_ros.messages import SceneWatch
+from neo_ros.node.diagnostics import build_status, Health, judge
 from neo_ros.node.frame_statistics import Snapshot, Spread
 import pytest
 
@@ -11,13 +12,14 @@ def snapshot(**changes):
     fields = {
         'received': 10, 'published': 10, 'dropped': 0, 'rejected': {}, 'last_rejection': '',
         'recent_received': 10, 'recent_published': 10, 'recent_rejected': 0, 'rate_in': 30.0,
-        'rate_out': 29.8, 'out_of_scene': None, 'guided': 0.0, 'camera_note': '',
+        'rate_out': 29.8, 'out_of_scene': None, 'guided': 0.0, 'camera_note': 'unknown',
         'latency_ms': {'infer': Spread(1.0, 2.0, 3.0)}}
     return Snapshot(**(fields | changes))
 
 
 def health(counts=None, **changes):
-    fields = {'state': 'active', 'fault': '', 'enabled': True, 'topic': '/camera/image',
+    fields = {'state': 'active', 'fault': '', 'loading': False, 'enabled': True,
+              'topic': '/camera/image',
               'publishers': 1, 'qos_conflict': '', 'subscribed': True, 'unlike_scene': False}
     return Health(**(fields | changes), counts=counts or snapshot())
 
@@ -42,7 +44,9 @@ REJECTING = snapshot(recent_rejected=3, last_rejection='size: too big')
     (health(REJECTING), WARN, 'some images are rejected: size: too big'),
     (health(snapshot(recent_rejected=3, recent_published=0, last_rejection='step')), ERROR,
      'every image is rejected: step'),
-    (health(snapshot(recent_published=0)), WARN, 'first image'),
+    (health(snapshot(recent_published=0, published=0)), WARN, 'first image'),
+    (health(snapshot(recent_published=0)), WARN, 'none was lately'),
+    (health(snapshot(recent_received=0), loading=True), OK, 'active: the model is being loaded'),
     (health(unlike_scene=True), WARN, 'unlike the trained scene'),
 ], ids=lambda value: value if isinstance(value, str) else '')
 def test_verdict(found, level, words):
@@ -65,4 +69,4 @@ def test_verdict_on_the_scene_does_not_flicker():
     watch = SceneWatch()
     scores = [None, 0.1, 0.45, 0.6, 0.45, None, 0.4, 0.3, 0.45, 0.51]
     assert [watch.update(score) for score in scores] == [
-        False, False, False, True, True, True, True, False, False, True]
+        False, False, False, True, True, False, True, False, False, True]

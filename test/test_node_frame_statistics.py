@@ -69,10 +69,33 @@ def test_what_the_images_were_like_is_that_of_the_window():
         statistics.count_published({}, score, guided, 'resampled')
     clock.time += WINDOW_S + 0.1
     for score, guided in ((0.2, True), (0.4, False), (None, False), (None, False)):
-        statistics.count_published({}, score, guided)
+        statistics.count_published({}, score, guided, 'as the model takes it')
     counts = statistics.snapshot()
     assert (counts.out_of_scene, counts.guided) == (pytest.approx(0.3), 0.25)
-    assert counts.camera_note == ''
+    assert counts.camera_note == 'as the model takes it'
     clock.time += WINDOW_S + 0.1
     assert statistics.snapshot().out_of_scene is None
     assert statistics.snapshot().guided == 0
+
+
+def test_another_model_is_not_judged_by_what_the_last_one_said():
+    statistics = Statistics(HandClock())
+    assert statistics.snapshot().camera_note == 'unknown'
+    statistics.count_published({'infer': 500}, 0.9, False, 'resampled')
+    statistics.forget_model()
+    counts = statistics.snapshot()
+    assert (counts.out_of_scene, counts.latency_ms, counts.camera_note) == (None, {}, 'unknown')
+    assert (counts.published, counts.recent_published) == (1, 1)
+    statistics.count_rejected('camera', 'another camera')
+    assert statistics.snapshot().camera_note == 'rejected'
+
+
+def test_rates_are_of_the_time_since_images_are_taken():
+    clock = HandClock()
+    statistics = Statistics(clock)
+    clock.time += 60
+    statistics.begin()
+    for _ in range(30):
+        clock.time += 1 / 30
+        statistics.count_received()
+    assert statistics.snapshot().rate_in == pytest.approx(30)

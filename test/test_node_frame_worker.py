@@ -23,8 +23,12 @@ class GatedExtrapolator:
     scene_check = None
 
     def __init__(self):
+        self.resets = 0
         self.entered = threading.Semaphore(0)
         self.gate = threading.Semaphore(0)
+
+    def reset(self):
+        self.resets += 1
 
     def expand(self, image):
         self.entered.release()
@@ -151,6 +155,23 @@ def test_max_fps_takes_the_newest_frame_when_its_time_has_come(bench):
     assert bench.outputs.published.acquire(timeout=WAIT_S)
     assert time.monotonic() - started >= 0.2
     assert bench.outputs.headers == [0, 2]
+
+
+def test_max_fps_may_be_raised_while_it_waits(bench):
+    bench.worker.max_fps = 1e-11
+    for _ in range(2):
+        bench.extrapolator.gate.release()
+    bench.worker.submit(frame(0))
+    assert bench.outputs.published.acquire(timeout=WAIT_S)
+    bench.worker.submit(frame(1))
+    assert not bench.outputs.published.acquire(timeout=0.2)
+    bench.worker.max_fps = 30
+    assert bench.outputs.published.acquire(timeout=WAIT_S)
+    assert bench.outputs.headers == [0, 1]
+
+
+def test_a_new_worker_forgets_where_the_camera_was(bench):
+    assert bench.worker.stop(WAIT_S) and bench.extrapolator.resets == 1
 
 
 def test_latency_is_split_into_stages(bench):

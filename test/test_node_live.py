@@ -155,7 +155,7 @@ def test_wrong_model_leaves_it_unconfigured_with_the_reason(graph, model, tmp_pa
     broken.write_bytes(model.read_bytes()[:500])
     camera = Camera(graph)
     camera.start_node(broken)
-    camera.wait_for_diagnosis(DiagnosticStatus.ERROR, 'cannot load the model: .*broken.onnx')
+    camera.wait_for_diagnosis(DiagnosticStatus.ERROR, 'cannot configure: .*broken.onnx')
     assert state_of(graph) == 'unconfigured'
     assert set_parameter(graph, 'model', str(model)).successful
     assert change_state(graph, Transition.TRANSITION_CONFIGURE)
@@ -252,6 +252,23 @@ def test_signal_in_the_middle_of_inference_ends_it(graph, model, number):
     assert code == 0 and seconds < 1, process.stdout.read()
 
 
+SLOW_LOAD = """
+import time
+from neo_ros.runtime import FovExtrapolator
+FovExtrapolator.load = lambda *arguments: print('loading', flush=True) or time.sleep(60)
+from neo_ros.node.main import main
+main()
+"""
+
+
+@pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGINT], ids=['SIGTERM', 'SIGINT'])
+def test_signal_while_a_model_loads_ends_it(graph, model, number):
+    process = graph.start('-c', SLOW_LOAD, '--ros-args', '-p', f'model:={model}')
+    assert process.stdout.readline() == 'loading\n'
+    code, seconds = end(process, number)
+    assert code == 0 and seconds < 1.5, process.stdout.read()
+
+
 def test_qos_conflict_is_told(graph, model):
     camera = Camera(graph)
     graph.node.destroy_publisher(camera.images)
@@ -262,6 +279,7 @@ def test_qos_conflict_is_told(graph, model):
         'node asks for reliable; set the parameter reliable to false')
     graph.node.destroy_publisher(other)
     camera.images = graph.node.create_publisher(Image, '/robot/image', 10)
+    camera.diagnostics.clear()
     camera.wait_for_diagnosis(DiagnosticStatus.WARN, 'publishers: [01]$')
     camera.wait_for_node()
     infos = graph.node.create_publisher(CameraInfo, '/robot/camera_info', qos_profile_sensor_data)

@@ -8,7 +8,7 @@ import time
 from typing import Any
 
 from bag_files import walk_frames, write_walk_bag
-from neo_ros.bags import BagReader, replay
+from neo_ros.bags import BagReader, BagWriter, replay
 from neo_ros.errors import BagError, ConfigError
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.messages import read_image
@@ -109,6 +109,33 @@ def test_nothing_is_widened_while_nobody_watches(walk_bag, model, monkeypatch):
     threading.Timer(0.3, hub.stop.set).start()
     source.run(hub, hub.stop)
     assert hub.pictures == []
+
+
+def test_a_late_viewer_gets_what_the_camera_said_at_the_beginning(model, tmp_path):
+    wider = ViewExpansion.to_size(Intrinsics.from_hfov(64, 48, math.radians(100)), 128, 96)
+    bag, infos = tmp_path / 'once', 0
+    with BagReader(write_walk_bag(tmp_path / 'walk', wider, FRAMES)) as reader, (
+            BagWriter(bag)) as writer:
+        topics = {name: writer.add_topic(f'/camera/{name}', f'sensor_msgs/msg/{kind}')
+                  for name, kind in (('image_raw', 'Image'), ('camera_info', 'CameraInfo'))}
+        for message in reader.messages([f'/camera/{name}' for name in topics]):
+            name = message.topic.name.rpartition('/')[2]
+            infos += name == 'camera_info'
+            if name == 'image_raw' or infos == 1:
+                writer.write_cdr(topics[name], message.stamp_ns, message.cdr)
+    source = BagSource(bag, None, model)
+    hub: Any = Collector(1)
+    hub.wanted = Wanted()
+    threading.Timer(0.25, lambda: setattr(hub, 'wanted', Wanted(True))).start()
+    source.run(hub, hub.stop)
+    assert hub.pictures[0].image.shape == (48, 64, 3)
+    assert not any(state.message for state in hub.states)
+
+
+def test_a_bag_of_one_picture_is_not_opened_all_the_time(model, tmp_path):
+    bag = write_walk_bag(tmp_path / 'walk', EXPANSION, 1)
+    hub = collect(BagSource(bag, None, model), 3)
+    assert hub.times[-1] - hub.times[0] > 0.8
 
 
 def test_what_cannot_be_shown_is_named(walk_bag, model, tmp_path):

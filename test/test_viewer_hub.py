@@ -6,10 +6,11 @@ from types import SimpleNamespace
 
 from hypothesis import given, strategies as st
 from neo_ros.errors import ImageRejected
-from neo_ros.viewer.pictures import encode_jpeg, EncodedPicture, SourcePicture, SourceState
+from neo_ros.messages import encode_jpeg
+from neo_ros.viewer.pictures import EncodedPicture, SourcePicture, SourceState
 from neo_ros.viewer.viewer_link import MAX_ON_THE_WAY
 from neo_ros.viewer.wide_topics import (
-    IN_SCENE, LATENCY, MAX_COMPRESSED_BYTES, read_diagnosis, read_picture, seen_share, WideTopics)
+    IN_SCENE, LATENCY, MAX_COMPRESSED_BYTES, NodeDiagnosis, read_picture, seen_share, WideTopics)
 import numpy as np
 import pytest
 from viewer_server import IMAGE, picture, receive_picture, run, running, until, watching
@@ -23,6 +24,11 @@ async def feed(hub, seconds, rate):
         count += 1
         await asyncio.sleep(max(begin + count / rate - time.monotonic(), 0))
     return count
+
+
+def test_a_picture_that_cannot_be_a_jpeg_is_refused():
+    with pytest.raises(ImageRejected, match='at most 65500 pixels a side, got 1x65501'):
+        EncodedPicture(1, picture(np.zeros((65501, 1, 3), np.uint8)), 80, False)
 
 
 async def collect(socket, into, pause=0.0):
@@ -111,6 +117,23 @@ def test_bandwidth_limit_holds():
     run(test)
 
 
+def test_a_viewer_that_goes_on_gets_no_picture_from_before():
+    async def test():
+        async with running(max_mbit=0.1) as (client, hub):
+            async with watching(client) as socket:
+                for _ in range(2):  # The second waits: the first used up the bandwidth.
+                    hub.publish(picture())
+                await receive_picture(socket)
+                await socket.send_json({'paused': True})
+                await until(lambda: not hub.wanted.image)
+                await socket.send_json({'paused': False})
+                await until(lambda: hub.wanted.image)
+                await asyncio.sleep(1.5)
+                hub.publish(picture())
+                assert (await receive_picture(socket))[0]['seq'] == 3
+    run(test)
+
+
 def test_nothing_is_encoded_while_nobody_watches():
     async def test():
         async with running() as (client, hub):
@@ -168,7 +191,7 @@ def test_topics_beside_the_image(topic):
 
 @pytest.mark.parametrize('data, reason', [
     (b'GIF89a', 'encoding'), (b'', 'empty'), (b'<svg onload=x>', 'encoding'),
-    (encode_jpeg(IMAGE, 80) + bytes(MAX_COMPRESSED_BYTES), 'size')],
+    (bytes(encode_jpeg(IMAGE, 80)) + bytes(MAX_COMPRESSED_BYTES), 'size')],
     ids=['gif', 'nothing', 'svg', 'huge'])
 def test_compressed_pictures_that_are_not_passed_on(data, reason):
     with pytest.raises(ImageRejected) as rejected:
@@ -183,7 +206,7 @@ def status(name, level, message, values=()):
 
 
 def test_compressed_pictures_are_passed_on_as_they_are():
-    jpeg = encode_jpeg(IMAGE, 80)
+    jpeg = bytes(encode_jpeg(IMAGE, 80))
     assert read_picture(SimpleNamespace(data=np.frombuffer(jpeg, np.uint8), format='jpeg')) == jpeg
 
 
@@ -191,11 +214,18 @@ def test_diagnosis_of_the_node_beside_the_topic():
     ours = status('/cam/fov_extrapolator', b'\x01', 'not in the scene',
                   {IN_SCENE: 'false', LATENCY: '12.5/20/30'})
     other = status('/rear/fov_extrapolator', 0, 'widening')
-    assert read_diagnosis([other, ours], '/cam') == {
-        'level': 1, 'message': 'not in the scene', 'node_ms': 12.5, 'out_of_scene': True}
-    assert read_diagnosis([other], '/cam') == {
-        'level': 0, 'message': 'widening', 'node_ms': None, 'out_of_scene': False}
-    assert read_diagnosis([status('/lidar', 2, 'off')], '/cam') == {}
+    of_ours = {'level': 1, 'message': 'not in the scene', 'node_ms': 12.5, 'out_of_scene': True}
+    of_other = {'level': 0, 'message': 'widening', 'node_ms': None, 'out_of_scene': False}
+    # Every node sends an array of its own.
+    diagnosis = NodeDiagnosis('/cam')
+    assert diagnosis.read([status('/lidar', 2, 'off')]) == {}
+    assert diagnosis.read([other]) == of_other  # The only one there is: perhaps it has this name.
+    assert diagnosis.read([ours]) == of_ours
+    assert diagnosis.read([other]) == {}
+    assert NodeDiagnosis('/cam').read([other, ours]) == of_ours
+    strangers = NodeDiagnosis('/front')
+    strangers.read([ours])
+    assert strangers.read([other]) == {}
 
 
 def test_message_layout():

@@ -157,7 +157,11 @@ def test_compressed_pictures_and_warnings_of_the_node(graph):
             pictures.publish(CompressedImage(format='jpeg', data=b'no picture'))))
 
 
-def test_settings_that_cannot_be(graph):
-    process = graph.start('-m', 'neo_ros.viewer.main', *PORT_ARGUMENTS, '-p', 'quality:=500')
-    assert 'quality: expected 1 to 100, got 500' in process.communicate(timeout=20)[0]
+@pytest.mark.parametrize('parameter, words', [
+    ('quality:=500', 'quality: expected 1 to 100, got 500'), ('max_mbit:=20', 'max_mbit')],
+    ids=['range', 'type'])
+def test_settings_that_cannot_be(graph, parameter, words):
+    process = graph.start('-m', 'neo_ros.viewer.main', *PORT_ARGUMENTS, '-p', parameter)
+    text = process.communicate(timeout=20)[0]
+    assert words in text and 'Traceback' not in text
     assert process.returncode == 1

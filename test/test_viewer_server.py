@@ -27,7 +27,8 @@ PATHS = ['/', '/viewer.js', '/link.js', '/picture.js', '/viewer.css', '/icon.svg
 @pytest.mark.parametrize('settings, words', [
     ({'port': 70000}, 'port'), ({'quality': 0}, 'quality'), ({'max_viewers': 0}, 'max_viewers'),
     ({'max_mbit': -1.0}, 'max_mbit'), ({'stale_after': 0.0}, 'stale_after'),
-    ({'token': 'short'}, 'token'), ({'cert': Path('c.pem')}, 'cert, key'),
+    ({'token': 'short'}, 'token'), ({'token': 201 * 'x'}, 'token'),
+    ({'cert': Path('c.pem')}, 'cert, key'),
 ], ids=lambda value: str(value))
 def test_bad_settings_are_named(settings, words):
     with pytest.raises(ConfigError, match=words):

@@ -12,8 +12,8 @@ def view(
         help='Show this bag instead of a ROS graph.')] = None,
     model: Annotated[Optional[Path], typer.Option(
         help='Model that widens a bag without wide images; default: demo_flat.onnx.')] = None,
-    rate: Annotated[float, typer.Option(
-        help='How many times as fast as the bag was recorded.', min=0.001)] = 1.0,
+    rate: Annotated[Optional[float], typer.Option(
+        help='How many times as fast as the bag was recorded; default: 1.', min=0.001)] = None,
     sim_time: Annotated[bool, typer.Option(
         '--sim-time', help='Take the time from /clock, as for a bag that is played.')] = False,
     host: Annotated[str, typer.Option(
@@ -32,6 +32,7 @@ def view(
         help='Seconds until a picture counts as stale.')] = 0.8,
 ) -> None:
     """Show the widened stream in a browser, from a ROS graph or from a bag; view only."""
+    from neo_ros.cli.options import refuse
     from neo_ros.paths import share_dir
     from neo_ros.viewer.settings import read_token, ViewerSettings
 
@@ -42,9 +43,11 @@ def view(
         from neo_ros.viewer.bag_source import BagSource
         from neo_ros.viewer.server import serve
 
+        refuse('expected only without --bag, whose time is its own', sim_time=sim_time)
         model = model or share_dir() / 'models' / 'demo_flat.onnx'
-        serve(BagSource(bag, topic, model, rate), settings, typer.echo)
+        serve(BagSource(bag, topic, model, 1.0 if rate is None else rate), settings, typer.echo)
         return
+    refuse('expected only with --bag', model=model, rate=rate)
     from neo_ros.viewer.main import serve_topic
     import rclpy
     from rclpy.parameter import Parameter

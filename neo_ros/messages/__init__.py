@@ -13,17 +13,20 @@ from neo_ros.messages.camera_info import (
 )
 from neo_ros.messages.compressed_image import (
     compressed_image_size,
+    encode_jpeg,
     jpeg_fields,
     read_compressed_image,
 )
 from neo_ros.messages.frame_processor import FrameProcessor, WideFrame
 from neo_ros.messages.image import image_fields, MONO8, read_image, RGB8
+from neo_ros.messages.scene_watch import SceneWatch
 
 __all__ = [
     'camera_info_fields',
     'camera_info_of',
     'CameraFit',
     'compressed_image_size',
+    'encode_jpeg',
     'expand_camera_info',
     'FrameProcessor',
     'image_fields',
@@ -34,5 +37,6 @@ __all__ = [
     'read_compressed_image',
     'read_image',
     'RGB8',
+    'SceneWatch',
     'WideFrame',
 ]

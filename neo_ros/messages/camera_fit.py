@@ -29,7 +29,7 @@ class CameraFit:
     of the camera is taken out by the same interpolation.
 
     size: width and height of the images that it takes. camera_info: fields of the wide view's
-    CameraInfo below the header. note: in words, what is done to the images; '' = nothing.
+    CameraInfo below the header. note: in words, what is done to the images.
     """
 
     def __init__(self, message: Any | None, expansion: ViewExpansion, rectify: bool) -> None:
@@ -41,7 +41,7 @@ class CameraFit:
         """
         self._maps: tuple[np.ndarray, np.ndarray] | None = None
         self._shrunk: tuple[int, int] | None = None
-        self.note = ''
+        self.note = 'no camera_info: taken by its size'
         self._model = expansion.source
         self.size = (self._model.width, self._model.height)
         if message is None:
@@ -50,6 +50,7 @@ class CameraFit:
         distortion, fisheye = read_distortion(message)
         camera = read_camera_info(message, distorted=rectify)
         self.size = (camera.width, camera.height)
+        self.note = 'as the model takes it'
         if not distortion.any() and is_same_camera(camera, self._model):
             self.camera_info = expand_camera_info(message, expansion)
             return

@@ -16,6 +16,7 @@ MAX_SCANS = 64
 # Start-of-frame markers; the other codes of their range are tables.
 JPEG_FRAMES = frozenset(range(0xc0, 0xd0)) - {0xc4, 0xc8, 0xcc}
 JPEG_SCAN = 0xda
+MAX_JPEG_SIDE = 65500
 
 
 def compressed_size(message: Any) -> tuple[int, int]:
@@ -74,9 +75,22 @@ def read_compressed_image(message: Any) -> np.ndarray:
 
 def jpeg_fields(image: np.ndarray, quality: int) -> dict[str, Any]:
     """Return the fields below the header for a uint8 RGB (H, W, 3) image; quality 1 to 100."""
-    encoded = cv2.imencode('.jpg', cv2.cvtColor(image, cv2.COLOR_RGB2BGR),
-                           [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
-    return {'format': JPEG_FORMAT, 'data': encoded.reshape(-1)}
+    return {'format': JPEG_FORMAT, 'data': encode_jpeg(image, quality)}
+
+
+def encode_jpeg(image: np.ndarray, quality: int) -> np.ndarray:
+    """
+    Return the JPEG, uint8 (N,), of uint8 RGB (H, W, 3) or grey (H, W); quality 1 to 100.
+
+    Raises ImageRejected('size') for what is too large for a JPEG.
+    """
+    height, width = image.shape[:2]
+    if max(height, width) > MAX_JPEG_SIDE:
+        raise ImageRejected('size', f'size: a JPEG has at most {MAX_JPEG_SIDE} pixels a side, got '
+                            f'{width}x{height}')
+    if image.ndim == 3:
+        image = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
+    return cv2.imencode('.jpg', image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].reshape(-1)
 
 
 def _is_swapped(form: str) -> bool:

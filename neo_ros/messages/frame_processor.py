@@ -51,6 +51,9 @@ class Extrapolator(Protocol):
     def expand(self, image: np.ndarray) -> View:
         """Widen one camera image, uint8 RGB (h, w, 3)."""
 
+    def reset(self) -> None:
+        """Forget where the camera was."""
+
 
 @dataclass(frozen=True)
 class WideFrame:
@@ -62,7 +65,7 @@ class WideFrame:
     fields of the wide CameraInfo. out_of_scene: 0 = an image of the trained scene, 1 = nothing
     like it; None where the network did not run or its card holds no reference. guided: the scene
     memory knew where the camera is. camera_note: what was done to the image to make it the
-    model's view, '' = nothing. stages_ms: milliseconds spent in 'decode', 'infer' and 'check'.
+    model's view. stages_ms: milliseconds spent in 'decode', 'infer' and 'check'.
     """
 
     image: np.ndarray | None
@@ -91,6 +94,11 @@ class FrameProcessor:
         self._fit: tuple[Hashable, CameraFit] | None = None
         self._busy = threading.Lock()
 
+    def reset(self) -> None:
+        """Forget where the camera was; the next image may be from anywhere."""
+        with self._busy:
+            self._extrapolator.reset()
+
     def process(self, image_message: Any, camera_info_message: Any | None,
                 infer: bool = True) -> WideFrame:
         """
@@ -110,7 +118,7 @@ class FrameProcessor:
                  infer: bool) -> WideFrame:
         started = time.perf_counter()
         fit = self._find_fit(camera_info_message)
-        image = fit.apply(self._read(image_message, fit))
+        image = fit.apply(self._read(image_message, fit, camera_info_message is not None))
         decoded = checked = inferred = time.perf_counter()
         wide = confidence = score = None
         if infer:
@@ -132,7 +140,7 @@ class FrameProcessor:
             self._fit = (key, CameraFit(message, self._expansion, key[0]))
         return self._fit[1]
 
-    def _read(self, message: Any, fit: CameraFit) -> np.ndarray:
+    def _read(self, message: Any, fit: CameraFit, announced: bool) -> np.ndarray:
         compressed = hasattr(message, 'format')
         # Before decoding: a file of some kilobytes may claim any size.
         size = compressed_size(message) if compressed else (message.width, message.height)
@@ -140,7 +148,7 @@ class FrameProcessor:
             source = self._expansion.source
             raise ImageRejected(
                 'size', f'size: the image is {size[0]}x{size[1]}, the camera_info says '
-                f'{fit.size[0]}x{fit.size[1]}' if fit.note else
+                f'{fit.size[0]}x{fit.size[1]}' if announced else
                 f'size: the model takes {source.width}x{source.height}, the image is '
                 f'{size[0]}x{size[1]}; resize it, publish its camera_info, or train a model for '
                 'this camera')

@@ -1,6 +1,7 @@
 """The subscriptions to the camera."""
 from collections.abc import Callable
 import functools
+import time
 from typing import Any
 
 from neo_ros.messages import camera_info_of
@@ -10,6 +11,10 @@ from rclpy.node import Node
 from rclpy.qos import qos_policy_name_from_kind, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import CameraInfo
+
+# Drivers send an image before its camera_info: the first images of a camera that publishes one
+# wait so long for it, the newest of them.
+CAMERA_INFO_WAIT_S = 2.0
 
 
 class CameraInputs:
@@ -22,7 +27,7 @@ class CameraInputs:
     def __init__(self, node: Node, take: Callable[[Any, Any | None], None]) -> None:
         self._node = node
         self._take = take
-        self._camera_info: Any | None = None
+        self._forget_camera()
         self._image: Endpoint = IMAGE
         self._reliable = False
         self._subscriptions: list[Subscription] = []
@@ -74,19 +79,37 @@ class CameraInputs:
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
         self._subscriptions = []
-        self._camera_info = None
+        self._forget_camera()
 
     def forget_lost_camera(self) -> None:
         """Drop the camera_info once nobody publishes it: the next camera may be another one."""
-        if self._camera_info is not None and not self._node.count_publishers(
-                self._node.resolve_topic_name(CAMERA_INFO.name)):
-            self._camera_info = None
+        if self._camera_info is not None and not self._is_calibrated():
+            self._forget_camera()
+
+    def _forget_camera(self) -> None:
+        self._camera_info: Any | None = None
+        self._waiting: Any | None = None
+        self._waiting_since: float | None = None
+
+    def _is_calibrated(self) -> bool:
+        """Say whether somebody publishes camera_info."""
+        return bool(self._node.count_publishers(self._node.resolve_topic_name(CAMERA_INFO.name)))
 
     def _on_image(self, message: Any) -> None:
+        if (self._camera_info is None and self._is_calibrated()
+                and not self.qos_conflict):
+            now = time.monotonic()
+            self._waiting_since = now if self._waiting_since is None else self._waiting_since
+            if now - self._waiting_since < CAMERA_INFO_WAIT_S:
+                self._waiting = message
+                return
         self._take(message, self._camera_info)
 
     def _on_camera_info(self, message: CameraInfo) -> None:
         self._camera_info = camera_info_of(message, self.topic)
+        waiting, self._waiting = self._waiting, None
+        if waiting is not None:
+            self._take(waiting, self._camera_info)
 
     def _on_qos_conflict(self, endpoint: Endpoint, event: Any) -> None:
         topic = self._node.resolve_topic_name(endpoint.name)

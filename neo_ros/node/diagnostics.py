@@ -5,22 +5,6 @@ from dataclasses import dataclass
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from neo_ros.node.frame_statistics import Snapshot
 
-# A camera that is now and then unlike the scene must not flip the verdict every second.
-UNLIKE_ABOVE, LIKE_BELOW = 0.5, 0.35
-
-
-class SceneWatch:
-    """Turns the mean score of the last seconds into a verdict that does not flicker."""
-
-    def __init__(self) -> None:
-        self.unlike = False
-
-    def update(self, score: float | None) -> bool:
-        """Return whether the images are unlike the trained scene; None = no image lately."""
-        if score is not None:
-            self.unlike = score > (LIKE_BELOW if self.unlike else UNLIKE_ABOVE)
-        return self.unlike
-
 
 @dataclass(frozen=True)
 class Health:
@@ -30,10 +14,12 @@ class Health:
     state: lifecycle state. fault: why the last transition failed, or empty. topic: the image
     topic's full name, publishers: how many it has. qos_conflict: in words, or empty.
     subscribed: whether anybody reads an output. unlike_scene: the verdict of the SceneWatch.
+    loading: a model is being loaded, and no image is taken meanwhile.
     """
 
     state: str
     fault: str
+    loading: bool
     enabled: bool
     topic: str
     publishers: int
@@ -53,10 +39,10 @@ def judge(health: Health) -> tuple[bytes, str]:
 
 def _judge_frames(health: Health) -> tuple[bytes, str]:
     counts = health.counts
+    if health.loading:
+        return DiagnosticStatus.OK, f'{health.state}: the model is being loaded'
     if health.fault:
         return DiagnosticStatus.ERROR, health.fault
-    if health.state == 'configuring':
-        return DiagnosticStatus.OK, 'configuring: the model is being loaded'
     if health.state != 'active':
         return DiagnosticStatus.OK, f'{health.state}: waiting for a lifecycle transition'
     if not health.enabled:
@@ -71,7 +57,9 @@ def _judge_frames(health: Health) -> tuple[bytes, str]:
     if counts.recent_rejected:
         return DiagnosticStatus.WARN, f'some images are rejected: {counts.last_rejection}'
     if not counts.recent_published:
-        return DiagnosticStatus.WARN, 'the first image is being widened'
+        return DiagnosticStatus.WARN, (
+            'an image is being widened, none was lately: the network is slow, or max_fps is low'
+            if counts.published else 'the first image is being widened')
     if health.unlike_scene:
         return DiagnosticStatus.WARN, (
             'the images are unlike the trained scene: another place, or a camera that is covered, '
@@ -97,7 +85,7 @@ def build_status(name: str, health: Health, model: Mapping[str, str]) -> Diagnos
         **{f'rejected: {reason}': str(count)
            for reason, count in sorted(counts.rejected.items())},
         'last rejection': counts.last_rejection,
-        'camera': counts.camera_note or 'as the model takes it',
+        'camera': counts.camera_note,
         'guided by the scene memory': f'{counts.guided:.0%}',
         'out of the scene': ('unknown' if counts.out_of_scene is None
                              else f'{counts.out_of_scene:.2f}'),

@@ -1,14 +1,16 @@
 """The lifecycle node: wires ROS to the frame worker and keeps the states."""
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor, wait
+from concurrent.futures import Future, wait
 import functools
+import threading
 import time
 import traceback
 from typing import Any
 
 from neo_ros.errors import NeoError
+from neo_ros.messages import SceneWatch
 from neo_ros.node.camera_inputs import CameraInputs
-from neo_ros.node.diagnostics import build_array, build_status, Health, SceneWatch
+from neo_ros.node.diagnostics import build_array, build_status, Health
 from neo_ros.node.frame_statistics import Statistics
 from neo_ros.node.frame_worker import Frame, FrameWorker
 from neo_ros.node.interface import DIAGNOSTICS, ENABLE, RELOAD_MODEL
@@ -31,6 +33,7 @@ from std_srvs.srv import SetBool, Trigger
 NODE_NAME = 'fov_extrapolator'
 # How long a transition waits for the frame in work; its result is thrown away in any case.
 STOP_TIMEOUT_S = 0.3
+LOOK_S = 0.1
 DIAGNOSTICS_PERIOD_S = 1.0
 REPORT_PERIOD_S = 5.0
 
@@ -71,6 +74,7 @@ class ExtrapolatorNode(LifecycleNode):
         self._statistics = Statistics()
         self._scene_watch = SceneWatch()
         self._enabled = True
+        self._loading: threading.Thread | None = None
         self._model: LoadedModel | None = None
         self._candidate: LoadedModel | None = None
         self._outputs: WidePublishers | None = None
@@ -105,7 +109,7 @@ class ExtrapolatorNode(LifecycleNode):
             values = read_parameters(self)
             self._model = self._load_model(values)
         except NeoError as error:
-            self.fault = f'cannot load the model: {error}'
+            self.fault = f'cannot configure: {error}'
             self.get_logger().error(self.fault)
             return TransitionCallbackReturn.FAILURE
         self._outputs = WidePublishers(self, values.jpeg_quality)
@@ -121,6 +125,8 @@ class ExtrapolatorNode(LifecycleNode):
         values = read_parameters(self)
         self._worker = FrameWorker(self._model.processor, self._outputs, self._statistics,
                                    self._report, values.max_fps)
+        self._statistics.begin()
+        self._scene_watch = SceneWatch()
         self._worker.start()
         self._inputs.choose(values.transport, values.reliable)
         if self._enabled:
@@ -152,10 +158,11 @@ class ExtrapolatorNode(LifecycleNode):
         return TransitionCallbackReturn.SUCCESS
 
     def stop(self) -> bool:
-        """Take no more frames; return False when the network is still busy with the last one."""
+        """Take no more frames; return False while a frame is in work or a model is loaded."""
         self._inputs.unsubscribe()
         worker, self._worker = self._worker, None
-        return worker is None or worker.stop(STOP_TIMEOUT_S)
+        idle = worker is None or worker.stop(STOP_TIMEOUT_S)
+        return idle and (self._loading is None or not self._loading.is_alive())
 
     def _free(self) -> None:
         self.stop()
@@ -225,16 +232,31 @@ class ExtrapolatorNode(LifecycleNode):
 
     def _load_model(self, values: NodeParameters) -> LoadedModel:
         """Load a model in another thread: the executor's keeps up the diagnostics meanwhile."""
-        with ThreadPoolExecutor(1) as thread:
-            loading = thread.submit(load_model, values, self._load)
-            while not wait([loading], self._diagnosed_s + DIAGNOSTICS_PERIOD_S
-                           - time.monotonic()).done:
+        loaded: Future[LoadedModel] = Future()
+
+        def load() -> None:
+            try:
+                loaded.set_result(load_model(values, self._load))
+            except Exception as error:
+                loaded.set_exception(error)
+
+        # A daemon, so that a signal can end the process: TensorRT takes minutes.
+        self._loading = threading.Thread(target=load, name='load', daemon=True)
+        self._loading.start()
+        while not wait([loaded], LOOK_S).done:
+            if not self.context.ok():
+                raise KeyboardInterrupt  # As from a signal: rclpy swallows all else.
+            if time.monotonic() > self._diagnosed_s + DIAGNOSTICS_PERIOD_S:
                 self._publish_diagnostics()
-        return loading.result()
+        self._loading.join()
+        self._loading = None
+        return loaded.result()
 
     def _take_over(self, model: LoadedModel) -> None:
         """Let the next frame go through this model."""
         self._model = model
+        self._statistics.forget_model()
+        self._scene_watch = SceneWatch()
         if self._worker is not None:
             self._worker.processor = model.processor
         self._log_model('the model is now')
@@ -257,7 +279,7 @@ class ExtrapolatorNode(LifecycleNode):
         health = Health(
             state=self.state_label, fault=self.fault, enabled=self._enabled,
             topic=self._inputs.topic, publishers=self._inputs.publishers,
-            qos_conflict=self._inputs.qos_conflict,
+            qos_conflict=self._inputs.qos_conflict, loading=self._loading is not None,
             subscribed=self._outputs is not None and any(self._outputs.wanted()),
             unlike_scene=self._scene_watch.update(counts.out_of_scene), counts=counts)
         status = build_status(self.get_fully_qualified_name(), health,

@@ -30,7 +30,7 @@ class Snapshot:
     reason; `last_rejection` is the newest refusal in words, also when it is older than the window.
     `out_of_scene` is the mean score of the window, None without one; `guided` the share of its
     images that the scene memory guided; `camera_note` says what was done to the newest image to
-    make it the model's view.
+    make it the model's view, 'unknown' without one.
     """
 
     received: int
@@ -56,16 +56,26 @@ class Statistics:
         """Take the clock as an argument, so that tests need not wait."""
         self._now = now
         self._lock = threading.Lock()
-        self._started = now()
         self._totals: Counter[str] = Counter()
         self._reasons: Counter[str] = Counter()
-        self._times: dict[str, deque[float]] = {
-            event: deque() for event in ('received', 'published', 'rejected')}
-        self._latencies: dict[str, deque[float]] = {}
         self._last_rejection = ''
-        self._scores: deque[tuple[float, float]] = deque()
-        self._guided: deque[float] = deque()
-        self._camera_note = ''
+        self.begin()
+
+    def begin(self) -> None:
+        """Let the window begin now: images are taken from here on."""
+        with self._lock:
+            self._started = self._now()
+            self._times: dict[str, deque[float]] = {
+                event: deque() for event in ('received', 'published', 'rejected')}
+        self.forget_model()
+
+    def forget_model(self) -> None:
+        """Drop what the next model may do otherwise: scores and latencies."""
+        with self._lock:
+            self._latencies: dict[str, deque[float]] = {}
+            self._scores: deque[tuple[float, float]] = deque()
+            self._guided: deque[float] = deque()
+            self._camera_note = 'unknown'
 
     def count_received(self) -> None:
         """Count a frame that arrived."""
@@ -83,9 +93,10 @@ class Statistics:
             self._count('rejected')
             self._reasons[reason] += 1
             self._last_rejection = message
+            self._camera_note = 'rejected'
 
     def count_published(self, stages_ms: Mapping[str, float], out_of_scene: float | None = None,
-                        guided: bool = False, camera_note: str = '') -> None:
+                        guided: bool = False, camera_note: str = 'unknown') -> None:
         """Count a frame that went out, the milliseconds of each stage, and what it was like."""
         with self._lock:
             self._count('published')

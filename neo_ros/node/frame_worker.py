@@ -10,6 +10,9 @@ from neo_ros.messages.frame_processor import FrameProcessor, WideFrame
 from neo_ros.node.frame_statistics import Statistics
 from neo_ros.node.one_slot import Mailbox
 
+# How long a changed `max_fps` may go unnoticed.
+LOOK_S = 0.1
+
 
 @dataclass(frozen=True)
 class Frame:
@@ -82,13 +85,14 @@ class FrameWorker:
         return not self._thread.is_alive()
 
     def _run(self) -> None:
+        self.processor.reset()  # The camera may have been carried elsewhere.
         while (frame := self._mailbox.take()) is not None:
             taken = time.perf_counter()
             self._serve(frame, taken)
-            if self.max_fps > 0:
-                # Wait before taking, so that what is taken then is the newest.
-                pause = taken + 1 / self.max_fps - time.perf_counter()
-                self._stopped.wait(max(pause, 0))
+            # Wait before taking, so that what is taken then is the newest.
+            while (self.max_fps > 0 and not self._stopped.is_set()
+                   and (pause := taken + 1 / self.max_fps - time.perf_counter()) > 0):
+                self._stopped.wait(min(pause, LOOK_S))
 
     def _serve(self, frame: Frame, taken: float) -> None:
         try:

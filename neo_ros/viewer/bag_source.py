@@ -8,18 +8,20 @@ from typing import Any
 from neo_ros.bags import BagReader, BagTopic
 from neo_ros.bags.camera_topics import COMPRESSED, find_camera, IMAGE
 from neo_ros.errors import BagError, ConfigError, ImageRejected
-from neo_ros.messages import camera_info_of, FrameProcessor
+from neo_ros.messages import camera_info_of, FrameProcessor, SceneWatch
 from neo_ros.runtime import FovExtrapolator
 from neo_ros.viewer.hub import Hub
 from neo_ros.viewer.pictures import SourcePicture, SourceState
 from neo_ros.viewer.wide_topics import (
-    read_diagnosis, read_grey, read_picture, seen_share, stamp_ns, WideTopics)
+    NodeDiagnosis, read_grey, read_picture, seen_share, stamp_ns, WideTopics)
 
 WIDE = '/wide/image'
 # A picture that would come later than this after its time is left out for a newer one.
 LATE_S = 0.2
-# A camera that is now and then unlike the trained scene must not flip the sign every moment.
-UNLIKE_ABOVE, LIKE_BELOW, UNLIKE_WEIGHT = 0.5, 0.35, 0.1
+# Of a new image in the moving mean of the scores for the scene.
+UNLIKE_WEIGHT = 0.1
+# A bag of one picture has no duration, and must not be opened again at once.
+LEAST_ROUND_S = 0.5
 NS_PER_S = 1e9
 
 
@@ -53,6 +55,7 @@ class BagSource:
         if self._processor is None:
             self._read |= {self._topics.mask, self._topics.confidence}
         self._state = SourceState(f'{bag.name} {self._image.name}')
+        self._diagnosis = NodeDiagnosis(self._topics.camera)
 
     def run(self, hub: Hub, stop: threading.Event) -> None:
         """Play the bag again and again until `stop` is set."""
@@ -60,11 +63,15 @@ class BagSource:
             # Pictures of the last round say nothing of those of the first.
             self._camera_info: Any = None
             self._confidence: Any = None
-            self._unlike = 0.0
+            self._unlike, self._scene_watch = 0.0, SceneWatch()
             self._seen: tuple[float, float, float, float] | None = None
+            if self._processor is not None:
+                self._processor.reset()
             hub.report(self._state)
+            ends = time.monotonic() + LEAST_ROUND_S
             if not self._play(hub, stop):
                 raise BagError(f'{self._bag}: no picture of {self._image.name} can be read')
+            stop.wait(max(ends - time.monotonic(), 0))
 
     def _play(self, hub: Hub, stop: threading.Event) -> bool:
         """Play the bag once; return whether there was a picture in it."""
@@ -76,7 +83,9 @@ class BagSource:
                 if stop.wait(max(due - time.monotonic(), 0)):
                     return True
                 pictures += message.topic.name == self._image.name
-                if not hub.wanted.image or time.monotonic() - due > LATE_S:
+                # A camera may say only once what it is.
+                if message.topic.name != self._info_topic and (
+                        not hub.wanted.image or time.monotonic() - due > LATE_S):
                     continue
                 try:
                     self._take(message.topic.name, message.read(), due, hub)
@@ -87,8 +96,7 @@ class BagSource:
 
     def _take(self, name: str, content: Any, due: float, hub: Hub) -> None:
         if name == '/diagnostics':
-            self._state = replace(self._state, **read_diagnosis(
-                content.status, self._topics.camera))
+            self._state = replace(self._state, **self._diagnosis.read(content.status))
         elif name == self._info_topic:
             self._camera_info = camera_info_of(content, self._image.name)
         elif name == self._topics.mask:
@@ -113,8 +121,8 @@ class BagSource:
         assert frame.image is not None
         if frame.out_of_scene is not None:
             self._unlike += UNLIKE_WEIGHT * (frame.out_of_scene - self._unlike)
-            limit = LIKE_BELOW if self._state.out_of_scene else UNLIKE_ABOVE
-            self._state = replace(self._state, out_of_scene=self._unlike > limit)
+            self._state = replace(
+                self._state, out_of_scene=self._scene_watch.update(self._unlike))
         self._seen = self._seen or seen_share(frame.extrapolated_mask)
         hub.publish(SourcePicture(frame.image, due, True, frame.confidence, self._seen))
 

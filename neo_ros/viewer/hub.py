@@ -43,7 +43,6 @@ class Hub:
         self._links: set[ViewerLink] = set()
         self._arrivals: deque[float] = deque()
         self._state = SourceState('', 'starting')
-        self._newest: EncodedPicture | None = None
 
     def __len__(self) -> int:
         """Return how many viewers there are."""

@@ -9,6 +9,7 @@ from neo_ros.errors import NeoError
 from neo_ros.viewer.settings import read_token, ViewerSettings
 from rcl_interfaces.msg import ParameterDescriptor
 import rclpy
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
@@ -34,7 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     node = Node(NODE_NAME)
     try:
         serve_topic(node, 'wide/image', read_settings(node))
-    except NeoError as error:
+    except (NeoError, InvalidParameterTypeException, InvalidParameterValueException) as error:
         sys.exit(f'viewer: {error}')
     except ModuleNotFoundError as error:
         if error.name != 'aiohttp':

@@ -4,6 +4,7 @@ import json
 import struct
 
 import cv2
+from neo_ros.messages import encode_jpeg
 import numpy as np
 
 # The tint is smooth: a small picture of it does.
@@ -53,7 +54,8 @@ class EncodedPicture:
 
     A message is two little-endian uint32, the lengths of the next two parts; a JSON object; the
     JPEG of the picture; the JPEG of the confidence, if it is asked for and known. The object
-    holds `seq`, `captured` (the server's clock in ms), `timed` and `seen`.
+    holds `seq`, `captured` (the server's clock in ms), `timed` and `seen`. Raises ImageRejected
+    for what is too large for a JPEG.
     """
 
     def __init__(self, seq: int, picture: SourcePicture, quality: int,
@@ -63,10 +65,10 @@ class EncodedPicture:
             'seq': seq, 'captured': 1e3 * picture.captured, 'timed': picture.timed,
             'seen': picture.seen}).encode()
         image = picture.image
-        self._image = image if isinstance(image, bytes) else encode_jpeg(image, quality)
+        self._image = image if isinstance(image, bytes) else bytes(encode_jpeg(image, quality))
         self._confidence = b''
         if with_confidence and picture.confidence is not None:
-            self._confidence = encode_jpeg(_shrink(picture.confidence), quality)
+            self._confidence = bytes(encode_jpeg(_shrink(picture.confidence), quality))
         self._plain = self._join(b'')
         self._full = self._join(self._confidence) if self._confidence else self._plain
 
@@ -77,13 +79,6 @@ class EncodedPicture:
     def _join(self, confidence: bytes) -> bytes:
         lengths = struct.pack('<II', len(self._meta), len(self._image))
         return b''.join((lengths, self._meta, self._image, confidence))
-
-
-def encode_jpeg(image: np.ndarray, quality: int) -> bytes:
-    """Return the JPEG of an RGB (H, W, 3) or grey (H, W) uint8 picture."""
-    if image.ndim == 3:
-        image = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
-    return cv2.imencode('.jpg', image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
 
 
 def _shrink(confidence: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ from neo_ros.errors import ImageRejected
 from neo_ros.viewer.hub import Hub
 from neo_ros.viewer.pictures import SourcePicture, SourceState
 from neo_ros.viewer.wide_topics import (
-    read_diagnosis, read_grey, read_picture, seen_share, stamp_ns, WideTopics)
+    NodeDiagnosis, read_grey, read_picture, seen_share, stamp_ns, WideTopics)
 import numpy as np
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -50,6 +50,7 @@ class RosSource:
         self._confidence: Any = None
         self._pending: tuple[Any, float, bool] | None = None
         self._state = SourceState(self._topics.image, 'starting')
+        self._diagnosis = NodeDiagnosis(self._topics.camera)
         self._diagnosed = 0.0
         self._complaint = ''
 
@@ -114,6 +115,7 @@ class RosSource:
         timed = EARLIEST_S <= delay <= MOST_DELAY_S
         captured = arrived - max(delay, 0) if timed else arrived
         if self._topics.confidence not in self._subscriptions:
+            self._pending = self._confidence = None  # What waited is an old picture now.
             self._publish(message, captured, timed, None)
             return
         if self._pending is not None:
@@ -157,7 +159,7 @@ class RosSource:
         self._seen, self._next_mask = None, 0.0
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        diagnosis = read_diagnosis(message.status, self._topics.camera)
+        diagnosis = self._diagnosis.read(message.status)
         if diagnosis:
             self._diagnosed = time.monotonic()
             self._state = replace(self._state, **diagnosis)

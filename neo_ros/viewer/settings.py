@@ -9,7 +9,7 @@ import ssl
 from neo_ros.errors import ConfigError
 
 # What a person may choose; the tokens that the viewer makes are longer.
-MIN_TOKEN = 12
+MIN_TOKEN, MAX_TOKEN = 12, 200
 TOKEN_VARIABLE = 'NEO_VIEWER_TOKEN'
 
 
@@ -47,8 +47,8 @@ class ViewerSettings:
         if not self.token and not self.on_loopback:
             object.__setattr__(self, 'token', secrets.token_urlsafe(18))
             object.__setattr__(self, 'fresh_token', True)
-        if self.token and len(self.token) < MIN_TOKEN:
-            raise ConfigError(f'token: expected at least {MIN_TOKEN} characters, got '
+        if self.token and not MIN_TOKEN <= len(self.token) <= MAX_TOKEN:
+            raise ConfigError(f'token: expected {MIN_TOKEN} to {MAX_TOKEN} characters, got '
                               f'{len(self.token)}')
         if (self.cert is None) != (self.key is None):
             raise ConfigError('cert, key: expected both or none, got one')

@@ -37,8 +37,9 @@ class ViewerLink:
 
     def offer(self, picture: EncodedPicture) -> None:
         """Leave a picture for this viewer; one that still waits is dropped for it."""
-        self._picture = picture
-        self._work.set()
+        if not self.paused:
+            self._picture = picture
+            self._work.set()
 
     def tell(self, status: str) -> None:
         """Leave a status, JSON text; one that still waits is dropped for it."""
@@ -61,7 +62,7 @@ class ViewerLink:
             if self._status is not None:
                 status, self._status = self._status, None
                 await self._socket.send_str(status)
-            if self._picture is None or self.paused:
+            if self._picture is None:
                 continue
             if len(self._on_the_way) >= MAX_ON_THE_WAY:
                 continue  # The next confirmation sets the event again.
@@ -101,5 +102,7 @@ class ViewerLink:
         if 'confidence' in asked or 'paused' in asked:
             self.confidence = bool(asked.get('confidence', self.confidence))
             self.paused = bool(asked.get('paused', self.paused))
+            if self.paused:
+                self._picture = None  # It would be an old one when the viewer goes on.
             self._on_change()
             self._work.set()

@@ -80,18 +80,34 @@ def stamp_ns(message: Any) -> int:
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 
 
-def read_diagnosis(statuses: Sequence[Any], camera: str) -> Mapping[str, Any]:
+class NodeDiagnosis:
     """
-    Return what a DiagnosticArray's `status` says of the node in a namespace.
+    Reads /diagnostics for the node in a camera's namespace.
 
-    The fields `level`, `message`, `out_of_scene` and `node_ms` of a SourceState; empty where no
-    status is of a fov_extrapolator.
+    Where that node has another name and only one fov_extrapolator has ever been heard of, it is
+    that one; what another camera's node says would be worse than nothing.
     """
-    ours = [status for status in statuses if status.name.endswith('fov_extrapolator')]
-    near = [status for status in ours if status.name == f'{camera}/fov_extrapolator']
-    if not ours:
-        return {}
-    status = (near or ours)[0]
+
+    def __init__(self, camera: str) -> None:
+        self._own = f'{camera}/fov_extrapolator'
+        self._heard: set[str] = set()
+
+    def read(self, statuses: Sequence[Any]) -> Mapping[str, Any]:
+        """
+        Return what a DiagnosticArray's `status` says of the node.
+
+        The fields `level`, `message`, `out_of_scene` and `node_ms` of a SourceState; empty where
+        no status is the node's.
+        """
+        nodes = {status.name: status for status in statuses
+                 if status.name.endswith('fov_extrapolator')}
+        self._heard |= set(nodes)
+        alone = next(iter(self._heard)) if len(self._heard) == 1 else ''
+        status = nodes.get(self._own if self._own in self._heard else alone)
+        return _read_status(status) if status is not None else {}
+
+
+def _read_status(status: Any) -> Mapping[str, Any]:
     values = {entry.key: entry.value for entry in status.values}
     # rclpy gives a byte as bytes, rosbags as int.
     level = status.level if isinstance(status.level, int) else int.from_bytes(status.level)

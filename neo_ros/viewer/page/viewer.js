@@ -128,9 +128,13 @@ function showStatus() {
   tick();
 }
 
-function explain() {
+function explanation() {
   const known = state.picture === null || state.picture.seen !== null;
-  write('explanation', known ? EXPLANATIONS[state.way] : UNKNOWN_FRAME);
+  return known ? EXPLANATIONS[state.way] : UNKNOWN_FRAME;
+}
+
+function explain() {
+  write('explanation', explanation());
   set(find('scale'), 'hidden', state.way !== 'confidence');
 }
 
@@ -150,7 +154,7 @@ function readAloud() {
   const verdict = judge();
   const scene = state.status.out_of_scene ? 'Not in the trained scene. ' : '';
   const words = `${verdict.title}. ${verdict.text} ${scene}Rate ${find('rate').textContent}, `
-    + `latency ${find('latency').textContent}. ${EXPLANATIONS[state.way]}`;
+    + `latency ${find('latency').textContent}. ${explanation()}`;
   find('announcer').textContent = '';
   setTimeout(() => { find('announcer').textContent = words; }, 50);
 }
@@ -172,7 +176,7 @@ async function saveSnapshot() {
   const lines = [
     `${state.status.name ?? ''}  ${taken.toLocaleString()}`
       + (verdict.name === 'live' ? '' : `  (${verdict.title})`),
-    EXPLANATIONS[state.way] + (state.status.out_of_scene ? ' NOT IN THE TRAINED SCENE.' : ''),
+    explanation() + (state.status.out_of_scene ? ' NOT IN THE TRAINED SCENE.' : ''),
   ];
   const url = URL.createObjectURL(await snapshot(picture, state.way, lines,
     state.status.out_of_scene));
