@@ -1,10 +1,12 @@
 """A recorded bag as a capture: cameras, calibrations and poses however they were recorded."""
+from collections import Counter
 import math
 from pathlib import Path
 from typing import Any, Callable, Optional
 
 from camera_bags import as_sqlite, CameraBag
 from capture_files import demo_photos, write_bag
+from neo_ros.bags import BagReader, BagWriter
 from neo_ros.bags.capture import read_bag_capture
 from neo_ros.bags.transforms import PoseTrack
 from neo_ros.errors import BagError
@@ -293,3 +295,26 @@ def test_tracks_are_interpolated_where_they_are_known(stamp: int,
     assert (found is None) == (expected is None)
     if found is not None and expected is not None:
         assert math.isclose(found[0, 3], expected, abs_tol=1e-9)
+
+
+def test_messages_that_cannot_be_decoded_are_counted_and_keep_their_place(tmp_path: Path) -> None:
+    with CameraBag(tmp_path / 'whole') as bag:
+        add_mount(bag)
+        add_tf(bag)
+        add_camera(bag)
+    with BagReader(tmp_path / 'whole') as reader, BagWriter(tmp_path / 'bag') as writer:
+        topics = {topic: writer.add_topic(topic.name, topic.msgtype) for topic in reader.topics}
+        seen: Counter[str] = Counter()
+        for message in reader.messages():
+            name = message.topic.name
+            seen[name] += 1
+            damaged = (name, seen[name]) in ((RAW, 2), ('/tf', 1))
+            writer.write_cdr(topics[message.topic], message.stamp_ns,
+                             message.cdr[:7] if damaged else message.cdr)
+    capture = read_bag_capture(tmp_path / 'bag')
+    assert {f'1 messages of {name} are damaged and are left out' for name in (RAW, '/tf')} <= set(
+        capture.notes)
+    images = dict(capture.images(range(len(capture))))
+    assert len(images) == COUNT - 1
+    for index, kept in enumerate((0, 2, 3)):
+        np.testing.assert_array_equal(images[index], IMAGES[kept])

@@ -334,3 +334,17 @@ def test_the_log_of_a_crashed_sqlite_recorder_is_read(tmp_path: Path) -> None:
     with BagReader(crashed) as bag:
         *_, last = bag.messages()
         assert last.read().data == 'the last one' and bag.recovered == ''
+
+
+def test_a_flipped_bit_in_the_type_of_a_row_loses_nothing(tmp_path: Path) -> None:
+    database = write_sqlite_bag(tmp_path / 'bag', 40) / 'bag.db3'
+    wanted = string_cdr(texts(40)[20])
+    content = bytearray(database.read_bytes())
+    # The row's header ends with the type of the data: 12 + 2 n for a blob, 13 + 2 n for a text.
+    kind = 12 + 2 * len(wanted)
+    varint = bytes([kind >> 7 | 0x80, kind & 0x7f])
+    place = content.rindex(varint, 0, content.index(wanted)) + 1
+    content[place] ^= 1
+    database.write_bytes(content)
+    found, damages = read_all(database)
+    assert found == [string_cdr(text) for text in texts(40)] and not damages

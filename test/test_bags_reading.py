@@ -10,6 +10,7 @@ from neo_ros.errors import BagError
 import pytest
 from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Writer
+import zstandard
 
 COUNT = 12
 
@@ -204,3 +205,30 @@ def test_a_missing_part_of_a_split_bag_is_a_loss(tmp_path: Path) -> None:
         assert len(list(reader.messages())) == COUNT
         assert reader.recovered == (
             'bag_1.mcap (missing): 0 messages recovered, an unknown number lost')
+
+
+@pytest.mark.parametrize('content', [b'', b'no bag at all' * 100], ids=['empty', 'other'])
+@pytest.mark.parametrize('suffix, write', [('.mcap', write_text_bag), ('.db3', write_sqlite_bag)])
+def test_an_unreadable_part_of_a_split_bag_does_not_keep_the_others(
+        tmp_path: Path, suffix: str, write, content: bytes) -> None:
+    bag = write(tmp_path / 'bag', COUNT)
+    (bag / f'bag_1{suffix}').write_bytes(content)
+    with BagReader(bag) as reader:
+        assert len(list(reader.messages())) == COUNT
+        assert reader.recovered.startswith(f'bag_1{suffix} (')
+        assert reader.recovered.endswith('0 messages recovered, an unknown number lost')
+
+
+def test_a_recorder_that_was_killed_leaves_packed_and_plain_files(tmp_path: Path) -> None:
+    bag = tmp_path / 'bag'
+    bag.mkdir()
+    for number in range(3):
+        part, = write_text_bag(tmp_path / str(number), number + 1).glob('*.mcap')
+        content = part.read_bytes()
+        packed = zstandard.compress(content)
+        if number < 2:
+            (bag / f'bag_{number}.mcap.zstd').write_bytes(packed[:9 * number] or packed)
+        if number > 0:  # The second was being packed.
+            (bag / f'bag_{number}.mcap').write_bytes(content)
+    with BagReader(bag) as reader:
+        assert len(list(reader.messages())) == 1 + 2 + 3 and not reader.damages

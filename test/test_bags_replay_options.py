@@ -8,6 +8,7 @@ from bag_files import START_NS, walk_frames, write_walk_bag
 from camera_bags import CameraBag
 from neo_ros.bags import BagReader, replay, Section
 from neo_ros.bags.camera_topics import find_camera, find_truth_topic
+from neo_ros.cli.main import app
 from neo_ros.errors import BagError, NeoError
 from neo_ros.evaluation.side_by_side import SideBySide
 from neo_ros.geometry import Intrinsics, ViewExpansion
@@ -16,6 +17,7 @@ from neo_ros.runtime import FovExtrapolator
 import numpy as np
 import pytest
 from tiny_model import write_tiny_model
+from typer.testing import CliRunner
 
 EXPANSION = ViewExpansion.to_size(Intrinsics.from_hfov(32, 24, math.pi / 2), 64, 48)
 IMAGE = '/camera/image_raw'
@@ -181,3 +183,26 @@ def test_a_wider_camera_is_resampled_to_the_models(tmp_path, extrapolator) -> No
                     on_frame=lambda stamp_ns, image, wide: frames.append(image))
     assert (result.frames, result.rejected) == (1, {})
     assert frames[0].shape == (24, 32, 3) and (frames[0] == 90).all()
+
+
+def test_a_replay_that_is_refused_leaves_the_video_of_the_last_one(
+        tmp_path, walk_bag) -> None:
+    model_file = write_tiny_model(tmp_path / 'm.onnx', EXPANSION)
+    video = tmp_path / 'walk.mp4'
+    arguments = ['replay', str(walk_bag), '--model', str(model_file), '--out',
+                 str(tmp_path / 'out'), '--side-by-side', str(video)]
+    assert CliRunner().invoke(app, arguments).exit_code == 0
+    content = video.read_bytes()
+    assert CliRunner().invoke(app, arguments).exit_code != 0
+    assert video.read_bytes() == content and not list(tmp_path.glob('*.partial'))
+
+
+def test_depth_images_are_no_camera(tmp_path) -> None:
+    with CameraBag(tmp_path / 'bag') as bag:
+        for name in ('color', 'aligned_depth'):
+            bag.image(f'/cam/{name}/image_raw', 0, np.zeros((24, 32, 3), np.uint8))
+            bag.info(f'/cam/{name}/camera_info', 0, EXPANSION.source)
+    with BagReader(tmp_path / 'bag') as reader:
+        assert find_camera(reader, EXPANSION.source, None).image.name == '/cam/color/image_raw'
+        named = find_camera(reader, EXPANSION.source, '/cam/aligned_depth/image_raw')
+        assert named.image.name == '/cam/aligned_depth/image_raw'

@@ -21,7 +21,7 @@ _BLOCK = 1 << 20
 @dataclass(frozen=True)
 class BagFolder:
     """
-    The storage files of a bag in their order.
+    The storage files of a bag in their order, as they lie there.
 
     counts          messages by file name, as metadata.yaml says
     missing         files that metadata.yaml lists and that are not there, with their messages
@@ -36,21 +36,21 @@ class BagFolder:
     topics: dict[str, dict[str, Any]]
 
 
-def read_bag_folder(path: Path, stack: ExitStack) -> BagFolder:
+def read_bag_folder(path: Path) -> BagFolder:
     """
-    Look at a bag folder or a bare file; what is unpacked is gone when `stack` is closed.
+    Look at a bag folder or a bare file.
 
     metadata.yaml is optional, and where it cannot be read it is passed over. Raises BagError
-    when there is no storage file, or none that can be unpacked.
+    when there is no storage file.
     """
     if not path.exists():
         raise BagError(f'{path}: no such bag')
     metadata = _read_metadata(path / 'metadata.yaml')
     files = _storage_files(path)
     listed = metadata.get('relative_file_paths')
-    names = [_plain_name(name) for name in listed] if isinstance(listed, list) else []
-    present = {_plain_name(file.name) for file in files}
-    counts = {_plain_name(entry.get('path')): count for entry in _dicts(metadata.get('files'))
+    names = [plain_name(name) for name in listed] if isinstance(listed, list) else []
+    present = {plain_name(file.name) for file in files}
+    counts = {plain_name(entry.get('path')): count for entry in _dicts(metadata.get('files'))
               if isinstance(count := entry.get('message_count'), int)}
     total = metadata.get('message_count')
     if not counts and len(names) == 1 and isinstance(total, int):
@@ -60,8 +60,7 @@ def read_bag_folder(path: Path, stack: ExitStack) -> BagFolder:
     topics = {str(entry.get('name')): entry for entry in (
         item.get('topic_metadata') or {} for item in _dicts(
             metadata.get('topics_with_message_count')))}
-    return BagFolder(tuple(_unpacked(file, stack) for file in files), counts, missing,
-                     mode == 'message', topics)
+    return BagFolder(tuple(files), counts, missing, mode == 'message', topics)
 
 
 def _read_metadata(path: Path) -> dict[str, Any]:
@@ -73,7 +72,8 @@ def _read_metadata(path: Path) -> dict[str, Any]:
         return {}
 
 
-def _plain_name(name: Any) -> str:
+def plain_name(name: Any) -> str:
+    """Return the name of a storage file when it is unpacked."""
     return Path(str(name)).name.removesuffix(PACKED)
 
 
@@ -88,31 +88,40 @@ def _storage_files(path: Path) -> list[Path]:
         if not path.name.endswith(suffixes):
             raise BagError(f'{path}: expected a bag folder, a {MCAP} or a {SQLITE} file')
         return [path]
-    for suffix in suffixes:
-        # bag_2.mcap comes before bag_10.mcap.
-        files = sorted(path.glob(f'*{suffix}'), key=lambda file: [
-            int(part) if part.isdigit() else part for part in re.split(r'(\d+)', file.name)])
+    for kind in (MCAP, SQLITE):
+        # A recorder that was killed leaves packed files, and one that is not packed yet, or
+        # only in part.
+        files = {plain_name(file.name): file for suffix in (kind + PACKED, kind)
+                 for file in path.glob(f'*{suffix}')}
         if files:
-            return files
+            # bag_2.mcap comes before bag_10.mcap.
+            return [files[name] for name in sorted(files, key=lambda name: [
+                int(part) if part.isdigit() else part for part in re.split(r'(\d+)', name)])]
     raise BagError(f'{path}: expected a rosbag2 folder, there is no {MCAP} or {SQLITE} in it')
 
 
-def _unpacked(file: Path, stack: ExitStack) -> Path:
-    """Unpack a .zstd file as far as it goes, and no further than the disk allows."""
+def unpacked(file: Path, stack: ExitStack) -> Path:
+    """
+    Unpack a .zstd file as far as it goes; another one is returned as it is.
+
+    What is unpacked is gone when `stack` is closed. Raises BagError where it does not fit on the
+    disk or cannot be read.
+    """
     if file.suffix != PACKED:
         return file
     folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix='neo_ros_bag_')))
     target = folder / file.stem
     room = shutil.disk_usage(folder).free - _KEEP_FREE_BYTES
     try:
-        with file.open('rb') as packed, target.open('wb') as unpacked:
+        with file.open('rb') as packed, target.open('wb') as content:
             reader = zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True)
             while block := reader.read(_BLOCK):
                 room -= len(block)
                 if room < 0:
+                    content.truncate(0)
                     raise BagError(f'{file}: unpacked it does not fit on the disk of '
                                    f'{tempfile.gettempdir()}; set TMPDIR to a larger one')
-                unpacked.write(block)
+                content.write(block)
     except zstandard.ZstdError:
         pass  # Cut off or damaged: what came out so far is read like a file that was cut off.
     except OSError as error:

@@ -105,8 +105,7 @@ class _Scan:
     def __init__(self, reader: BagReader) -> None:
         self._reader = reader
         self.infos = {topic: TopicInfo(topic.name, topic.msgtype) for topic in reader.topics}
-        self.cameras = {topic: _Camera(topic) for topic in image_topics(reader, None)
-                        if 'depth' not in topic.name.lower()}
+        self.cameras = {topic: _Camera(topic) for topic in image_topics(reader, None)}
         self._calibrations = {
             info: camera for camera in self.cameras.values()
             if (info := find_info_topic(reader, camera.topic)) is not None}

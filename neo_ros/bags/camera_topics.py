@@ -24,16 +24,9 @@ def find_image_topic(reader: BagReader, name: Optional[str]) -> BagTopic:
     Without a name, topics with a camera_info beside them are preferred, and raw images to
     compressed ones of the same camera. Raises BagError that lists the choice.
     """
-    topics = [topic for topic in reader.topics
-              if topic.msgtype in (IMAGE, COMPRESSED) and topic.count
-              and 'depth' not in topic.name.lower()]
+    topics = image_topics(reader, name)
     if name is not None:
-        found = [topic for topic in reader.topics
-                 if topic.name == name and topic.msgtype in (IMAGE, COMPRESSED)]
-        if not found:
-            raise BagError(f'{reader.path}: expected images on {name}, the bag has '
-                           f'{describe_topics(topics)}')
-        return found[0]
+        return topics[0]
     if not topics:
         raise BagError(f'{reader.path}: expected a topic of type {IMAGE} or {COMPRESSED}, the '
                        f'bag has {describe_topics(reader.topics)}')
@@ -102,9 +95,14 @@ def find_truth_topic(reader: BagReader, camera: CameraTopics,
 
 
 def image_topics(reader: BagReader, name: Optional[str]) -> list[BagTopic]:
-    """Return the topics with images of this name, or all; raises BagError for a wrong name."""
+    """
+    Return the topics with images of this name, or all that are not depth.
+
+    Raises BagError for a wrong name.
+    """
     topics = [topic for topic in reader.topics if topic.msgtype in (IMAGE, COMPRESSED)
-              and (topic.count if name is None else topic.name == name)]
+              and (topic.name == name if name is not None
+                   else topic.count and 'depth' not in topic.name.lower())]
     if name is not None and not topics:
         images = [topic for topic in reader.topics if topic.msgtype in (IMAGE, COMPRESSED)]
         raise BagError(f'{reader.path}: expected images on {name}, the bag has '

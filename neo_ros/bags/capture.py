@@ -1,4 +1,5 @@
 """A recorded bag as a capture: images, calibration, and poses at the images' stamps."""
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -30,6 +31,8 @@ class _Scan:
 
     tree: TransformTree = field(default_factory=TransformTree)
     images: list[tuple[int, int]] = field(default_factory=list)  # (stamp, place in the topic)
+    places: int = 0
+    damaged: Counter[str] = field(default_factory=Counter)  # messages by topic
     log_times: list[int] = field(default_factory=list)
     camera_frame: str = ''
     info: Any = None
@@ -57,6 +60,8 @@ def read_bag_capture(path: Path, image_topic: Optional[str] = None,
         pose_topics = _pose_topics(reader, pose_topic)
         scan = _scan(reader, image, info, pose_topics, progress)
         notes = [reader.recovered] if reader.recovered else []
+    notes += [f'{count} messages of {name} are damaged and are left out'
+              for name, count in sorted(scan.damaged.items())]
     lens = None if scan.info is None or info is None else read_lens(
         scan.info, image, f'{path}: {info.name}')
     if lens is None:
@@ -104,9 +109,17 @@ def _scan(reader: BagReader, image: BagTopic, info: Optional[BagTopic],
     names = {image.name, TF, TF_STATIC, *tracked} | ({info.name} if info else set())
     total = sum(topic.count for topic in reader.topics if topic.name in names)
     for done, message in enumerate(reader.messages(names), start=1):
-        topic, content = message.topic, message.read()
+        topic = message.topic
+        # One that cannot be decoded has its place, too.
+        place, scan.places = scan.places, scan.places + (topic == image)
+        progress(done, total)
+        try:
+            content = message.read()
+        except BagError:
+            scan.damaged[topic.name] += 1
+            continue
         if topic == image:
-            scan.images.append((stamp_of(content.header), len(scan.images)))
+            scan.images.append((stamp_of(content.header), place))
             scan.log_times.append(message.stamp_ns)
             scan.camera_frame = scan.camera_frame or frame_name(content.header.frame_id)
         elif topic.msgtype == TF_TYPE:
@@ -115,7 +128,6 @@ def _scan(reader: BagReader, image: BagTopic, info: Optional[BagTopic],
             _take_info(scan, content, f'{reader.path}: {topic.name}')
         elif topic.name in tracked:
             _take_pose(scan, topic.name, content)
-        progress(done, total)
     return scan
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from neo_ros.bags.bag_folder import BagFolder, MCAP, read_bag_folder
+from neo_ros.bags.bag_folder import BagFolder, MCAP, plain_name, read_bag_folder, unpacked
 from neo_ros.bags.damage import Damage
 from neo_ros.bags.mcap_file import McapFile
 from neo_ros.bags.mcap_records import MAX_CHUNK_BYTES
@@ -98,8 +98,7 @@ class BagReader:
     @property
     def damages(self) -> list[Damage]:
         """What was lost, a line per damaged file, as far as the bag was read."""
-        return [file.damage for file, _ in self._files if file.damage is not None] + [
-            Damage(f'{name} (missing)', 0, count, '') for name, count in self._missing.items()]
+        return [file.damage for file, _ in self._files if file.damage is not None] + self._lost
 
     @property
     def recovered(self) -> str:
@@ -139,13 +138,19 @@ class BagReader:
                 yield BagMessage(topics[key], stamp_ns, cdr, self._typestore)
 
     def _open(self) -> None:
-        folder = read_bag_folder(self.path, self._stack)
-        self._message_packed, self._missing = folder.message_packed, folder.missing
+        folder = read_bag_folder(self.path)
+        self._message_packed = folder.message_packed
+        self._lost = [Damage(f'{name} (missing)', 0, count, '')
+                      for name, count in folder.missing.items()]
         for path in folder.files:
-            kind = McapFile if path.suffix == MCAP else SqliteFile
-            file = kind(path, folder.counts.get(path.name))
-            self._stack.callback(file.close)
-            self._files.append((file, _topics_of(file, folder)))
+            try:
+                self._open_file(path, folder)
+            except BagError as error:
+                if len(folder.files) == 1:
+                    raise
+                # One of several: the others are read.
+                count = folder.counts.get(plain_name(path.name))
+                self._lost.append(Damage(f'{path.name} ({error})', 0, count, ''))
         merged: dict[BagTopic, BagTopic] = {}
         for _, topics in self._files:
             for topic in topics.values():
@@ -155,6 +160,13 @@ class BagReader:
         self.topics = sorted(merged.values(), key=lambda topic: (topic.name, topic.msgtype))
         if self.damages and not self.message_count:
             raise BagError(f'{self.path}: nothing could be recovered, {self.recovered}')
+
+    def _open_file(self, packed: Path, folder: BagFolder) -> None:
+        path = unpacked(packed, self._stack)
+        kind = McapFile if path.suffix == MCAP else SqliteFile
+        file = kind(path, folder.counts.get(path.name))
+        self._stack.callback(file.close)
+        self._files.append((file, _topics_of(file, folder)))
 
 
 def describe_topics(topics: Iterable[BagTopic]) -> str:

@@ -10,8 +10,9 @@ from neo_ros.bags.damage import Damage
 from neo_ros.errors import BagError
 
 _LAST_NS = (1 << 63) - 1
-# Rows behind a damaged page are looked for one by one; pages hold fewer rows than this.
-_MAX_MISSES = 10_000
+# Rows behind a damaged page are looked for one by one. Where it is known how many there are, the
+# damage may be a page that many others hang on.
+_MAX_MISSES, _MAX_KNOWN_MISSES = 10_000, 1_000_000
 _HEADER_BYTES = 100
 Row = tuple[int, int, int, bytes]  # id, topic id, log time in ns, CDR
 
@@ -83,7 +84,7 @@ class SqliteFile:
         try:
             # Not by topic: the planner must stay with the index by time.
             for row in self._database.execute(
-                    'SELECT id, topic_id, timestamp, data FROM messages '
+                    'SELECT id, topic_id, timestamp, CAST(data AS BLOB) FROM messages '
                     f'WHERE +topic_id IN ({marks}) AND timestamp >= ? AND timestamp < ? '
                     'ORDER BY timestamp, id', (*topics, start_ns, min(stop_ns, _LAST_NS))):
                 seen.add(row[0])
@@ -105,12 +106,14 @@ class SqliteFile:
         """Yield all rows that can be read, but those that were seen."""
         number, misses = 1, 0
         highest = self._highest()
-        while misses < _MAX_MISSES and (highest is None or number <= highest):
+        most = _MAX_MISSES if highest is None else _MAX_KNOWN_MISSES
+        while misses < most and (highest is None or number <= highest):
             # Behind damage one number at a time, until there is a row again.
             where = 'id = ?' if misses else 'id >= ? ORDER BY id'
             try:
                 rows = self._database.execute(
-                    f'SELECT id, topic_id, timestamp, data FROM messages WHERE {where}', (number,))
+                    'SELECT id, topic_id, timestamp, CAST(data AS BLOB) FROM messages '
+                    f'WHERE {where}', (number,))
                 if not misses:
                     for row in rows:
                         number = row[0] + 1

@@ -18,18 +18,21 @@ class SideBySide:
     """
     An MP4 file (H.264) that frames are added to, as a context manager.
 
-    Every frame stays on as long as its stamp says; raises NeoError where the file cannot be
-    written.
+    Every frame stays on as long as its stamp says. The file takes its name once it is whole: what
+    was there before stays until then, and where nothing comes of it. Raises NeoError where the
+    file cannot be written.
     """
 
     def __init__(self, path: Path, expansion: ViewExpansion) -> None:
         self._expansion = expansion
         self._path = path
+        self._partial = path.with_name(f'{path.name}.partial')
         self._first_ns: int | None = None
         self._last_pts = -1
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = av.open(str(path), 'w', format='mp4', options={'movflags': 'faststart'})
+            self._file = av.open(str(self._partial), 'w', format='mp4',
+                                 options={'movflags': 'faststart'})
         except OSError as error:
             raise NeoError(f'{path}: cannot write the video: {error.strerror}') from error
         self._stream = self._file.add_stream('libx264', rate=30, options=_QUALITY)
@@ -49,11 +52,13 @@ class SideBySide:
             if self._first_ns is not None:
                 self._file.mux(self._stream.encode(None))
             self._file.close()
+            if self._first_ns is not None and kind is None:
+                self._partial.replace(self._path)
         except OSError as failure:
             if kind is None:
                 raise self._failed(failure) from failure
-        if self._first_ns is None:
-            self._path.unlink(missing_ok=True)  # No frame: a file that no player opens.
+        finally:
+            self._partial.unlink(missing_ok=True)
 
     def add(self, stamp_ns: int, image: np.ndarray, wide_image: np.ndarray) -> None:
         """Add the camera's image (h, w, 3) and the wide one (H, W, 3), RGB uint8."""
