@@ -8,6 +8,7 @@ import time
 from neo_ros.checkpoint import read_checkpoint
 from neo_ros.errors import ConfigError
 from neo_ros.evaluation.metrics import psnr
+from neo_ros.field.device import chosen_device
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.outpaint.export import calibration_factor, check_parity, ExportedFunction
 from neo_ros.outpaint.networks import build_network
@@ -49,7 +50,8 @@ def export_variants(run: TrainingRun, formats: Sequence[Format] = FORMATS,
     network = build_network(run.expansion, run.experiment.network)
     network.load_state_dict(read_checkpoint(checkpoint)['trainer']['averaged'])
     network.eval()
-    views = held_out_views(run, RadianceField.load(run.out / 'field.npz'))
+    views = held_out_views(run, RadianceField.load(
+        run.out / 'field.npz', chosen_device(run.experiment.field.device)))
     if views is None:
         raise ConfigError(f'{run.out}: expected photos held out of the training to measure on, '
                           'there are too few')

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import hashlib
 import json
 from pathlib import Path
+import shutil
 import time
 from typing import Callable, Optional
 
@@ -149,6 +150,12 @@ def _fit_field(run: TrainingRun, path: Path, writes: bool) -> None:
     scale, config = run.experiment.scale, run.experiment.field
     images = run.fitted.read_images(
         scale, lambda done: run.progress('photos', done, len(run.fitted), ''))
+    if writes and not checkpoint.exists():
+        # Made of another field, if there; they would be taken for finished.
+        for name in ('outpainter.ckpt', 'memory.json'):
+            (run.out / name).unlink(missing_ok=True)
+        for folder in run.out.glob('panoramas_*'):
+            shutil.rmtree(folder)
     trainer = field_trainer(images, run.fitted.intrinsics.scaled(scale), run.fitted.T_world_cam,
                             config, run.experiment.seed)
     train_with_checkpoints(
@@ -284,8 +291,11 @@ def score_step(run: TrainingRun) -> Optional[Scoring]:
 def claim(out: Path, scene: Scene, experiment: Experiment) -> None:
     """Refuse a folder that holds another run, so that no two are ever mixed."""
     floor = None if scene.walkable is None else floor_digest(scene.walkable)[:12]
+    view = experiment.expansion(scene.train.intrinsics, scene.expansion)
     note = {'scene': scene.name, 'config_hash': experiment.config_hash,
-            'photos': list_digest(scene.train)[:12], 'floor': floor}
+            'photos': list_digest(scene.train)[:12], 'floor': floor,
+            'view': f'{view.source.width}x{view.source.height} at {view.left}, {view.top} in '
+                    f'{view.target.width}x{view.target.height}'}
     path = out / 'run.json'
     if path.exists():
         try:
@@ -295,13 +305,14 @@ def claim(out: Path, scene: Scene, experiment: Experiment) -> None:
                               'choose another folder') from error
         if isinstance(found, dict) and found != note and {**note, **found} == note:
             raise ConfigError(
-                f'{out}: holds a run of an older neo_ros, which did not note its photos; choose '
-                'another folder, or if photos, poses and floor map are still those it was '
+                f'{out}: holds a run of an older neo_ros, which did not note all of that; choose '
+                'another folder, or if photos, poses, floor map and view are still those it was '
                 f'trained on, write this into {path}: {json.dumps(note)}')
         if found != note:
             raise ConfigError(f'{out}: expected an empty folder or a run of {note}, got a run '
                               f'of {found}; choose another folder')
-    elif any(out.iterdir()):
+        return
+    if any(out.iterdir()):
         raise ConfigError(f'{out}: expected an empty folder or an earlier run; it holds '
                           'other files')
     write_bytes(path, json.dumps(note).encode())

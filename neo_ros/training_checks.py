@@ -1,4 +1,5 @@
 """What can be found wrong with a training before any of its work is done."""
+from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 from neo_ros.errors import ConfigError
@@ -45,6 +46,8 @@ def check_training(run: 'TrainingRun') -> None:
                            run.expansion.target)
     if area == 'walkable' or (area == 'auto' and run.scene.walkable is not None):
         make_sampler(run, None)  # Only free_space needs the field.
+    if run.experiment.memory is not None and find_spec('numba') is None:
+        raise ConfigError('memory: needs numba: pip install numba, or set it to null')
     if config.tensorboard:
         TrainingLog(run.out / 'tensorboard')
     if config.perceptual > 0 and rank == 0:

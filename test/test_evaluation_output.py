@@ -1,9 +1,10 @@
 """Files that an evaluation leaves, on disks of all kinds."""
+import errno
 import os
 from pathlib import Path
 
 from neo_ros.errors import NeoError
-from neo_ros.evaluation.output import share_file
+from neo_ros.evaluation.output import share_file, write_bytes
 import pytest
 
 
@@ -27,3 +28,19 @@ def test_a_file_is_shared_or_copied(
 def test_a_file_that_cannot_be_shared_is_named(tmp_path: Path) -> None:
     with pytest.raises(NeoError, match='target: cannot write: No such file'):
         share_file(tmp_path / 'missing', tmp_path / 'target')
+
+
+def test_a_file_that_cannot_be_written_whole_leaves_the_old_one(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / 'new' / 'run.json'
+    write_bytes(path, b'old')
+
+    def fill_disk(partial: Path, content: bytes) -> None:
+        partial.open('wb').write(content[:1])
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, 'write_bytes', fill_disk)
+    with pytest.raises(NeoError, match='run.json: cannot write: No space left'):
+        write_bytes(path, b'new')
+    assert path.read_bytes() == b'old' and [file.name for file in path.parent.iterdir()] == [
+        'run.json']

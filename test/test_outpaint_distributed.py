@@ -50,7 +50,7 @@ def run_ranks(folder: Path, count: int) -> tuple[list[int], list[str]]:
         free.bind(('127.0.0.1', 0))
         port = free.getsockname()[1]
     environment = {**os.environ, 'WORLD_SIZE': str(count), 'MASTER_ADDR': '127.0.0.1',
-                   'MASTER_PORT': str(port), 'OMP_NUM_THREADS': '1',
+                   'MASTER_PORT': str(port), 'OMP_NUM_THREADS': '1', 'CUDA_VISIBLE_DEVICES': '',
                    'PYTHONPATH': str(Path(neo_ros.__file__).parent.parent)}
     running = [subprocess.Popen(
         [sys.executable, '-c', RANK, str(folder)], stderr=subprocess.PIPE, text=True,

@@ -266,11 +266,15 @@ def test_a_training_that_explodes_says_so() -> None:
             learning.train_step(wide_views(step))
 
 
-def test_a_sure_network_is_not_pulled_any_further() -> None:
-    sure = torch.full((1, 1, 1, 1), -30.0, requires_grad=True)
+@pytest.mark.parametrize('log_scale, error, pull', [
+    (-30.0, 0.1, -0.05), (-30.0, 0.0, -0.05), (-6.1, 0.1, -0.05), (-5.0, 0.0, 0.05)])
+def test_a_network_is_never_surer_than_half_a_grey_level(
+        log_scale: float, error: float, pull: float) -> None:
+    sure = torch.full((1, 1, 1, 1), log_scale, requires_grad=True)
     grey = torch.full((1, 3, 1, 1), 0.5)
-    outpaint_loss(grey + 0.1, sure, grey, torch.ones(1, 1, 1, 1)).backward()
-    assert sure.grad is not None and float(sure.grad) == 0
+    outpaint_loss(grey + error, sure, grey, torch.ones(1, 1, 1, 1)).backward()
+    # Drawn back from beyond it, however wrong it was: no step is steeper than another.
+    assert sure.grad is not None and float(sure.grad) == pytest.approx(pull, abs=1e-6)
 
 
 def test_batch_statistics_are_averaged_too() -> None:

@@ -83,6 +83,9 @@ def test_a_cache_gives_the_same_panoramas_without_rendering_them_again(
     (tmp_path / '000006.partial').write_bytes(b'half')
     (tmp_path / '000002.npy').unlink()  # the panorama that is in use stays whole
     (tmp_path / '000002.npy').write_bytes(b'damaged')
+    (tmp_path / '000003.npy').unlink()
+    (tmp_path / '000003.npy').write_bytes(b'')  # as a power cut leaves it
+    (tmp_path / '000004.json').write_text('{}')
     rendered = Mock(side_effect=panorama_pool.render_panorama)
     monkeypatch.setattr(panorama_pool, 'render_panorama', rendered)
     again = pool(field, *places, cache=PanoramaCache(tmp_path, 1e9))

@@ -17,9 +17,11 @@ from neo_ros.checkpoint import read_checkpoint
 from neo_ros.errors import ConfigError, NeoError, SceneError
 from neo_ros.experiment import Experiment, ViewConfig
 from neo_ros.field.voxel_field import RadianceField
+from neo_ros.geometry import ViewExpansion
 from neo_ros.outpaint.network import NetworkConfig
-from neo_ros.pipeline import train, TrainingRun
+from neo_ros.pipeline import claim, fit_field_step, train, TrainingRun
 from neo_ros.runtime import FovExtrapolator
+from neo_ros.scenes.levelling import read_upright_scene
 from neo_ros.scenes.pose_sampling import SamplingConfig
 from neo_ros.scenes.scene import read_scene
 import numpy as np
@@ -287,3 +289,27 @@ def test_parity_is_measured_on_held_out_photos(tiny_run: TrainingRun) -> None:
     np.testing.assert_array_equal(frames[1], tiny_run.held_out.read_image(1))
     photos = read_scene(tiny_run.out.parent / 'scene').train
     assert not any((frames[1] == photos.read_image(i)).all() for i in range(3))
+
+
+def test_another_view_of_the_test_frames_is_another_run(
+        tiny_run: TrainingRun, tmp_path: Path) -> None:
+    scene = shutil.copytree(tiny_run.out.parent / 'scene', tmp_path / 'scene')
+    (scene / 'transforms_test.json').unlink()
+    train_scene = read_upright_scene(scene)
+    claim(tiny_run.out, train_scene, TINY)  # By default the view is the same without them.
+    narrower = TINY.expansion(train_scene.train.intrinsics, None)
+    with pytest.raises(ConfigError, match=r'32x32 at 8, 16 in 48x64.* got a run of .*in 64x64'):
+        claim(tiny_run.out, replace(train_scene, expansion=ViewExpansion.to_size(
+            narrower.source, 48, 64)), TINY)
+
+
+def test_a_new_field_is_not_mixed_with_what_the_old_one_made(
+        tiny_run: TrainingRun, tmp_path: Path) -> None:
+    run = replace(tiny_run, out=shutil.copytree(tiny_run.out, tmp_path / 'out'))
+    (run.out / 'panoramas_3').mkdir()
+    for name in ('field.npz', 'field.json'):
+        (run.out / name).unlink()
+    fit_field_step(run)
+    assert (run.out / 'field.npz').exists()
+    for name in ('outpainter.ckpt', 'memory.json', 'panoramas_3', 'field.ckpt'):
+        assert not (run.out / name).exists()

@@ -11,9 +11,9 @@ from neo_ros.scenes.demo_captures import write_demo_scene
 from neo_ros.scenes.pose_sampling import SamplingConfig
 
 TINY = Experiment(
-    seed=3, field=FieldConfig(steps=400, voxels=20_000, pixels_per_step=512),
+    seed=3, field=FieldConfig(steps=400, voxels=20_000, pixels_per_step=512, device='cpu'),
     sampling=SamplingConfig(positions=8), network=NetworkConfig(width=8, memory=32),
-    outpaint=OutpaintConfig(steps=20, batch=4), memory=MemoryConfig(distance=0.6))
+    outpaint=OutpaintConfig(steps=20, batch=4, device='cpu'), memory=MemoryConfig(distance=0.6))
 
 
 def write_tiny_scene(folder: Path) -> None:

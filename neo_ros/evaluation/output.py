@@ -23,10 +23,19 @@ def make_output_folder(folder: Path) -> Path:
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file and make the folders above it; raises NeoError with the reason."""
+    """
+    Write a file, whole or not at all, and make the folders above it.
+
+    Raises NeoError with the reason.
+    """
+    partial = path.with_name(f'{path.name}.partial')
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(content)
+        try:
+            partial.write_bytes(content)
+            partial.replace(path)
+        finally:
+            partial.unlink(missing_ok=True)
     except OSError as error:
         raise _cannot_write(path, error) from error
 

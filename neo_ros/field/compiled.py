@@ -1,4 +1,4 @@
-"""Numba where it is installed; a machine that computes on its GPU does without."""
+"""Numba where it is installed; fitting and rendering a field on a GPU do without."""
 from collections.abc import Callable
 from typing import Any
 

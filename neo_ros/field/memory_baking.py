@@ -64,13 +64,12 @@ def bake_memory(field: RadianceField, photos: Photos, expansion: ViewExpansion,
                      sampler.yaw_range)
     positions = keyframe_positions(sampler, photos, config.distance)
     total = len(photos.images) + len(positions)
-    depths, gains = [], []
+    seen, gains = np.empty(photos.images.shape[:3], np.float32), []
     for index, (image, T) in enumerate(zip(photos.images, photos.T_world_cam)):
         rendering = render_rays(field, *world_rays(photos.intrinsics, CameraPose(T)))
-        depths.append(np.where(rendering.coverage > LEAST_COVERAGE, rendering.depth, 0))
+        seen[index] = np.where(rendering.coverage > LEAST_COVERAGE, rendering.depth, 0)
         gains.append(_gain(rendering.image, image))
         progress(index + 1, total)
-    seen = np.stack(depths).astype(np.float32)
     keyframes = []
     for index, position in enumerate(positions):
         keyframes.append(_bake_keyframe(field, photos, seen, np.stack(gains), position, band,

@@ -41,7 +41,7 @@ def render_rays(field: RadianceField, rays_o: np.ndarray, rays_d: np.ndarray) ->
             BACKGROUND, out)
     else:
         from neo_ros.field.torch_field import on_device
-        mirror = on_device(field, half=field.device == 'cuda')
+        mirror = on_device(field)
         rendered = mirror.render(torch.tensor(origins, device=mirror.device),
                                  torch.tensor(directions, device=mirror.device), BACKGROUND)
         np.copyto(out, rendered.cpu().numpy())

@@ -41,17 +41,14 @@ class TorchField:
     """
     The arrays of a radiance field on a device.
 
-    grid (V, 1 + 3K) is float32, or float16 for rendering: half the memory to read, and the sums
-    stay float32. skip, seen uint8 (V,) as in `RadianceField`. On a CPU
-    the arrays are those of the field itself.
+    grid (V, 1 + 3K) float32; skip, seen uint8 (V,) as in `RadianceField`. On a CPU the arrays are
+    those of the field itself.
     """
 
-    def __init__(self, field: RadianceField, device: torch.device, half: bool = False) -> None:
+    def __init__(self, field: RadianceField, device: torch.device) -> None:
         self.device, self.shape, self.limit = device, field.shape, field.sample_limit
         self.source = (field.grid, field.skip, field.seen)
         self.grid = torch.from_numpy(field.grid).to(device)
-        if half:
-            self.grid = self.grid.half()
         self.skip = torch.from_numpy(field.skip).to(device)
         self.seen = torch.from_numpy(field.seen).to(device)
         self.centre = torch.tensor(field.centre, dtype=torch.float32, device=device)
@@ -138,7 +135,7 @@ class TorchField:
         """Interpolate all columns of the grid at some of the samples: float32 (M, 1 + 3K)."""
         weights = corner_weights(samples.frac[chosen])
         return torch.einsum('nc,nck->nk', weights, self.grid[self.rows(
-            samples.base[chosen])].float())
+            samples.base[chosen])])
 
     @torch.no_grad()
     def render(self, rays_o: torch.Tensor, rays_d: torch.Tensor,
@@ -171,13 +168,16 @@ class TorchField:
     @torch.no_grad()
     def mark_seen(self, rays_o: torch.Tensor, rays_d: torch.Tensor) -> None:
         """Mark in `seen` the cells that training rays (R, 3) reach with light left."""
-        samples = self.march(rays_o, rays_d, torch.full((len(rays_o),), 0.5, device=self.device))
-        self.seen[samples.base[samples.before >= 0.05]] = 1
+        wave = WAVE[self.device.type]
+        for i in range(0, len(rays_o), wave):
+            o, d = rays_o[i:i + wave], rays_d[i:i + wave]
+            samples = self.march(o, d, torch.full((len(o),), 0.5, device=self.device))
+            self.seen[samples.base[samples.before >= 0.05]] = 1
 
     @torch.no_grad()
     def update_occupancy(self) -> float:
         """Recompute `skip` as `RadianceField.update_occupancy`; returns the occupied share."""
-        raw = self.grid[:, 0].float().reshape(1, 1, *self.shape)
+        raw = self.grid[:, 0].reshape(1, 1, *self.shape)
         best = max_pool3d(raw, 2, stride=1) + self.shift
         occupied = torch.zeros_like(raw)
         occupied[..., :-1, :-1, :-1] = 1 - torch.exp(-softplus(best) * self.step) > OCCUPIED_ALPHA
@@ -201,12 +201,12 @@ def torch_device(name: str) -> torch.device:
     return torch.device('cuda' if name == 'cuda' else 'cpu')
 
 
-def on_device(field: RadianceField, half: bool = False) -> TorchField:
+def on_device(field: RadianceField) -> TorchField:
     """Return the field's arrays on its device; they are copied once, and again when changed."""
     source = (field.grid, field.skip, field.seen)
     found: Optional[TorchField] = field.mirror
     if found is None or any(a is not b for a, b in zip(found.source, source)):
-        found = TorchField(field, torch_device(field.device), half)
+        found = TorchField(field, torch_device(field.device))
         field.mirror = found
     return found
 

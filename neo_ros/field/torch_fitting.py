@@ -3,7 +3,7 @@ The same fit on a torch device, for CUDA: the losses and steps of `fitting`, wit
 
 Draws what `FieldTrainer` draws, so both follow the same path up to rounding. Several processes
 (`torch.distributed`) share the pixels of a step and add their gradients. Nothing here is a
-matrix product, so bf16 autocast would change nothing; rendering reads the grid as float16.
+matrix product, so bf16 autocast would change nothing.
 """
 import math
 import time

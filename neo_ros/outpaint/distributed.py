@@ -18,14 +18,14 @@ def process_group() -> Iterator[int]:
     """
     Join the processes that torchrun started, and give this one's number; 0 where it is alone.
 
-    NCCL where there are GPUs, else gloo. What `shared_gradients` wrapped must be let go before the
-    end.
+    NCCL for what is on GPUs, gloo for the rest. What `shared_gradients` wrapped must be let go
+    before the end.
     """
     if int(os.environ.get('WORLD_SIZE', '1')) == 1:
         yield 0
         return
-    distributed.init_process_group('nccl' if torch.cuda.is_available() else 'gloo',
-                                   timeout=LONGEST_WAIT)
+    distributed.init_process_group(
+        'cpu:gloo,cuda:nccl' if torch.cuda.is_available() else 'gloo', timeout=LONGEST_WAIT)
     try:
         if torch.cuda.is_available():
             torch.cuda.set_device(distributed.get_rank() % torch.cuda.device_count())
@@ -59,7 +59,6 @@ def from_first(value: float) -> float:
     """Return the first process's value in all of them."""
     if not distributed.is_initialized():
         return value
-    device = 'cuda' if torch.cuda.is_available() else 'cpu'
-    shared = torch.tensor([value], dtype=torch.float64, device=device)
+    shared = torch.tensor([value], dtype=torch.float64)
     distributed.broadcast(shared, 0)
     return float(shared)

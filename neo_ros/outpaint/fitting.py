@@ -17,8 +17,10 @@ import numpy as np
 import torch
 
 
-THREADS = len(os.sched_getaffinity(0))
-# Below half a grey level the likelihood has nothing to learn, and its gradient explodes.
+# Of the processes that torchrun started on this machine, each has its share of the cores.
+THREADS = max(len(os.sched_getaffinity(0)) // int(os.environ.get('LOCAL_WORLD_SIZE', '1')), 1)
+# Below half a grey level the likelihood has nothing to learn, and its gradient explodes: what is
+# there is drawn back, gently.
 LEAST_LOG_SCALE = -6.0
 
 
@@ -79,8 +81,8 @@ def outpaint_loss(colour: torch.Tensor, log_scale: torch.Tensor, truth: torch.Te
     gradient does not reach the colour.
     """
     error = (colour - truth).abs().mean(1, keepdim=True)
-    log_scale = log_scale.clamp(min=LEAST_LOG_SCALE)
-    likelihood = error.detach() * torch.exp(-log_scale) + log_scale
+    kept = log_scale.clamp(min=LEAST_LOG_SCALE)
+    likelihood = error.detach() * torch.exp(-kept) + kept + (kept - log_scale)
     return ((error + 0.05 * likelihood) * weight).sum() / weight.sum().clamp(min=1)
 
 

@@ -39,12 +39,12 @@ class PanoramaCache:
         try:
             notes = json.loads(self._path(index, 'json').read_text())
             image = np.load(self._path(index, 'npy'), mmap_mode='r')
-        except (OSError, ValueError):
+            return DrawnPanorama(
+                Panorama(np.array(notes['position']), image, band, notes['opacity'],
+                         notes['blocked']),
+                [(reason, np.array(position)) for reason, position in notes['refused']])
+        except (OSError, ValueError, EOFError, KeyError, TypeError):
             return None
-        return DrawnPanorama(
-            Panorama(np.array(notes['position']), image, band, notes['opacity'],
-                     notes['blocked']),
-            [(reason, np.array(position)) for reason, position in notes['refused']])
 
     def write(self, index: int, drawn: DrawnPanorama) -> DrawnPanorama:
         """

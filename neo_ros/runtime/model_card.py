@@ -145,10 +145,22 @@ def card_of(path: Path | str, onnx_file: OnnxFile) -> ModelCard:
 
 
 def write_model_card(path: Path | str, card: ModelCard) -> None:
-    """Put a card into an existing ONNX file, in place of the one that may be there."""
+    """
+    Put a card into an existing ONNX file, in place of the one that may be there.
+
+    The file is replaced once the new one is whole. Raises ModelError where it cannot be written.
+    """
     import onnx  # An exporter's dependency: a robot reads cards without it.
 
     model = onnx.load(str(path), load_external_data=False)
     kept = {entry.key: entry.value for entry in model.metadata_props}
     onnx.helper.set_model_props(model, {**kept, CARD_KEY: card.to_json()})
-    onnx.save_model(model, str(path))
+    partial = Path(f'{path}.partial')
+    try:
+        onnx.save_model(model, str(partial))
+        partial.replace(path)
+    except OSError as error:
+        raise ModelError(f'{path}: cannot write: {error.strerror}; choose another output '
+                         'folder') from error
+    finally:
+        partial.unlink(missing_ok=True)
