@@ -54,6 +54,8 @@ def compare(scene_folder: Path, configs: Sequence[Path], out: Path,
     run that was broken off goes on. Raises ConfigError for files of one name, and where `out`
     holds a run of other settings or of another scene.
     """
+    if minutes and steps is not None:
+        raise ConfigError('minutes, steps: expected one of both, got both')
     names = [path.stem for path in configs]
     if len(set(names)) != len(names):
         raise ConfigError(f'configs: expected files of different names, got {names}')

@@ -39,6 +39,8 @@ SCENE = 'demo_flat'
 WALK_SEED = 2026
 WIDE_TOPIC = '/camera/wide/image'
 DISCOVERY_S = 4.0
+# What a walk may take beyond its own length; how often a process that has ended is looked for.
+PATIENCE_S, LOOK_S = 120.0, 0.5
 OTHER_TOPICS = ('/camera/wide/mask', '/camera/wide/confidence', '/camera/wide/camera_info')
 
 
@@ -119,8 +121,8 @@ class _Graph:
         self.address: str | None = None
         self._model, self._log = model, log
         # A graph of its own: the demo must never reach a robot on the same network.
-        self._environment = {'ROS_DOMAIN_ID': str(1 + os.getpid() % 100),
-                             'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', **os.environ}
+        self._environment = os.environ | {'ROS_DOMAIN_ID': str(1 + os.getpid() % 100),
+                                          'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
         self._running: dict[str, subprocess.Popen] = {}
         self._stack = ExitStack()
 
@@ -153,12 +155,26 @@ class _Graph:
         # The node widens only for subscribers: its outputs must have been discovered, too.
         command = ['play', str(bag), '--wait-for-subscribers', str(subscribers),
                    '--delay', str(DISCOVERY_S)]
+        with BagReader(bag) as reader:
+            first_ns, last_ns = reader.span_ns
+        limit = time.monotonic() + (last_ns - first_ns) / 1e9 + PATIENCE_S
         with self.process('player', command) as player:
-            player.wait(timeout=300)
-            codes = {name: process.poll() for name, process in self._running.items()}
+            while player.poll() is None:
+                # Without the node the player would wait for it for ever.
+                self._check()
+                if time.monotonic() > limit:
+                    raise self._failure('the walk did not come to its end')
+                time.sleep(LOOK_S)
+            self._check()
+
+    def _check(self) -> None:
+        codes = {name: process.poll() for name, process in self._running.items()}
         failed = [f'{name} ended with code {code}' for name, code in codes.items() if code]
         if failed:
-            raise NeoError(f'demo: {", ".join(failed)}:\n{self._log.read_text()[-2000:]}')
+            raise self._failure(', '.join(failed))
+
+    def _failure(self, words: str) -> NeoError:
+        return NeoError(f'demo: {words}:\n{self._log.read_text()[-2000:]}')
 
     @contextmanager
     def _process(self, name: str, command: list[str],

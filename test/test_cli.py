@@ -88,6 +88,21 @@ def test_what_train_cannot_do_is_one_clear_line(
     assert not out.exists()
 
 
+@pytest.mark.parametrize('arguments, message', [
+    (['view', '--rate', '2'], '--rate: expected only with --bag; leave it out'),
+    (['view', '--bag', 'x', '--sim-time'], '--sim-time: expected only without --bag'),
+    (['floor', 'scene', 'map.yaml', '--origin', '0', '0', '1'], '--origin: expected with an'),
+    (['import', 'demo', 'x', '--level'], '--level: the demo has its own'),
+])
+def test_options_that_would_be_ignored_are_refused(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+        arguments: list[str], message: str) -> None:
+    write_capture(tmp_path / 'scene', 3)
+    monkeypatch.chdir(tmp_path)
+    assert run_main(monkeypatch, *arguments) == 2
+    assert message in capsys.readouterr().err
+
+
 @pytest.mark.parametrize('arguments', [
     [], ['nothing'], ['train'], ['bag', 'scene', '--rate', '0'],
 ], ids=['no command', 'unknown command', 'no scene', 'rate out of range'])

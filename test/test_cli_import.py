@@ -74,7 +74,9 @@ def test_a_world_that_is_not_level_is_pointed_out_and_levelled(tmp_path: Path) -
     (['--format', 'polaroid'], ConfigError, "expected scene, transforms.*'polaroid'"),
     (['--format', 'scannet'], SceneError, 'color'),
     (['--format', 'scene', '--level'], ConfigError, 'copied as it is'),
-], ids=['unknown format', 'another format', 'a scene cannot be levelled'])
+    (['--size', '64'], ConfigError, '--size: expected only with "demo"'),
+    (['--pose-topic', '/odom'], ConfigError, '--pose-topic: expected only with a bag'),
+], ids=['unknown format', 'another format', 'a scene cannot be levelled', 'no demo', 'no bag'])
 def test_a_wrong_format_is_named(tmp_path: Path, arguments: list[str], error: type[Exception],
                                  message: str) -> None:
     source = write_transforms_capture(tmp_path / 'source', demo_photos())

@@ -74,6 +74,11 @@ def test_several_training_times_make_a_curve(tiny_run: TrainingRun, tmp_path: Pa
     assert 'Training time and quality' in page and '<polyline' in page
 
 
+def test_minutes_and_steps_exclude_each_other(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match='minutes, steps: expected one of both'):
+        compare(tmp_path, [tmp_path / 'a.yaml'], tmp_path / 'out', (5.0, 15.0), 100)
+
+
 def test_files_of_one_name_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match='expected files of different names'):
         compare(tmp_path, [tmp_path / 'a' / 'x.yaml', tmp_path / 'b' / 'x.yaml'], tmp_path / 'o')

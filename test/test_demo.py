@@ -1,16 +1,18 @@
 """The whole demo on a real ROS graph, with a tiny model; node and replay give the same pixels."""
 import json
 from pathlib import Path
+import time
 from urllib.request import urlopen
 
+from bag_files import write_walk_bag
 from neo_ros.bags import BagReader, replay
-from neo_ros.demo import DemoResult, run_demo, WIDE_TOPIC
-from neo_ros.errors import ModelError
+from neo_ros.demo import _Graph, DemoResult, run_demo, WIDE_TOPIC
+from neo_ros.errors import ModelError, NeoError
 from neo_ros.messages import read_image
 from neo_ros.runtime import FovExtrapolator
 import numpy as np
 import pytest
-from tiny_model import write_tiny_model
+from tiny_model import TINY_EXPANSION, write_tiny_model
 
 FRAMES = 12
 
@@ -71,3 +73,17 @@ def test_a_model_of_another_scene_is_refused(tmp_path: Path) -> None:
     write_tiny_model(tmp_path / 'm.onnx', scene_id='kitchen')
     with pytest.raises(ModelError, match='got one of kitchen'):
         run_demo(tmp_path / 'm.onnx', tmp_path / 'out', FRAMES, 5.0)
+
+
+def test_a_part_of_the_graph_that_ends_is_told_at_once(
+        model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv('ROS_DOMAIN_ID', '77')
+    with _Graph(model, tmp_path / 'log') as graph:
+        assert graph._environment['ROS_DOMAIN_ID'] != '77', 'it must never reach a robot'
+        bag = write_walk_bag(tmp_path / 'bag', TINY_EXPANSION, 3)
+        started = time.monotonic()
+        # There is something at the place of its bag.
+        with graph.process('recorder', ['record', '/x', '--out', str(tmp_path)]):
+            with pytest.raises(NeoError, match='recorder ended with code'):
+                graph.play(bag, subscribers=9)
+    assert time.monotonic() - started < 60

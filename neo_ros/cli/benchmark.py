@@ -50,6 +50,7 @@ def benchmark(
     from neo_ros.benchmark.run import installed, publish, run_jobs
     from neo_ros.benchmark.suites import prepare_demo, read_suite, suite_jobs
     from neo_ros.benchmark.workbench import Job
+    from neo_ros.cli.options import refuse
     from neo_ros.cli.progress import stage_progress
     from neo_ros.errors import ConfigError
     from neo_ros.evaluation.output import make_output_folder, write_bytes
@@ -58,10 +59,11 @@ def benchmark(
 
     if (suite is None) == (scene is None):
         raise ConfigError('benchmark: expected either --suite NAME or --scene FOLDER')
-    _refuse_without('--suite', {'--scenes': scenes} if scene else {})
-    _refuse_without('--scene', {} if scene else {
-        '--test-scene': test_scene, '--protocol': protocol, '--scale': scale,
-        '--budget-minutes': budget_minutes, '--frames': frames})
+    if scene is None:
+        refuse('expected only with --scene', test_scene=test_scene, protocol=protocol, scale=scale,
+               budget_minutes=budget_minutes, frames=frames)
+    else:
+        refuse('expected only with --suite', scenes=scenes or None)
     plan = read_suite(suite or 'quarter')
     names = check_methods(methods.split(',') if methods else plan.methods)
     with stage_progress() as show:
@@ -96,12 +98,3 @@ def benchmark(
                    f'({escape(str(kept))}, docs/benchmarks.md) stays as it was.')
     rich.print(f'Written: {escape(str(rows_file))}, '
                f'{escape(str(work / name))}.md and {escape(str(work / name))}.html')
-
-
-def _refuse_without(needed: str, options: dict[str, object]) -> None:
-    """Raise ConfigError for options that were given and would be ignored."""
-    from neo_ros.errors import ConfigError
-    given = [option for option, value in options.items() if value]
-    if given:
-        raise ConfigError(f'{", ".join(given)}: expected only with {needed}, which was not '
-                          'given; leave it out')

@@ -14,7 +14,7 @@ def compare(
         help='Train every outpainter for so many minutes, instead of what its file says; may be '
         'repeated, to see what more time brings.')] = None,
     steps: Annotated[Optional[int], typer.Option(
-        min=1, help='Train every outpainter for so many steps.')] = None,
+        min=1, help='Train every outpainter for so many steps; not with --minutes.')] = None,
 ) -> None:
     """
     Arithmetic against quality: of the three networks, or of ablations.

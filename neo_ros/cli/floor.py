@@ -14,9 +14,9 @@ def floor(
         help="z of the robot's camera, metres; default: the photos' median.")] = None,
     resolution: Annotated[Optional[float], typer.Option(
         help='Images only: metres per pixel.')] = None,
-    origin: Annotated[tuple[float, float, float], typer.Option(
-        help='Images only: x, y (metres) and yaw (radians) of the lower left corner.',
-    )] = (0.0, 0.0, 0.0),
+    origin: Annotated[Optional[tuple[float, float, float]], typer.Option(
+        help='Images only: x, y (metres) and yaw (radians) of the lower left corner; default: '
+             '0 0 0.')] = None,
 ) -> None:
     """
     Write SCENE/walkable.json from a floor map, and show it on the map of the capture report.
@@ -24,6 +24,7 @@ def floor(
     The map must be in the world of the photos. neo train then draws its positions on free floor,
     `sampling.robot_radius` off everything else.
     """
+    from neo_ros.cli.options import refuse
     from neo_ros.cli.progress import stage_progress
     from neo_ros.errors import ConfigError
     from neo_ros.evaluation.capture_report import REPORT_FILE, write_capture_report
@@ -37,14 +38,14 @@ def floor(
     positions = read_scene(scene).train.T_world_cam[:, :3, 3]
     height = float(np.median(positions[:, 2])) if camera_height is None else camera_height
     if floor_map.suffix in ('.yaml', '.yml'):
-        if resolution is not None:
-            raise ConfigError('--resolution: expected with an image only; a map says its own')
+        refuse('expected with an image only, a map says its own', resolution=resolution,
+               origin=origin)
         walkable = read_map_server(floor_map, height)
     elif resolution is None:
         raise ConfigError(f'--resolution: expected metres per pixel with an image, '
                           f'{floor_map.name}')
     else:
-        walkable = read_floor_mask(floor_map, resolution, origin, height)
+        walkable = read_floor_mask(floor_map, resolution, origin or (0.0, 0.0, 0.0), height)
     write_walkable(scene / 'walkable.json', walkable)
     with stage_progress() as show:
         write_capture_report(scene, read_scene(scene), (),

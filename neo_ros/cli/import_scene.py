@@ -29,9 +29,10 @@ def import_scene(
              'good a model of this capture is.', min=0)] = 0,
     level: Annotated[bool, typer.Option(
         '--level', help='Turn the world so that z points up, as the photos were held.')] = False,
-    size: Annotated[int, typer.Option(
-        help='Demo only: edge of the training photos in pixels.', min=16)] = 128,
-    photos: Annotated[int, typer.Option(help='Demo only: number of photos.', min=1)] = 1000,
+    size: Annotated[Optional[int], typer.Option(
+        help='Demo only: edge of the training photos in pixels; default: 128.', min=16)] = None,
+    photos: Annotated[Optional[int], typer.Option(
+        help='Demo only: number of photos; default: 1000.', min=1)] = None,
 ) -> None:
     """
     Bring photos with poses into a scene folder, check them, and say how good the capture is.
@@ -40,6 +41,7 @@ def import_scene(
     The report on the capture is SCENE/capture.html. Run again after an interruption, the import
     goes on where it stopped.
     """
+    from neo_ros.cli.options import refuse
     from neo_ros.cli.progress import stage_progress
     from neo_ros.evaluation.capture_report import REPORT_FILE, write_capture_report
     from neo_ros.scenes.demo_captures import write_demo_scene
@@ -52,19 +54,23 @@ def import_scene(
 
     with stage_progress() as show:
         if source == 'demo':
-            if test_runs:
-                raise ConfigError('--test-runs: leave it out, the demo has wide test frames')
-            write_demo_scene(scene, image_size=size, n_train=photos,
+            refuse('the demo has its own', test_runs=test_runs or None, format=format_name,
+                   image_topic=image_topic, pose_topic=pose_topic,
+                   keyframe_distance=keyframe_distance, keyframe_angle=keyframe_angle,
+                   level=level)
+            write_demo_scene(scene, image_size=size or 128, n_train=photos or 1000,
                              progress=lambda done, total: show('images', done, total))
             notes: list[str] = []
         else:
+            refuse('expected only with "demo"', size=size, photos=photos)
             format_ = (detect_format(Path(source)) if format_name is None
                        else _named_format(format_name))
+            if format_ != CaptureFormat.BAG:
+                refuse('expected only with a bag', image_topic=image_topic, pose_topic=pose_topic)
             if format_ == CaptureFormat.SCENE:
-                if keyframe_distance or keyframe_angle or level:
-                    raise ConfigError(
-                        f'{source}: --keyframe-distance, --keyframe-angle and --level are for '
-                        'captures; this is a scene already and is copied as it is')
+                refuse(f'for captures, {source} is a scene already and is copied as it is',
+                       keyframe_distance=keyframe_distance, keyframe_angle=keyframe_angle,
+                       level=level)
                 import_transforms(Path(source), scene,
                                   lambda done, total: show('images', done, total))
                 notes = []
