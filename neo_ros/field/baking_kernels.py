@@ -19,6 +19,18 @@ DISTANCE = 0.3
 LEAST_COSINE = 0.5
 
 
+@njit(**FAST)
+def cubic(k, t):
+    """Catmull and Rom's weight of the k-th of four samples, t of the way from the second on."""
+    if k == 0:
+        return ((2 - t) * t - 1) * t / 2
+    if k == 1:
+        return (3 * t - 5) * t * t / 2 + 1
+    if k == 2:
+        return ((4 - 3 * t) * t + 1) * t / 2
+    return (t - 1) * t * t / 2
+
+
 @njit(parallel=True, **FAST)
 def colour_from_photos(position, rays, depth, coarse, photos, photo_depth, rotations, positions,
                        gains, fx, fy, cx, cy, out):
@@ -28,7 +40,9 @@ def colour_from_photos(position, rays, depth, coarse, photos, photo_depth, rotat
     position (3,), rays (h, w, 3), depth (h, w) metres, 0 = unknown, and coarse (h, w, 3) uint8,
     the field's own colours, describe the panorama. photos (N, H, W, 3) uint8, photo_depth
     (N, H, W) metres along the ray, rotations (N, 3, 3) camera to world, positions (N, 3), gains
-    (N, 3) multiply a photo's colours to the scene's. Fills out (h, w, 3) uint8.
+    (N, 3) multiply a photo's colours to the scene's. Photos are read by cubic interpolation: what
+    a linear one blurs would be blurred once more when the panorama is drawn. Fills out (h, w, 3)
+    uint8.
     """
     high, wide = photos.shape[1], photos.shape[2]
     for i in prange(depth.shape[0]):
@@ -36,6 +50,7 @@ def colour_from_photos(position, rays, depth, coarse, photos, photo_depth, rotat
         which = np.empty(BLENDED, np.int64)
         us, vs = np.empty(BLENDED), np.empty(BLENDED)
         colour, total = np.empty(3), np.empty(3)
+        across, down = np.empty(4), np.empty(4)
         for j in range(depth.shape[1]):
             out[i, j] = coarse[i, j]
             d = depth[i, j]
@@ -80,12 +95,17 @@ def colour_from_photos(position, rays, depth, coarse, photos, photo_depth, rotat
                     break
                 photo, gain = photos[which[m]], gains[which[m]]
                 u0, v0 = int(us[m]), int(vs[m])
-                a, b = us[m] - u0, vs[m] - v0
+                for k in range(4):
+                    across[k], down[k] = cubic(k, us[m] - u0), cubic(k, vs[m] - v0)
                 apart = 0.0
                 for c in range(3):
-                    colour[c] = gain[c] * (
-                        (1 - b) * ((1 - a) * photo[v0, u0, c] + a * photo[v0, u0 + 1, c])
-                        + b * ((1 - a) * photo[v0 + 1, u0, c] + a * photo[v0 + 1, u0 + 1, c]))
+                    value = 0.0
+                    for p in range(4):
+                        y = min(max(v0 + p - 1, 0), high - 1)
+                        for q in range(4):
+                            x = min(max(u0 + q - 1, 0), wide - 1)
+                            value += down[p] * across[q] * photo[y, x, c]
+                    colour[c] = gain[c] * value
                     apart += (colour[c] - coarse[i, j, c]) ** 2
                 weight = (math.exp((score[0] - score[m]) / ANGLE)
                           * math.exp(-apart / (COLOUR * COLOUR)))

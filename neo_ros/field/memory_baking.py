@@ -22,7 +22,7 @@ import numpy as np
 
 # The mesh's vertices a radian are at most so many; textures are TEXTURE times finer than the view.
 MESH_FOCAL = 96.0
-TEXTURE = 2.0
+TEXTURE = 3.0
 # Photos nearest to a keyframe that may colour it.
 PHOTOS = 400
 # Depths that differ by less than this share are of one surface.

@@ -21,7 +21,7 @@ SCHEMA = 1
 # noise that does not compress.
 STEPS = 4095
 CLOSEST = 0.25
-JPEG_QUALITY = 92
+JPEG_QUALITY = 86
 # Decoded keyframes that are kept: what fits into so many bytes, but at least all that are drawn.
 CACHED_BYTES = 256 << 20
 LEAST_CACHED = 3
