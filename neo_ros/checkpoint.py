@@ -1,12 +1,12 @@
 """Checkpoints of a training: nested dicts of numbers, texts, numpy arrays and tensors."""
 import json
-import os
 from pathlib import Path
 import time
 from typing import Any, Callable, TYPE_CHECKING
 
 from neo_ros.errors import NeoError, SceneError
 from neo_ros.evaluation.output import write_bytes
+from neo_ros.paths import whole_file
 import numpy as np
 import torch
 
@@ -18,12 +18,10 @@ CHECKPOINT_SECONDS = 60.0
 
 def write_checkpoint(path: Path, state: dict[str, Any]) -> None:
     """Write a checkpoint; a kill or a full disk in between leaves the old file whole."""
-    partial = path.with_suffix('.partial')
     try:
-        torch.save(_arrays_to_tensors(state), partial)
-        os.replace(partial, path)
+        with whole_file(path) as partial:
+            torch.save(_arrays_to_tensors(state), partial)
     except (OSError, RuntimeError) as error:
-        partial.unlink(missing_ok=True)
         raise NeoError(f'{path}: cannot write the checkpoint: {error}') from error
 
 

@@ -1,4 +1,6 @@
-"""Where the package finds the models, settings and launch files it ships with."""
+"""Where the package finds what it ships with, and how files come to be whole."""
+from collections.abc import Iterator
+from contextlib import contextmanager
 import os
 from pathlib import Path
 
@@ -23,3 +25,18 @@ def share_dir() -> Path:
             return share
     raise NeoError(f'{PACKAGE}: expected share/{PACKAGE} in a prefix above {here} or on '
                    'AMENT_PREFIX_PATH; install the package again')
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """
+    Yield the name to write a file under, which takes the name `path` once it is whole.
+
+    An error, a kill or a full disk in between leaves what was at `path`. Errors pass through.
+    """
+    partial = path.with_name(f'{path.name}.partial')
+    try:
+        yield partial
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)

@@ -239,7 +239,7 @@ def test_a_table_says_how_often_the_memory_knew_the_scene(tiny_run):
     assert f'- guided: the memory knew {known:.0f} of 6 frames' in markdown([results])
 
 
-def test_a_table_has_the_seams_scores_in_one_column(tiny_run):
+def test_every_part_has_a_table_with_intervals(tiny_run):
     frames = TruthFrames(tiny_run.scene.test, tiny_run.expansion)
     results = evaluate('flat', frames, [EdgeReplication(tiny_run.expansion)])
     estimates = {'seam_psnr': Estimate(21.456, 20, 22), 'seam_ssim': Estimate(0.7654, 0.7, 0.8)}
@@ -247,9 +247,9 @@ def test_a_table_has_the_seams_scores_in_one_column(tiny_run):
     measured = replace(results[0], estimates={
         **estimates, 'seam_lpips_vgg': Estimate(0.1234, None, None)})
     table = markdown([[plain, measured]])
-    assert '| method | seam PSNR / SSIM / LPIPS VGG | pasted |' in table
-    assert '| 21.46 / 0.765 | yes |' in table
-    assert '| 21.46 / 0.765 / 0.123 | yes |' in table
+    assert '| seam | PSNR, dB | SSIM | LPIPS VGG | pasted |' in table
+    assert '| 21.46 (20.00 to 22.00) | 0.765 (0.700 to 0.800) |  | yes |' in table
+    assert '| 21.46 (20.00 to 22.00) | 0.765 (0.700 to 0.800) | 0.123 | yes |' in table
 
 
 def test_the_gap_needs_both_of_its_ends():

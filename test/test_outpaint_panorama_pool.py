@@ -80,7 +80,7 @@ def test_a_cache_gives_the_same_panoramas_without_rendering_them_again(
     for filled in (plain, kept):
         filled.fill(6)
     # A kill leaves a partial file, and a damaged one may be there: both are made again.
-    (tmp_path / '000006.partial').write_bytes(b'half')
+    (tmp_path / '000006.npy.partial').write_bytes(b'half')
     (tmp_path / '000002.npy').unlink()  # the panorama that is in use stays whole
     (tmp_path / '000002.npy').write_bytes(b'damaged')
     (tmp_path / '000003.npy').unlink()

@@ -147,6 +147,6 @@ def test_bad_input_crops_are_refused(file: Path, crop: Any) -> None:
 
 def test_unwritable_folders_are_named(file: Path) -> None:
     capture = read_transforms(file)
-    (file.parent / 'transforms.partial').mkdir()
+    (file.parent / 'transforms.json.partial').mkdir()
     with pytest.raises(SceneError, match='transforms.json: cannot write: Is a directory'):
         write_transforms(file.parent / 'transforms.json', capture)

@@ -130,9 +130,7 @@ def true_depth(bench: Workbench, source: str) -> DepthOf:
 def _write_scores(bench: Workbench, result: MethodScores, measures: list[str]) -> None:
     text = json.dumps({**result.to_dict(), 'row': result.row, 'measures': measures},
                       allow_nan=False, indent=1)
-    path = bench.folder / 'scores' / f'{result.method}.json'
-    write_bytes(path.with_suffix('.partial'), text.encode())
-    os.replace(path.with_suffix('.partial'), path)
+    write_bytes(bench.folder / 'scores' / f'{result.method}.json', text.encode())
 
 
 def _read_scores(bench: Workbench, name: str, measures: list[str]) -> MethodScores | None:
@@ -157,6 +155,4 @@ def write_rows(path: Path, rows: Sequence[dict[str, Any]]) -> None:
     """Write a file of results: a list of rows with the keys ROW_KEYS."""
     wrong = [row['method'] for row in rows if tuple(row) != ROW_KEYS]
     assert not wrong, wrong
-    partial = path.with_suffix('.partial')
-    write_bytes(partial, (json.dumps(list(rows), indent=1, allow_nan=False) + '\n').encode())
-    os.replace(partial, path)
+    write_bytes(path, (json.dumps(list(rows), indent=1, allow_nan=False) + '\n').encode())

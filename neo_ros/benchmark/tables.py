@@ -9,12 +9,10 @@ from neo_ros.evaluation.evaluate import MethodScores
 from neo_ros.evaluation.metrics import summarise
 from neo_ros.evaluation.output import write_bytes
 
-# The columns of the scores, and what stands in each.
-_SCORES = {'ring PSNR, dB': ('ring_psnr',), 'ring SSIM': ('ring_ssim',),
-           'ring LPIPS VGG': ('ring_lpips_vgg',), 'ring LPIPS Alex': ('ring_lpips_alex',),
-           'seam PSNR / SSIM / LPIPS VGG': ('seam_psnr', 'seam_ssim', 'seam_lpips_vgg'),
-           'whole PSNR, dB': ('whole_psnr',), 'whole SSIM': ('whole_ssim',),
-           'whole LPIPS VGG': ('whole_lpips_vgg',)}
+# A table for each part of the wide image, with these columns.
+_PARTS = ('ring', 'seam', 'whole')
+_MEASURES = {'psnr': 'PSNR, dB', 'ssim': 'SSIM', 'lpips_vgg': 'LPIPS VGG',
+             'lpips_alex': 'LPIPS Alex'}
 NOTE = """\
 Means over the test frames; in brackets bootstrap 95 % intervals over the walks. Of two or three
 walks (RedKitchen has three) they are the range over the walks, not 95 %. *Ring*: pixels that the
@@ -36,7 +34,8 @@ def markdown(benchmarks: Sequence[Sequence[MethodScores]]) -> str:
     for results in benchmarks:
         row = results[0].row
         parts += [f'### {row["scene"]}, {row["protocol"]}, {row["scale"]} scale, '
-                  f'{row["n_frames"]} frames', _score_table(results), _cost_table(results),
+                  f'{row["n_frames"]} frames',
+                  *(_score_table(results, part) for part in _PARTS), _cost_table(results),
                   *_remarks(results)]
     protocols = dict.fromkeys(results[0].row['protocol'] for results in benchmarks)
     for protocol in protocols:
@@ -74,23 +73,24 @@ def best_practical(results: Sequence[MethodScores], score: str = 'ring_psnr') ->
     return (min if lowest else max)(rivals, key=rivals.__getitem__)
 
 
-def _score_table(results: Sequence[MethodScores]) -> str:
-    known = {title: scores for title, scores in _SCORES.items()
-             if any(scores[0] in result.estimates for result in results)}
+def _score_table(results: Sequence[MethodScores], part: str) -> str:
+    columns = {f'{part}_{measure}': words for measure, words in _MEASURES.items()
+               if any(f'{part}_{measure}' in result.estimates for result in results)}
     best = best_practical(results)
     rows = []
     for result in results:
         name = f'**{result.method}**' if result.method == best else result.method
-        cells = [' / '.join(_score(result, score) for score in scores if score in result.estimates)
-                 for scores in known.values()]
+        cells = [_score(result, score) for score in columns]
         rows.append([name, *cells, 'yes' if result.observed_pasted else 'no'])
-    return _table(['method', *known, 'pasted'], rows)
+    return _table([part, *columns.values(), 'pasted'], rows)
 
 
 def _score(result: MethodScores, score: str) -> str:
+    if score not in result.estimates:
+        return ''
     estimate, digits = result.estimates[score], 2 if score.endswith('psnr') else 3
     text = f'{estimate.mean:.{digits}f}'
-    if estimate.low is not None and score.startswith('ring'):
+    if estimate.low is not None:
         text += f' ({estimate.low:.{digits}f} to {estimate.high:.{digits}f})'
     return text
 

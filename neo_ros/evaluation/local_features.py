@@ -10,6 +10,7 @@ from typing import Callable, NamedTuple, Sequence
 from zipfile import BadZipFile
 
 import cv2
+from neo_ros.paths import whole_file
 from neo_ros.scenes.posed_images import PosedImages
 import numpy as np
 
@@ -121,10 +122,9 @@ def read_photo_bank(photos: PosedImages, scale: float, cache: Path,
         points = np.concatenate([one.points for one in found])
         descriptors = np.concatenate([one.descriptors for one in found])
         cache.parent.mkdir(parents=True, exist_ok=True)
-        partial = cache.with_suffix('.partial.npz')
-        np.savez(partial, counts=counts, points=points,
-                 descriptors=descriptors.astype(np.float16))
-        partial.replace(cache)
+        with whole_file(cache) as partial, partial.open('wb') as file:
+            np.savez(file, counts=counts, points=points,
+                     descriptors=descriptors.astype(np.float16))
         descriptors = descriptors.astype(np.float16).astype(np.float32)
     ends = np.cumsum(counts)[:-1]
     return PhotoBank(photos, scale, [

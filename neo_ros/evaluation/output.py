@@ -5,6 +5,7 @@ import shutil
 import tempfile
 
 from neo_ros.errors import NeoError
+from neo_ros.paths import whole_file
 
 
 def make_output_folder(folder: Path) -> Path:
@@ -28,14 +29,10 @@ def write_bytes(path: Path, content: bytes) -> None:
 
     Raises NeoError with the reason.
     """
-    partial = path.with_name(f'{path.name}.partial')
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        try:
+        with whole_file(path) as partial:
             partial.write_bytes(content)
-            partial.replace(path)
-        finally:
-            partial.unlink(missing_ok=True)
     except OSError as error:
         raise _cannot_write(path, error) from error
 
@@ -51,10 +48,8 @@ def share_file(source: Path, target: Path) -> None:
         try:
             os.link(source, target)
         except OSError:
-            # A copy that was broken off must not be taken for the whole file.
-            partial = target.with_name(f'{target.name}.partial')
-            shutil.copyfile(source, partial)
-            partial.replace(target)
+            with whole_file(target) as partial:
+                shutil.copyfile(source, partial)
     except OSError as error:
         raise _cannot_write(target, error) from error
 

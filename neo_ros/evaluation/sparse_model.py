@@ -11,6 +11,7 @@ from zipfile import BadZipFile
 from neo_ros.errors import SceneError
 from neo_ros.evaluation.local_features import match_features, PhotoBank
 from neo_ros.geometry import Intrinsics
+from neo_ros.paths import whole_file
 import numpy as np
 
 PARTNERS = 15          # photos that each photo is matched with
@@ -47,9 +48,8 @@ def read_sparse_model(bank: PhotoBank, folder: Path,
             points, flat = stored['points'], stored['point_of']
     except (OSError, ValueError, KeyError, EOFError, BadZipFile):
         points, flat = _triangulate(bank, folder, progress)
-        partial = folder / 'points.partial.npz'
-        np.savez(partial, points=points, point_of=flat)
-        partial.replace(cache)
+        with whole_file(cache) as partial, partial.open('wb') as file:
+            np.savez(file, points=points, point_of=flat)
     if len(flat) != sum(counts):
         raise SceneError(f'{cache}: expected the points of {sum(counts)} features, got '
                          f'{len(flat)}; delete the folder to triangulate again')

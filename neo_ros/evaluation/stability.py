@@ -12,6 +12,7 @@ from neo_ros.evaluation.baselines import Method
 from neo_ros.evaluation.evaluate import run_method, StatefulMethod, TruthFrames
 from neo_ros.evaluation.image_fill import sample_pixels
 from neo_ros.geometry import Intrinsics
+from neo_ros.paths import whole_file
 import numpy as np
 
 # A point counts as hidden in the last frame if something is nearer there by this share.
@@ -124,7 +125,6 @@ def stored_depths(frames: TruthFrames, render: DepthOf, cache: Path,
         for index in range(len(frames)):
             depths[index] = render(index)
             progress(index + 1, len(frames))
-        partial = cache.with_suffix('.partial.npz')
-        np.savez(partial, depths=depths)
-        partial.replace(cache)
+        with whole_file(cache) as partial, partial.open('wb') as file:
+            np.savez(file, depths=depths)
     return lambda index: depths[index].astype(np.float32)

@@ -7,13 +7,13 @@ of an MLP: on a CPU that is what makes the field fit in minutes.
 """
 from dataclasses import dataclass, field
 import math
-import os
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
 
 from neo_ros.errors import SceneError
 from neo_ros.field import kernels
+from neo_ros.paths import whole_file
 import numpy as np
 import torch
 
@@ -161,14 +161,12 @@ class RadianceField:
 
     def save(self, path: Path) -> None:
         """Write the field as .npz; a kill or a full disk in between leaves the old file whole."""
-        partial = path.with_suffix('.partial.npz')
         try:
-            np.savez(partial, grid=self.grid, shape=self.shape, centre=self.centre,
-                     half_extent=self.half_extent, seen=self.seen,
-                     settings=[self.shell, self.step, self.near, self.initial_alpha])
-            os.replace(partial, path)
+            with whole_file(path) as partial, partial.open('wb') as file:
+                np.savez(file, grid=self.grid, shape=self.shape, centre=self.centre,
+                         half_extent=self.half_extent, seen=self.seen,
+                         settings=[self.shell, self.step, self.near, self.initial_alpha])
         except OSError as error:
-            partial.unlink(missing_ok=True)
             raise SceneError(f'{path}: cannot write the field: {error.strerror}') from error
 
     @classmethod

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 import hashlib
 import io
 import math
-import os
 from pathlib import Path
 from typing import Any
 from zipfile import ZIP_STORED, ZipFile
@@ -14,6 +13,7 @@ from neo_ros.errors import ModelError
 from neo_ros.geometry import Band
 from neo_ros.geometry.camera_pose import check_transform
 from neo_ros.model_bytes import MAX_BYTES, read_model_bytes
+from neo_ros.paths import whole_file
 import numpy as np
 
 SCHEMA = 1
@@ -126,12 +126,10 @@ class SceneMemory:
             raise ModelError(
                 f'{path}: expected a scene memory of at most {MAX_BYTES >> 20} MB, got '
                 f'{len(data) >> 20} MB; set memory.distance to more')
-        partial = path.with_suffix('.partial')
         try:
-            partial.write_bytes(data)
-            os.replace(partial, path)
+            with whole_file(path) as partial:
+                partial.write_bytes(data)
         except OSError as error:
-            partial.unlink(missing_ok=True)
             raise ModelError(f'{path}: cannot write the scene memory: {error.strerror}') from error
         return hashlib.sha256(data).hexdigest()
 

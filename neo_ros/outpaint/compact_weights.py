@@ -4,9 +4,9 @@ Store a network's weights in a quarter of the space: int8 with one scale per out
 The rounding happens in torch, before the export, so that torch and the exported file are the same
 function; the graph multiplies the integers out once, when ONNX Runtime folds its constants.
 """
-import os
 from pathlib import Path
 
+from neo_ros.paths import whole_file
 import numpy as np
 import onnx
 from onnx import helper, numpy_helper, TensorProto
@@ -53,9 +53,8 @@ def compact_weights(path: Path) -> None:
                   helper.make_node('Mul', [name + '_steps', name + '_scale'], [name])]
     for node in reversed(nodes):
         graph.node.insert(0, node)
-    partial = path.with_suffix('.partial')
-    onnx.save_model(model, str(partial))
-    os.replace(partial, path)
+    with whole_file(path) as partial:
+        onnx.save_model(model, str(partial))
 
 
 def _integers(weight: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:

@@ -1,12 +1,12 @@
 """Export an outpainter as one self-contained ONNX file: uint8 in, uint8 out, all inside."""
 import logging
-import os
 from pathlib import Path
 from typing import Callable
 
 from neo_ros.errors import ModelError
 from neo_ros.geometry import ViewExpansion
 from neo_ros.outpaint.compact_weights import compact_weights, round_weights
+from neo_ros.paths import whole_file
 from neo_ros.runtime.confidence import DECAY
 from neo_ros.runtime.operators import ALLOWED_OPERATORS
 import numpy as np
@@ -92,17 +92,13 @@ def write_graph(function: ExportedFunction, expansion: ViewExpansion, path: Path
     """Write a function as one ONNX file; raises ModelError for operators outside the list."""
     source = expansion.source
     example = torch.zeros(1, source.height, source.width, 3, dtype=torch.uint8)
-    partial = path.with_suffix('.partial')
     # It would warn of every operator of torchvision, which nothing here uses.
     logging.getLogger('torch.onnx._internal.exporter._registration').setLevel(logging.ERROR)
-    try:
+    with whole_file(path) as partial:
         torch.onnx.export(function, (example,), str(partial), input_names=['image'],
                           output_names=['wide', 'confidence'], opset_version=OPSET,
                           dynamo=True, external_data=False, verbose=False)
         _clean_graph(partial)
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def _clean_graph(path: Path) -> None:

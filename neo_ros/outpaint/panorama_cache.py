@@ -1,13 +1,13 @@
 """Panoramas in files: for machines whose memory is small, and trainings that are broken off."""
 from dataclasses import dataclass
 import json
-import os
 from pathlib import Path
 from typing import Optional
 
 from neo_ros.errors import NeoError
 from neo_ros.field.panorama import Panorama
 from neo_ros.geometry import Band
+from neo_ros.paths import whole_file
 import numpy as np
 
 
@@ -59,14 +59,12 @@ class PanoramaCache:
             'position': panorama.position.tolist(), 'opacity': panorama.opacity,
             'blocked': panorama.blocked,
             'refused': [(reason, position.tolist()) for reason, position in drawn.refused]})
-        partial = self.folder / f'{index:06d}.partial'
         try:
             # The notes come last: where they are, the image is whole.
-            with open(partial, 'wb') as file:
+            with whole_file(self._path(index, 'npy')) as partial, partial.open('wb') as file:
                 np.save(file, panorama.image)
-            os.replace(partial, self._path(index, 'npy'))
-            partial.write_text(notes)
-            os.replace(partial, self._path(index, 'json'))
+            with whole_file(self._path(index, 'json')) as partial:
+                partial.write_text(notes)
         except OSError as error:
             raise NeoError(
                 f'{self.folder}: cannot keep panoramas: {error.strerror}; make room and start '

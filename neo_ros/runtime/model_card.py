@@ -5,6 +5,7 @@ from typing import Literal
 
 from neo_ros.errors import ModelError
 from neo_ros.geometry import ViewExpansion
+from neo_ros.paths import whole_file
 from neo_ros.runtime.onnx_file import OnnxFile, scan_onnx_file
 from neo_ros.runtime.scene_check import SceneReference
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
@@ -155,12 +156,9 @@ def write_model_card(path: Path | str, card: ModelCard) -> None:
     model = onnx.load(str(path), load_external_data=False)
     kept = {entry.key: entry.value for entry in model.metadata_props}
     onnx.helper.set_model_props(model, {**kept, CARD_KEY: card.to_json()})
-    partial = Path(f'{path}.partial')
     try:
-        onnx.save_model(model, str(partial))
-        partial.replace(path)
+        with whole_file(Path(path)) as partial:
+            onnx.save_model(model, str(partial))
     except OSError as error:
         raise ModelError(f'{path}: cannot write: {error.strerror}; choose another output '
                          'folder') from error
-    finally:
-        partial.unlink(missing_ok=True)

@@ -2,7 +2,6 @@
 from dataclasses import replace
 import json
 import logging
-import os
 from pathlib import Path
 import shutil
 from typing import Any, Optional
@@ -10,6 +9,7 @@ from typing import Any, Optional
 import cv2
 from neo_ros.errors import SceneError
 from neo_ros.geometry import Intrinsics
+from neo_ros.paths import whole_file
 from neo_ros.scenes.capture import (
     Capture, CapturedFrame, listed, no_progress, photo_size, Progress)
 from neo_ros.scenes.lens import common_pinhole, Lens, Straightener
@@ -126,15 +126,14 @@ def _write_image(frame: CapturedFrame, image: np.ndarray, straightener: Straight
         raise SceneError(
             f'{frame.file or frame.name}: expected {camera.width}x{camera.height} pixels as its '
             f'camera says, got {image.shape[1]}x{image.shape[0]}; photos are never resized')
-    partial = target.with_name(target.name + '.partial')
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        if _copied(frame, straightener):
-            shutil.copyfile(str(frame.file), partial)
-        else:
-            straight = straightener.apply(image, frame.lens)
-            partial.write_bytes(cv2.imencode('.png', straight[..., ::-1])[1].tobytes())
-        os.replace(partial, target)
+        with whole_file(target) as partial:
+            if _copied(frame, straightener):
+                shutil.copyfile(str(frame.file), partial)
+            else:
+                straight = straightener.apply(image, frame.lens)
+                partial.write_bytes(cv2.imencode('.png', straight[..., ::-1])[1].tobytes())
     except OSError as error:
         raise SceneError(f'{target}: cannot write: {error.strerror}; '
                          'choose another scene folder') from error

@@ -7,6 +7,7 @@ import shutil
 from typing import Callable
 
 from neo_ros.errors import SceneError
+from neo_ros.paths import whole_file
 from neo_ros.scenes.posed_images import PosedImages, read_rgb_image
 from neo_ros.scenes.scene import clear_earlier_import
 from neo_ros.scenes.transforms_json import read_input_crop, read_transforms, write_transforms
@@ -59,13 +60,12 @@ def _copy_image(path: Path, source: Path, scene: Path, images: PosedImages) -> P
     read_rgb_image(path, images.intrinsics)
     relative = Path(os.path.relpath(path, source))
     target = scene.joinpath(*('beside' if part == '..' else part for part in relative.parts))
-    partial = target.with_suffix('.partial')
     try:
         if target.exists() and filecmp.cmp(path, target, shallow=False):
             return target
         target.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(path, partial)
-        partial.replace(target)
+        with whole_file(target) as partial:
+            shutil.copyfile(path, partial)
     except OSError as error:
         raise SceneError(f'{target}: cannot write: {error.strerror}; '
                          'choose another scene folder') from error

@@ -6,12 +6,12 @@ camera for all: files of other cameras are for `transforms_capture`, which `neo 
 """
 import json
 import logging
-import os
 from pathlib import Path
 from typing import Any, Optional
 
 from neo_ros.errors import SceneError
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
+from neo_ros.paths import whole_file
 from neo_ros.scenes.posed_images import PosedImages
 
 logger = logging.getLogger(__name__)
@@ -97,10 +97,9 @@ def write_transforms(path: Path, images: PosedImages,
         {'file_path': image_path.relative_to(path.parent).as_posix(),
          'transform_matrix': pose.to_opengl().tolist(), 'path_id': path_id}
         for image_path, pose, path_id in zip(images.image_paths, images.poses, images.path_ids)]
-    partial = path.with_suffix('.partial')
     try:
-        partial.write_text(json.dumps(document))
-        os.replace(partial, path)
+        with whole_file(path) as partial:
+            partial.write_text(json.dumps(document))
     except OSError as error:
         raise SceneError(f'{path}: cannot write: {error.strerror}; '
                          'choose another scene folder') from error

@@ -2,11 +2,11 @@
 from dataclasses import dataclass
 import json
 import math
-import os
 from pathlib import Path
 
 import cv2
 from neo_ros.errors import SceneError
+from neo_ros.paths import whole_file
 import numpy as np
 
 
@@ -125,9 +125,8 @@ def write_walkable(path: Path, walkable: WalkableMap) -> None:
         'note': 'rows[j][i] is the cell with x in origin[0]+[i,i+1)*resolution and y in '
                 'origin[1]+[j,j+1)*resolution; 1 = walkable',
         'rows': [''.join('1' if cell else '0' for cell in row) for row in walkable.cells]}
-    partial = Path(path).with_suffix('.partial')
-    partial.write_text(json.dumps(document, indent=0))
-    os.replace(partial, path)
+    with whole_file(path) as partial:
+        partial.write_text(json.dumps(document, indent=0))
 
 
 def _read_rows(rows: list[str], width: int, height: int) -> np.ndarray:
