@@ -1,4 +1,4 @@
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import asdict, fields, is_dataclass, replace
 import math
 from pathlib import Path
 from typing import Any, Iterator
@@ -10,6 +10,17 @@ from neo_ros.outpaint.fitting import OutpaintConfig
 import neo_ros.paths
 import pytest
 
+SHIPPED = neo_ros.paths.share_dir() / 'config' / 'experiments'
+# What each ablation is compared with, and the settings that may differ from it.
+ABLATIONS = {
+    **{f'interval_{metres}': ('base', {'sampling.interval'})
+       for metres in ('0_10', '0_20', '0_50', '1_00')},
+    **{f'steps_{steps}': ('base', {'outpaint.steps'}) for steps in ('0750', '1500', '6000')},
+    'no_augmentation': ('base', {'outpaint.photometric', 'outpaint.occluders'}),
+    'no_real_centres': ('base', {'outpaint.real_centre'}),
+    'perceptual': ('base', {'outpaint.perceptual'}),
+    'source_view': ('no_real_centres', {'outpaint.training_view'}),
+    'redkitchen/all_views': ('redkitchen/sharp_views', {'sampling.sharp_only'})}
 PHOTO = Intrinsics(64, 48, 40.0, 41.0, 31.0, 25.0)
 
 
@@ -99,10 +110,25 @@ def test_files_that_are_no_text_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    'path', sorted((neo_ros.paths.share_dir() / 'config' / 'experiments').rglob('*.yaml')),
-    ids=lambda path: path.stem)
+    'path', sorted(SHIPPED.rglob('*.yaml')), ids=lambda path: path.stem)
 def test_the_experiments_that_come_with_the_package_are_valid(path: Path) -> None:
     assert read_experiment(path) != Experiment()
+
+
+@pytest.mark.parametrize('name', ABLATIONS)
+def test_an_ablation_differs_from_its_reference_in_what_it_is_about(name: str) -> None:
+    reference, keys = ABLATIONS[name]
+    found, expected = (asdict(read_experiment(SHIPPED / 'ablations' / f'{file}.yaml'))
+                       for file in (name, reference))
+    assert {f'{part}.{key}' for part in ('field', 'sampling', 'network', 'outpaint', 'memory')
+            for key in found[part] if found[part][key] != expected[part][key]} == keys
+    assert all(found[key] == expected[key] for key in ('seed', 'scale', 'view'))
+
+
+def test_no_ablation_is_forgotten() -> None:
+    folder = SHIPPED / 'ablations'
+    files = {str(path.relative_to(folder).with_suffix('')) for path in folder.rglob('*.yaml')}
+    assert files == {*ABLATIONS, *(reference for reference, _ in ABLATIONS.values())}
 
 
 def test_without_a_word_the_view_doubles() -> None:
