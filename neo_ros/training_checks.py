@@ -11,7 +11,9 @@ from neo_ros.outpaint.networks import check_network
 from neo_ros.outpaint.perceptual import fetch_weights
 from neo_ros.outpaint.real_centres import check_focal_length
 from neo_ros.outpaint.training_log import TrainingLog
+from neo_ros.runtime.model_card import MemoryFile
 from neo_ros.training_views import make_sampler
+from pydantic import ValidationError
 
 if TYPE_CHECKING:
     from neo_ros.pipeline import TrainingRun
@@ -36,6 +38,11 @@ def check_training(run: 'TrainingRun') -> None:
 
     What was trained elsewhere is exported without such things: a GPU, weights of LPIPS.
     """
+    try:
+        MemoryFile(file=f'{run.scene.name}.memory', sha256='0' * 64)
+    except ValidationError:
+        raise ConfigError('scene: expected a folder whose name has no backslash or control '
+                          f'character, got {run.scene.name!r}; rename it') from None
     rank, world = processes()
     config, area = run.experiment.outpaint, run.experiment.sampling.area
     chosen_device(run.experiment.field.device)

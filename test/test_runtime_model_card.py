@@ -66,6 +66,21 @@ def test_wrong_card_is_refused_by_name(text: str, message: str) -> None:
         ModelCard.from_json(text)
 
 
+@pytest.mark.parametrize('name', ['room.memory', 'my room.memory', 'Küche (2).v1.memory', '...a'])
+def test_a_memory_may_have_any_name_of_a_file_as_scene_folders_have(name: str) -> None:
+    card = tiny_card(memory={'file': name, 'sha256': '0' * 64})
+    assert ModelCard.from_json(card.to_json()).memory == card.memory
+    assert Path('models', 'room.onnx').with_name(name).parent == Path('models')
+
+
+@pytest.mark.parametrize('name', [
+    '', '.', '..', '...', '/etc/passwd', '../room.memory', 'a/b', 'a/', 'a\\b', '..\\b', 'a\nb',
+    'a\n', 'a\0b', 'a\x7f'])
+def test_a_memory_never_leads_out_of_the_folder_of_its_model(name: str) -> None:
+    with pytest.raises(ModelError, match='memory.file'):
+        ModelCard.from_json(_card_with(memory={'file': name, 'sha256': '0' * 64}))
+
+
 def test_expansion_of_a_card_is_checked_as_geometry() -> None:
     fields = json.loads(tiny_card().to_json())
     fields['expansion']['source']['fx'] = -1.0

@@ -53,6 +53,16 @@ def test_a_scene_that_cannot_be_trained_as_asked_says_so_at_once(tiny_run: Train
             training_checks.check_training(run)
 
 
+def test_a_scene_whose_name_no_card_can_hold_is_refused_before_the_work(
+        tiny_run: TrainingRun) -> None:
+    for name in ('my room', 'Küche'):
+        training_checks.check_training(replace(
+            tiny_run, scene=replace(tiny_run.scene, name=name)))
+    with pytest.raises(ConfigError, match='scene: expected a folder whose name has no backslash'):
+        training_checks.check_training(replace(
+            tiny_run, scene=replace(tiny_run.scene, name='my\nroom')))
+
+
 @pytest.mark.parametrize('changes, message', [
     ({'train': 'fewer'}, "photos': '[0-9a-f]{12}'.*got a run of"),
     ({'train': 'moved'}, "photos': '[0-9a-f]{12}'.*got a run of"),

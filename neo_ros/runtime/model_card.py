@@ -58,8 +58,9 @@ class Parity(_Part):
 class MemoryFile(_Part):
     """The scene memory that belongs to a model: a file beside it."""
 
-    # Never a folder: at least one character is no dot.
-    file: str = Field(pattern=r'^[\w.-]*[\w-][\w.-]*$')  # noqa: A003
+    # Any name of a file, never a folder: no separators, and at least one character is no dot.
+    file: str = Field(  # noqa: A003
+        pattern=r'^[^/\\\p{Cc}]*[^/\\.\p{Cc}][^/\\\p{Cc}]*$')
     sha256: str = Field(pattern=r'^[0-9a-f]{64}$')
 
 
