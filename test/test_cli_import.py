@@ -51,11 +51,9 @@ def test_an_imported_scene_can_be_imported_again(tmp_path: Path) -> None:
     assert a.path_ids == b.path_ids == (0, 0, 0, 1, 1)
 
 
-def tilted(folder: Path) -> Path:
+def turned(folder: Path, T: np.ndarray) -> Path:
     source = write_transforms_capture(folder, demo_photos())
     document = json.loads((source / 'transforms.json').read_text())
-    c, s = math.cos(1.2), math.sin(1.2)
-    T = np.array([[1, 0, 0, 0], [0, c, -s, 0], [0, s, c, 0], [0, 0, 0, 1]])
     for frame in document['frames']:
         frame['transform_matrix'] = (T @ np.array(frame['transform_matrix'])).tolist()
     (source / 'transforms.json').write_text(json.dumps(document))
@@ -63,11 +61,20 @@ def tilted(folder: Path) -> Path:
 
 
 def test_a_world_that_is_not_level_is_pointed_out_and_levelled(tmp_path: Path) -> None:
-    source = tilted(tmp_path / 'source')
+    c, s = math.cos(1.2), math.sin(1.2)
+    source = turned(tmp_path / 'source', np.array([
+        [1, 0, 0, 0], [0, c, -s, 0], [0, s, c, 0], [0, 0, 0, 1]]))
     assert 'import with --level' in run(source, tmp_path / 'a')
     assert 'import with --level' not in run(source, tmp_path / 'b', '--level')
     assert tilt(list(read_scene(tmp_path / 'a').train.poses)) > 1
     assert tilt(list(read_scene(tmp_path / 'b').train.poses)) < 0.05
+
+
+def test_the_report_shows_the_world_as_trainings_stand_it_up(tmp_path: Path) -> None:
+    # x of the walk becomes z, and y points up.
+    source = turned(tmp_path / 'source', np.array([
+        [0, 1, 0, 0], [0, 0, 1, 0], [1, 0, 0, 0], [0, 0, 0, 1]]))
+    assert 'Extent: 0.0 x 0.4 x 0.0 m' in run(source, tmp_path / 'scene')
 
 
 @pytest.mark.parametrize('arguments, error, message', [

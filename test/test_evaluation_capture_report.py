@@ -6,8 +6,10 @@ from pathlib import Path
 from capture_files import write_image
 import cv2
 from neo_ros.evaluation.capture_map import draw_map
-from neo_ros.evaluation.capture_measures import measure_capture
-from neo_ros.evaluation.capture_report import describe, write_capture_report
+from neo_ros.evaluation.capture_measures import measure_capture, RAYS
+from neo_ros.evaluation.capture_report import _places, describe, write_capture_report
+from neo_ros.evaluation.plan_view import PlanView
+from neo_ros.evaluation.report import Table
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.scene import Scene
@@ -128,6 +130,28 @@ def test_the_map_shows_cameras_on_the_floor(tmp_path: Path) -> None:
     # Two places only: the dot moved along x by two thirds of the floor.
     assert columns.min() < with_one.shape[1] * 0.3 and columns.max() > with_one.shape[1] * 0.7
     assert changed.mean() < 0.01
+
+
+@pytest.mark.parametrize('place', [(0.0, 1.0), (1.8, 0.0)], ids=['by position', 'by heading'])
+def test_the_map_takes_the_colour_of_the_nearest_photo_that_was_looked_at(
+        tmp_path: Path, place: tuple[float, float]) -> None:
+    # In the order of the list, the last photo comes after the third one.
+    poses = [CameraPose.from_planar(0, 0, 1.5, 0), CameraPose.from_planar(9, 9, 1.5, 0),
+             CameraPose.from_planar(2, 0, 1.5, math.pi), CameraPose.from_planar(*place, 1.5, 0)]
+    measures = replace(measure_capture(make_scene(tmp_path, poses)), viewed=np.array([0, 2]),
+                       wide_seen=np.stack([np.ones(RAYS, bool), np.zeros(RAYS, bool)]))
+    positions = measures.photos.T_world_cam[:, :2, 3]
+    column, row = PlanView(positions.min(0), positions.max(0)).place(place)
+    red, green, _ = draw_map(measures, None)[row, column]
+    assert green > red
+
+
+def test_only_unseen_directions_are_named(tmp_path: Path) -> None:
+    # A quarter of the wide view, straight ahead, was not seen: one sector of eight.
+    measures = measure_capture(make_scene(tmp_path, [CameraPose.from_planar(0, 0, 1.5, 0)]))
+    table, = _places(replace(measures, wide_seen=np.abs(measures.wide_headings) > 22))
+    assert isinstance(table, Table)
+    assert table.rows[0][3] == '0 deg'
 
 
 def test_the_page_stands_alone_and_says_what_the_terminal_says(tmp_path: Path) -> None:

@@ -48,7 +48,7 @@ def import_scene(
     from neo_ros.scenes.formats import CaptureFormat, detect_format
     from neo_ros.scenes.held_out_runs import hold_out_runs
     from neo_ros.scenes.importing import import_transforms
-    from neo_ros.scenes.scene import read_scene
+    from neo_ros.scenes.levelling import read_upright_scene
     import rich
     from rich.markup import escape
 
@@ -82,7 +82,7 @@ def import_scene(
             train, test = hold_out_runs(scene, test_runs)
             notes.append(f'{len(test)} photos in {test_runs} runs are test frames; their middle '
                          f'columns will be widened; {len(train)} photos are left to train with')
-        found = read_scene(scene)
+        found = read_upright_scene(scene)
         verdict = write_capture_report(scene, found, notes,
                                        lambda done, total: show('capture report', done, total))
     camera = found.train.intrinsics

@@ -115,6 +115,16 @@ def measure_capture(scene: Scene, progress: Progress = no_progress) -> CaptureMe
         wide_seen, _walkable_near(scene))
 
 
+def apart(T_world_cam: np.ndarray, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return how far cameras (N, 4, 4) stand from one (4, 4) and look away from it: metres, radians.
+
+    Both count alike: at the distances of a room they shift the picture about as much.
+    """
+    distance = np.linalg.norm(T_world_cam[:, :3, 3] - own[:3, 3], axis=1)
+    return distance, np.arccos(np.clip(T_world_cam[:, :3, 2] @ own[:3, 2], -1, 1))
+
+
 def _evenly(count: int, most: int) -> np.ndarray:
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))
 
@@ -129,10 +139,7 @@ def _near(T_world_cam: np.ndarray, index: int) -> np.ndarray:
 
 def _alike(T_world_cam: np.ndarray, index: int) -> np.ndarray:
     """Return the other cameras that may see the same, by distance and direction."""
-    own = T_world_cam[index]
-    distance = np.linalg.norm(T_world_cam[:, :3, 3] - own[:3, 3], axis=1)
-    turned = np.arccos(np.clip(T_world_cam[:, :3, 2] @ own[:3, 2], -1, 1))
-    # Metres and radians count alike: at these distances both shift the picture about as much.
+    distance, turned = apart(T_world_cam, T_world_cam[index])
     order = np.argsort(np.where(distance <= ASSUMED_DISTANCE, distance + turned, np.inf))
     order = order[:MOST_ALIKE + 1]
     return order[(order != index) & (distance[order] <= ASSUMED_DISTANCE)]

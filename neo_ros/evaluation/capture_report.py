@@ -123,11 +123,12 @@ def _places(measures: CaptureMeasures) -> list[Section]:
         if seen.mean() >= WELL_SEEN or not heading.size:
             continue
         sectors = np.round(heading / (360 / HEADINGS)).astype(int) % HEADINGS
-        worst = np.bincount(sectors, minlength=HEADINGS).argsort()[::-1][:2] * 360 // HEADINGS
+        counts = np.bincount(sectors, minlength=HEADINGS)
+        worst = [sector for sector in counts.argsort()[::-1][:2] if counts[sector]]
         centre = (cell + 0.5) * PLACE_M
         found.append((float(seen.mean()), (
             f'x {centre[0]:.1f}, y {centre[1]:.1f}', f'{seen.mean():.0%}', f'{len(here)}',
-            ' and '.join(f'{angle} deg' for angle in worst),
+            ' and '.join(f'{sector * 360 // HEADINGS} deg' for sector in worst),
             measures.photos.image_paths[measures.viewed[here[0]]].name)))
     if not found:
         return []
