@@ -199,6 +199,36 @@ def test_a_bag_without_poses_is_unposed(tmp_path: Path) -> None:
     assert not capture.posed and len(capture) == 4
 
 
+@pytest.mark.parametrize('add_motion', [add_odometry, add_poses], ids=['odometry', 'pose'])
+@pytest.mark.parametrize('pan', [0.0, 0.3], ids=['a mount', 'a pan joint'])
+def test_transforms_below_the_body_do_not_hide_its_poses(
+        tmp_path: Path, add_motion: Callable[[CameraBag], None], pan: float) -> None:
+    turns = [CameraPose.from_planar(0, 0, 0, pan * i).T_world_cam @ np.linalg.inv(T_BODY_OPTICAL)
+             @ T_BASE_OPTICAL for i in range(COUNT)]
+    with CameraBag(tmp_path / 'bag') as bag:
+        add_motion(bag)
+        add_camera(bag)
+        for i, T in enumerate(turns):
+            bag.tf('/tf', START + i * STEP, 'base_link', 'optical', T)
+    capture = read_bag_capture(tmp_path / 'bag')
+    found = [frame.pose.T_world_cam for frame in capture.frames if frame.pose is not None]
+    np.testing.assert_allclose(found, [base_pose(i) @ T for i, T in enumerate(turns)], atol=3e-3)
+
+
+def test_a_camera_that_never_moves_in_tf_has_no_poses_unless_they_are_asked_for(
+        tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    with CameraBag(tmp_path / 'bag') as bag:
+        add_camera(bag)
+        for time in (-1, COUNT):
+            bag.tf('/tf', START + time * STEP, 'base_link', 'optical', T_BASE_OPTICAL)
+    assert not read_bag_capture(tmp_path / 'bag').posed
+    assert 'optical never moves in /tf' in caplog.text and '--pose-topic /tf' in caplog.text
+    capture = read_bag_capture(tmp_path / 'bag', pose_topic='/tf')
+    found = [frame.pose.T_world_cam for frame in capture.frames if frame.pose is not None]
+    np.testing.assert_allclose(found, [T_BASE_OPTICAL] * COUNT, atol=1e-9)
+    assert 'poses from /tf: optical in base_link, where it never moves' in capture.notes
+
+
 def two_pose_topics(bag: CameraBag) -> None:
     add_camera(bag)
     add_poses(bag)
@@ -251,7 +281,7 @@ def no_image(bag: CameraBag) -> None:
 @pytest.mark.parametrize('fill, topics, message', [
     (two_pose_topics, {}, r'--pose-topic: /odom .*/pose'),
     (two_pose_topics, {'pose_topic': '/nowhere'}, 'expected poses on /nowhere.*/odom'),
-    (two_pose_topics, {'pose_topic': '/tf'}, "/tf: expected transforms that move.*'optical'"),
+    (two_pose_topics, {'pose_topic': '/tf'}, "/tf: expected transforms of.*'optical'"),
     (two_pose_topics, {'image_topic': '/nowhere'}, 'expected images on /nowhere.*image_raw'),
     (no_mount, {}, "/odom gives poses of 'base_link'; expected /tf_static"),
     (two_calibrations, {}, '/cam/camera_info: expected one calibration, but k changes'),

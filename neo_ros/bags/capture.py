@@ -2,6 +2,7 @@
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+import logging
 from pathlib import Path
 from typing import Any, Optional
 
@@ -17,6 +18,7 @@ from neo_ros.scenes.capture import (
     Capture, CapturedFrame, ImageStream, no_progress, origin_of, Progress)
 import numpy as np
 
+logger = logging.getLogger(__name__)
 TF, TF_STATIC = '/tf', '/tf_static'
 TF_TYPE = 'tf2_msgs/msg/TFMessage'
 POSE_TYPES = ('geometry_msgs/msg/PoseStamped', 'geometry_msgs/msg/PoseWithCovarianceStamped',
@@ -49,7 +51,7 @@ def read_bag_capture(path: Path, image_topic: Optional[str] = None,
 
     image_topic  Image or CompressedImage; needed where a bag has several cameras
     pose_topic   /tf, or a PoseStamped, PoseWithCovarianceStamped or Odometry; by default /tf if
-                 the camera moves in it, else the one pose topic of the bag
+                 the camera's body moves in it, else the one pose topic of the bag
     Frames are in the order of their stamps; those without a pose are counted in the notes and
     left out. A bag without poses gives a capture without poses. Raises BagError that names the
     topics for everything that is missing, ambiguous or contradictory.
@@ -181,23 +183,28 @@ def _pose_source(path: Path, scan: _Scan, wanted: Optional[str], topics: list[Ba
     lost = tree.invalid + scan.invalid
     if lost:
         notes.append(f'{lost} poses are not finite or no rotation and are left out')
-    if wanted in (None, TF) and tree.moves(chain):
-        notes.append(f'poses from {TF}: {camera} in {chain[-1]}')
+    on_tf = any(frame in tree.moving for frame in chain)
+    bodies = {topic.name: _body(scan, topic.name, chain) for topic in topics}
+    # What moves below the body, as a pan joint does, does not say where the body is.
+    top = max((chain.index(body) for body in bodies.values() if body in chain), default=0)
+    if on_tf and (wanted == TF or wanted is None and tree.moves(chain[top:])):
+        still = '' if tree.moves(chain) else ', where it never moves'
+        notes.append(f'poses from {TF}: {camera} in {chain[-1]}{still}')
         return lambda stamp_ns: tree.transform(chain, stamp_ns)
     if wanted == TF:
-        raise BagError(f'{path}: {TF}: expected transforms that move the frame of the images, '
+        raise BagError(f'{path}: {TF}: expected transforms of the frame of the images, '
                        f'{camera!r}, got {" -> ".join(chain)}')
     if len(topics) > 1:
-        raise BagError(f'{path}: {TF} does not move the frame {camera!r}; choose the poses with '
-                       f'--pose-topic: {describe_topics(topics)}')
+        raise BagError(f'{path}: {TF} does not move the frame {chain[top]!r}; choose the poses '
+                       f'with --pose-topic: {describe_topics(topics)}')
     if not topics:
+        if on_tf:
+            logger.warning(
+                '%s: %s never moves in %s, and there is no other pose: the bag is taken for one '
+                'without poses; if the camera stood still all the time, --pose-topic %s',
+                path, camera, TF, TF)
         return None
-    name = topics[0].name
-    body = scan.bodies.get(name, '')
-    if not body:
-        fixed = [frame for index, frame in enumerate(chain)
-                 if not tree.moves(chain[:index])]
-        body = BASE if BASE in fixed else fixed[-1]
+    (name, body), = bodies.items()
     if body not in chain:
         raise BagError(f'{path}: {name} gives poses of {body!r}; expected {TF_STATIC} from it to '
                        f'the image\'s frame {camera!r}, got {" -> ".join(chain)}')
@@ -213,6 +220,14 @@ def _pose_source(path: Path, scan: _Scan, wanted: Optional[str], topics: list[Ba
         return T_world_body @ T_body_camera
 
     return pose_at
+
+
+def _body(scan: _Scan, topic: str, chain: list[str]) -> str:
+    """Return whose poses a topic gives, if need be a guess: one of the frames of the chain."""
+    if scan.bodies.get(topic):
+        return scan.bodies[topic]
+    fixed = [frame for index, frame in enumerate(chain) if not scan.tree.moves(chain[:index])]
+    return BASE if BASE in chain else fixed[-1]
 
 
 def _stream(path: Path, image: BagTopic, places: Sequence[int]) -> ImageStream:

@@ -29,6 +29,12 @@ class PoseTrack:
         self.poses[stamp_ns] = T
         self._stamps = []
 
+    @property
+    def moves(self) -> bool:
+        """Whether the frame was ever elsewhere than at first; many mounts are told repeatedly."""
+        poses = list(self.poses.values())
+        return any(not _still(poses[0], T) for T in poses)
+
     def at(self, stamp_ns: int) -> Optional[np.ndarray]:
         """
         Return the transform at a time; None where it is not known.
@@ -91,7 +97,7 @@ class TransformTree:
 
     def moves(self, frames: Iterable[str]) -> bool:
         """Whether one of the frames moves in its parent."""
-        return any(frame in self.moving for frame in frames)
+        return any(frame in self.moving and self.moving[frame].moves for frame in frames)
 
     def transform(self, chain: list[str], stamp_ns: int) -> Optional[np.ndarray]:
         """Return T_last_first of a chain of ancestors at a time; None where it is not known."""
