@@ -4,10 +4,12 @@ import json
 from pathlib import Path
 import shutil
 
+from neo_ros import model_variants
 from neo_ros.cli.main import app
 from neo_ros.comparison import compare, marked_front, Row
-from neo_ros.errors import ConfigError
+from neo_ros.errors import ConfigError, ModelError
 from neo_ros.model_variants import export_variants
+from neo_ros.outpaint.variants import export_variant
 from neo_ros.pipeline import TrainingRun
 from neo_ros.runtime import read_model_card
 import numpy as np
@@ -100,6 +102,17 @@ def test_a_finished_run_is_exported_in_other_formats(
     assert cards['int8'].scene_id == 'scene' and (cards['fp32'].gflop or 0) > 0
     # The scores of the model as trained are not those of its variants.
     assert cards['as trained'].scores and not cards['fp32'].scores and not cards['int8'].scores
+
+
+def test_an_fp32_variant_with_a_wrong_confidence_is_refused(
+        tiny_run: TrainingRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shutil.copytree(tiny_run.out, tmp_path / 'out')
+    run = TrainingRun(tiny_run.scene, TINY, tmp_path / 'out', tiny_run.progress)
+    monkeypatch.setattr(model_variants, 'export_variant',
+                        lambda *arguments: export_variant(*arguments[:-1], 3 * arguments[-1]))
+    with pytest.raises(ModelError, match='fp32.onnx: expected 99.9 % .* the file was deleted'):
+        export_variants(run, ('fp32',))
+    assert not (tmp_path / 'out' / 'scene.fp32.onnx').exists()
 
 
 def test_other_settings_and_unfinished_runs_are_not_exported(

@@ -1,11 +1,14 @@
+import math
 from pathlib import Path
 from typing import NamedTuple
 
 from neo_ros.errors import ModelError
 from neo_ros.geometry import Intrinsics, ViewExpansion
 import neo_ros.outpaint.export
-from neo_ros.outpaint.export import check_parity, export_onnx, ExportedFunction, OPSET
+from neo_ros.outpaint.export import (
+    calibration_factor, check_parity, export_onnx, ExportedFunction, OPSET, require_parity)
 from neo_ros.outpaint.network import NetworkConfig, Outpainter
+from neo_ros.runtime.fov_extrapolator import WideView
 import numpy as np
 import onnx
 import onnxruntime
@@ -92,12 +95,9 @@ def test_observed_pixels_come_back_bit_identical(exported: Export) -> None:
 
 def test_the_export_agrees_with_torch(exported: Export) -> None:
     images = photos(8)
-    worst, within = check_parity(exported.function, lambda image: exported.run(image)[0], images)
+    worst, within = check_parity(
+        exported.function, lambda image: WideView(*exported.run(image)), images)
     assert within >= 0.999 and worst <= 2
-    for image in images:
-        expected = exported.function(torch.from_numpy(image[None]))[1][0].numpy()
-        error = np.abs(exported.run(image)[1].astype(int) - expected)
-        assert (error <= 1).mean() >= 0.999
     ring = exported.run(images[0])[0][exported.expansion.extrapolated_mask]
     assert ring.std() > 5, 'a picture, not one colour'
 
@@ -106,14 +106,58 @@ def test_parity_counts_every_value() -> None:
     expansion = EXPANSIONS['square']
     function = ExportedFunction(randomised(expansion), expansion).eval()
 
-    def slightly_wrong(image: np.ndarray) -> np.ndarray:
-        wide = function(torch.from_numpy(image[None]))[0][0].detach().numpy().astype(int)
+    def slightly_wrong(image: np.ndarray) -> WideView:
+        wide, confidence = (output[0].detach().numpy().astype(int)
+                            for output in function(torch.from_numpy(image[None])))
         wide[0, 0] += np.where(wide[0, 0] > 100, -7, 7)
         wide[1, :2] += np.where(wide[1, :2] > 100, -1, 1)
-        return wide.astype(np.uint8)
+        confidence[31, 31] += 9 if confidence[31, 31] < 100 else -9
+        return WideView(wide.astype(np.uint8), confidence.astype(np.uint8))
 
     worst, within = check_parity(function, slightly_wrong, photos(4))
+    assert worst == 9 and within == pytest.approx(1 - 4 / (32 * 32 * 4))
+    worst, within = check_parity(function, lambda image: slightly_wrong(image).wide_image,
+                                 photos(4))
     assert worst == 7 and within == pytest.approx(1 - 3 / (32 * 32 * 3))
+
+
+def test_an_export_with_a_wrong_confidence_is_refused(tmp_path: Path) -> None:
+    expansion, path = EXPANSIONS['square'], tmp_path / 'model.onnx'
+    function = export_onnx(randomised(expansion), expansion, path)
+    session = onnxruntime.InferenceSession(str(path))
+
+    def run(image: np.ndarray) -> WideView:
+        wide, confidence = (np.asarray(output)[0] for output in session.run(
+            ['wide', 'confidence'], {'image': image[None]}))
+        return WideView(wide, confidence)
+
+    require_parity(path, *check_parity(function, run, photos(4)))
+    assert path.exists()
+    function.decay *= 1.5  # The file was made with another factor.
+    with pytest.raises(ModelError, match='model.onnx: expected 99.9 % of the values'):
+        require_parity(path, *check_parity(function, run, photos(4)))
+    assert not path.exists()
+
+
+def calibration_views(grey: int) -> np.ndarray:
+    """Return three wide views of one grey, black where nobody saw, white in the camera's view."""
+    views = np.full((3, 32, 32, 4), 255, np.uint8)
+    views[..., :3] = grey
+    views[:, :3] = 0
+    EXPANSIONS['square'].crop(views[0])[:] = 255
+    return views
+
+
+@pytest.mark.parametrize('grey, error, scale', [
+    (0.5, 0.3, 0.1), (0.5, 0.3, 0.6), (1.7, 0.2, 0.4)],
+    ids=['too sure', 'not sure enough', 'whiter than white'])
+def test_the_calibration_factor_is_error_over_prediction_in_the_ring_that_was_seen(
+        grey: float, error: float, scale: float) -> None:
+    views = calibration_views(round(255 * (min(grey, 1) - error)))
+    factor = calibration_factor(Stub(grey, math.log(scale)), EXPANSIONS['square'], views)
+    assert factor == pytest.approx(error / scale, rel=0.02)
+    views[..., 3] = 0
+    assert calibration_factor(Stub(grey, 0.0), EXPANSIONS['square'], views) == 1
 
 
 class Stub(torch.nn.Module):

@@ -8,6 +8,7 @@ from neo_ros.geometry import ViewExpansion
 from neo_ros.outpaint.compact_weights import compact_weights, round_weights
 from neo_ros.paths import whole_file
 from neo_ros.runtime.confidence import DECAY
+from neo_ros.runtime.fov_extrapolator import WideView
 from neo_ros.runtime.operators import ALLOWED_OPERATORS
 import numpy as np
 import onnx
@@ -115,22 +116,28 @@ def _clean_graph(path: Path) -> None:
     onnx.save_model(model, str(path))
 
 
-def check_parity(function: ExportedFunction, run_exported: Callable[[np.ndarray], np.ndarray],
+def check_parity(function: ExportedFunction,
+                 run_exported: Callable[[np.ndarray], WideView | np.ndarray],
                  images: np.ndarray) -> tuple[int, float]:
     """
     Compare torch with the exported file on real frames, uint8 (N, h, w, 3).
 
-    run_exported maps one image (h, w, 3) to the wide image (H, W, 3), both uint8.
+    run_exported widens one image. Both outputs are compared; of what gives the wide image
+    (H, W, 3) uint8 alone, that one.
     Returns the largest error in steps of 1/255 and the share of values within one step.
     """
     worst, within, total = 0, 0, 0
     for image in images:
         with torch.no_grad():
-            expected = function(torch.from_numpy(image[None]))[0][0].numpy()
-        error = np.abs(run_exported(image).astype(int) - expected.astype(int))
-        worst = max(worst, int(error.max()))
-        within += int((error <= 1).sum())
-        total += error.size
+            expected = function(torch.from_numpy(image[None]))
+        found = run_exported(image)
+        outputs = ((found,) if isinstance(found, np.ndarray)
+                   else (found.wide_image, found.confidence))
+        for output, values in zip(expected, outputs):
+            error = np.abs(values.astype(int) - output[0].numpy().astype(int))
+            worst = max(worst, int(error.max()))
+            within += int((error <= 1).sum())
+            total += error.size
     return worst, within / total
 
 
