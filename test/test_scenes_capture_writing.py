@@ -3,12 +3,14 @@ from dataclasses import replace
 import json
 import logging
 from pathlib import Path
+import shutil
 
 from capture_files import (
     CAMERA, demo_photos, write_bag, write_image, write_transforms_capture)
 import cv2
 from neo_ros.bags.capture import read_bag_capture
 from neo_ros.errors import SceneError
+from neo_ros.geometry import CameraPose
 from neo_ros.scenes.capture import Capture, read_photo
 from neo_ros.scenes.capture_writing import write_capture
 from neo_ros.scenes.scene import read_scene
@@ -136,3 +138,30 @@ def test_another_capture_does_not_keep_the_images_of_the_first(tmp_path: Path) -
     capture = read_bag_capture(write_bag(tmp_path / 'b', turned))
     write_capture(capture, scene)
     np.testing.assert_array_equal(read_scene(scene).train.read_images(), turned.images)
+
+
+def test_an_interrupted_import_leaves_no_poses_of_another_capture(tmp_path: Path) -> None:
+    scene = tmp_path / 'scene'
+    photos = demo_photos()
+    write_capture(read_bag_capture(write_bag(tmp_path / 'a', photos)), scene)
+    shutil.copy(scene / 'transforms_train.json', scene / 'transforms_test.json')
+    other = read_bag_capture(write_bag(tmp_path / 'b', photos))
+    interrupted(other, scene, 1)
+    assert not (scene / 'transforms_test.json').exists()
+    with pytest.raises(SceneError, match='expected transforms_train.json'):
+        read_scene(scene)
+    steps: list[int] = []
+    write_capture(other, scene, lambda done, total: steps.append(done))
+    assert steps == [1, 2, 3, 4, 5] and len(read_scene(scene).train) == 5
+
+
+def test_cameras_far_from_the_origin_are_refused(tmp_path: Path, source: Path) -> None:
+    capture = read_transforms_capture(source)
+    far = np.eye(4)
+    far[:3, 3] = 500_000, 5_400_000, 400  # UTM
+    frames = tuple(replace(frame, pose=CameraPose(far @ frame.pose.T_world_cam))
+                   for frame in capture.frames if frame.pose is not None)
+    with pytest.raises(SceneError, match=r'4.png: .* 10 km .* at \(500003, 5400001, 402\) m; '
+                       r'subtract .* about \(500000, 5400000, 400\), from all positions'):
+        write_capture(replace(capture, frames=frames), tmp_path / 'scene')
+    assert not (tmp_path / 'scene').exists()

@@ -1,12 +1,16 @@
+from dataclasses import replace
 import json
 from pathlib import Path
 import shutil
 
+from capture_files import demo_photos, write_transforms_capture
 from neo_ros.errors import SceneError
-from neo_ros.geometry import Intrinsics, ViewExpansion
+from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
+from neo_ros.scenes.capture_writing import write_capture as write_posed
 from neo_ros.scenes.importing import import_transforms
 from neo_ros.scenes.scene import read_scene
-from neo_ros.scenes.transforms_json import read_transforms
+from neo_ros.scenes.transforms_capture import read_transforms_capture
+from neo_ros.scenes.transforms_json import read_transforms, write_transforms
 from neo_ros.scenes.walkable import WalkableMap, write_walkable
 import numpy as np
 import pytest
@@ -68,6 +72,33 @@ def test_pictures_of_another_capture_are_not_taken_for_done(tmp_path: Path) -> N
     import_transforms(tmp_path / 'b', tmp_path / 'scene')
     np.testing.assert_array_equal(read_scene(tmp_path / 'scene').train.read_image(0),
                                   picture(CAMERA, 77))
+
+
+def test_pictures_of_two_captures_never_meet_the_poses_of_the_other(tmp_path: Path) -> None:
+    other = write_transforms_capture(tmp_path / 'other', demo_photos(3))
+    scene = tmp_path / 'scene'
+    write_posed(read_transforms_capture(other), scene)
+    write_capture(tmp_path / 'source', 3)
+
+    def stop(done: int, total: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        import_transforms(tmp_path / 'source', scene, stop)
+    with pytest.raises(SceneError, match='expected transforms_train.json'):
+        read_scene(scene)
+    write_posed(read_transforms_capture(other), scene)
+    np.testing.assert_array_equal(read_scene(scene).train.read_images(), demo_photos(3).images)
+
+
+def test_cameras_far_from_the_origin_are_refused(tmp_path: Path) -> None:
+    photos = write_capture(tmp_path / 'source', 2)
+    T = photos.poses[1].T_world_cam.copy()
+    T[0, 3] = 11_000
+    write_transforms(tmp_path / 'source/transforms_train.json',
+                     replace(photos, poses=(photos.poses[0], CameraPose(T))))
+    with pytest.raises(SceneError, match=r'1.png: .* within 10 km .* at \(11000, 0, 2\) m'):
+        import_transforms(tmp_path / 'source', tmp_path / 'scene')
 
 
 def test_another_capture_takes_away_what_an_earlier_one_left(

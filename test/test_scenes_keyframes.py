@@ -6,7 +6,7 @@ from pathlib import Path
 from capture_files import demo_photos
 import cv2
 from hypothesis import given, strategies as st
-from neo_ros.errors import ConfigError
+from neo_ros.errors import ConfigError, SceneError
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.geometry.camera_pose import rotation_from_vector
 from neo_ros.scenes.capture import Capture, CapturedFrame
@@ -49,6 +49,14 @@ def test_the_sharpest_readable_frame_of_a_step_is_kept() -> None:
     assert [frame.name for frame in kept.frames] == ['1.png', '5.png']
     np.testing.assert_array_equal(dict(kept.images([1]))[1], images[5])
     assert '2 keyframes chosen of 6' in kept.notes[-1]
+
+
+def test_frames_of_which_none_can_be_read_are_refused() -> None:
+    capture = Capture(
+        tuple(CapturedFrame(f'{i}.png', pose, None) for i, pose in enumerate(walk(3))),
+        stream=lambda indices: ((index, None) for index in indices))
+    with pytest.raises(SceneError, match='none of the 3 images can be read'):
+        keyframes(capture, 0.25, None)
 
 
 def test_blur_lowers_sharpness() -> None:

@@ -4,11 +4,11 @@ import json
 import logging
 from pathlib import Path
 import shutil
-from typing import Any, Optional
+from typing import Any, Optional, Sequence
 
 import cv2
 from neo_ros.errors import SceneError
-from neo_ros.geometry import Intrinsics
+from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.paths import whole_file
 from neo_ros.scenes.capture import (
     Capture, CapturedFrame, listed, no_progress, photo_size, Progress)
@@ -21,6 +21,8 @@ import numpy as np
 logger = logging.getLogger(__name__)
 # What an interrupted import was doing, so that the next one knows which images it can keep.
 NOTE_FILE = 'import.json'
+# Beyond it, single precision rounds positions to more than a millimetre.
+FARTHEST_M = 10_000
 
 
 def write_capture(capture: Capture, scene: Path, progress: Progress = no_progress) -> PosedImages:
@@ -31,9 +33,12 @@ def write_capture(capture: Capture, scene: Path, progress: Progress = no_progres
     straight and written as PNG. Frames whose image cannot be read are named in a warning and
     left out. An import that was broken off goes on where it stopped; test frames and floor map of
     an earlier one are taken away. Raises SceneError where no image can be read, for images whose
-    size is not their camera's, and where the folder cannot be written.
+    size is not their camera's, for cameras far from the origin, and where the folder cannot be
+    written.
     """
     assert capture.posed, 'structure from motion comes first'
+    check_near_origin([frame.name for frame in capture.frames],
+                      [frame.pose for frame in capture.frames if frame.pose is not None])
     names, pinhole = write_images(capture, scene, progress)
     kept = [index for index, name in enumerate(names) if name is not None]
     images = PosedImages(
@@ -43,6 +48,19 @@ def write_capture(capture: Capture, scene: Path, progress: Progress = no_progres
     clear_earlier_import(scene)
     write_transforms(scene / 'transforms_train.json', images)
     return images
+
+
+def check_near_origin(names: Sequence[object], poses: Sequence[CameraPose]) -> None:
+    """Raise SceneError if a camera is so far out that a training would lose precision."""
+    positions = np.array([pose.position for pose in poses])
+    distance = np.linalg.norm(positions, axis=1)
+    far = int(distance.argmax())
+    if distance[far] > FARTHEST_M:
+        middle = np.median(positions, axis=0).round(-2)
+        raise SceneError(
+            f'{names[far]}: expected a camera within {FARTHEST_M // 1000} km of the origin, got '
+            f'one at {_numbers(positions[far])} m; subtract the middle of the capture, about '
+            f'{_numbers(middle)}, from all positions')
 
 
 def write_images(capture: Capture, folder: Path,
@@ -154,6 +172,9 @@ def _claim(folder: Path, capture: Capture, pinhole: Intrinsics) -> None:
     if found == wanted:
         return
     try:
+        # First of all: the earlier poses must never meet other pictures.
+        clear_earlier_import(folder)
+        (folder / 'transforms_train.json').unlink(missing_ok=True)
         for frame in capture.frames:
             for name in (frame.name, frame.name + '.png'):
                 (folder / name).unlink(missing_ok=True)
@@ -162,6 +183,10 @@ def _claim(folder: Path, capture: Capture, pinhole: Intrinsics) -> None:
     except OSError as error:
         raise SceneError(f'{folder}: cannot write: {error.strerror}; '
                          'choose another scene folder') from error
+
+
+def _numbers(xyz: np.ndarray) -> str:
+    return '(' + ', '.join(f'{value:.0f}' for value in xyz) + ')'
 
 
 def _fingerprint(frame: CapturedFrame) -> list[Any]:

@@ -8,6 +8,7 @@ from typing import Callable
 
 from neo_ros.errors import SceneError
 from neo_ros.paths import whole_file
+from neo_ros.scenes.capture_writing import check_near_origin, NOTE_FILE
 from neo_ros.scenes.posed_images import PosedImages, read_rgb_image
 from neo_ros.scenes.scene import clear_earlier_import
 from neo_ros.scenes.transforms_json import read_input_crop, read_transforms, write_transforms
@@ -22,7 +23,7 @@ def import_transforms(source: Path, scene: Path,
     walkable.json. Images that are there already are not copied again, so that a broken-off
     import goes on; images from beside the folder ('../photos/1.png') come to 'beside/'. Test
     frames and floor map of an earlier import are taken away. Raises SceneError for images that
-    cannot be read or have another size.
+    cannot be read or have another size, and for cameras far from the origin.
     """
     if not source.is_dir():
         raise SceneError(f'{source}: expected a folder with transforms_train.json or '
@@ -38,6 +39,8 @@ def import_transforms(source: Path, scene: Path,
     found = {name: read_transforms(source / name) for name in present}
     if not found.keys() & {'transforms_train.json', 'transforms.json'}:
         raise SceneError(f'{source}: expected transforms_train.json or transforms.json')
+    for images in found.values():
+        check_near_origin(images.image_paths, images.poses)
     total = sum(len(images) for images in found.values())
     done = 0
     copied: dict[str, PosedImages] = {}
@@ -63,6 +66,10 @@ def _copy_image(path: Path, source: Path, scene: Path, images: PosedImages) -> P
     try:
         if target.exists() and filecmp.cmp(path, target, shallow=False):
             return target
+        # The poses and the note of an earlier import must never meet other pictures.
+        clear_earlier_import(scene, has_floor=(source / 'walkable.json').is_file())
+        for name in ('transforms_train.json', NOTE_FILE):
+            (scene / name).unlink(missing_ok=True)
         target.parent.mkdir(parents=True, exist_ok=True)
         with whole_file(target) as partial:
             shutil.copyfile(path, partial)

@@ -2,7 +2,7 @@
 import math
 from typing import Optional
 
-from neo_ros.errors import ConfigError
+from neo_ros.errors import ConfigError, SceneError
 from neo_ros.geometry import CameraPose
 from neo_ros.geometry.camera_pose import rotation_vector
 from neo_ros.scenes.capture import Capture, no_progress, Progress
@@ -16,7 +16,8 @@ def keyframes(capture: Capture, distance: Optional[float], angle: Optional[float
     Keep the sharpest frame of every step of `distance` metres or `angle` radians.
 
     A step ends where the camera is so far from where the step began, or with a new path. Frames
-    that cannot be read are never kept. None switches a criterion off.
+    that cannot be read are never kept. None switches a criterion off. Raises SceneError where no
+    frame can be read.
     """
     for name, value in (('distance', distance), ('angle', angle)):
         if value is not None and not (math.isfinite(value) and value > 0):
@@ -32,6 +33,8 @@ def keyframes(capture: Capture, distance: Optional[float], angle: Optional[float
         progress(done, len(capture))
     chosen = [max(step, key=lambda index: scores[index]) for step in steps]
     chosen = [index for index in chosen if scores[index] >= 0]
+    if not chosen:
+        raise SceneError(f'none of the {len(capture)} images can be read')
     return capture.subset(chosen, f'{len(chosen)} keyframes chosen of {len(capture)} frames, '
                                   'the sharpest of every step')
 
