@@ -135,6 +135,18 @@ def test_a_scene_without_truth_is_refused_and_another_folder_may_hold_it(tmp_pat
     assert bench.frames.read(0)[0].shape == (32, 16, 3)
 
 
+def test_photos_that_are_trained_on_are_no_truth(tmp_path):
+    camera = Intrinsics.from_hfov(32, 32, 1.5)
+    write_capture(tmp_path / 'train', 30, camera)
+    (tmp_path / 'link').symlink_to(tmp_path / 'train')
+    job = Job(str(tmp_path / 'train'), 'horizontal', 'full', 1.0, str(tmp_path / 'link'))
+    with pytest.raises(ConfigError, match='not trained on, got 30'):
+        Workbench(job, tmp_path / 'a', lambda stage, done, total, note: None)
+    write_capture(tmp_path / 'train', 2, camera, 'transforms_test.json', 'test')
+    with pytest.raises(ConfigError, match='train has transforms_test.json'):
+        Workbench(job, tmp_path / 'a', lambda stage, done, total, note: None)
+
+
 def test_a_capture_without_walks_is_split_where_it_jumps(tmp_path):
     photos = write_capture(tmp_path, 12)
     poses = [CameraPose.from_planar(0.1 * i + 3 * (i > 4) + 3 * (i > 8), 0, 1.5, 0.02 * i)

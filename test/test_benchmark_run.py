@@ -220,6 +220,7 @@ def test_a_world_with_another_axis_up_is_turned_for_all_methods_alike(flat_scene
     own = Workbench(job(tmp_path / 'one'), tmp_path / 'work_one', quiet)
     np.testing.assert_allclose(own.scene.train.T_world_cam, upright.train.T_world_cam, atol=1e-9)
     np.testing.assert_allclose(own.frames.images.T_world_cam, upright.test.T_world_cam, atol=1e-9)
+    (tmp_path / 'one/transforms_test.json').unlink()
     other = Workbench(job(tmp_path / 'one', test_scene=str(tmp_path / 'two'),
                           protocol='horizontal'), tmp_path / 'work_two', quiet)
     np.testing.assert_allclose(other.frames.images.T_world_cam, upright.train.T_world_cam,

@@ -1,4 +1,5 @@
 """`neo benchmark`: what it takes and refuses, where it writes, and what it leaves when it ends."""
+from dataclasses import replace
 import json
 import os
 import signal
@@ -32,6 +33,26 @@ def test_the_command_scores_a_scene_folder(flat_scene, tmp_path):
     assert result.exit_code == 0, result.output
     assert [row['n_frames'] for row in json.loads((tmp_path / 'x.json').read_text())] == [2, 2]
     assert (tmp_path / 'work/flat.html').is_file()
+
+
+def test_a_config_says_what_the_benchmark_leaves_open(flat_scene, tmp_path):
+    config = tmp_path / 'x.yaml'
+    config.write_text(json.dumps({
+        'scale': 0.5, 'view': {'source': [8, 8], 'target': [16, 16]},
+        'field': {'exposure': True},
+        'network': {'name': 'mat', 'width': 128, 'depth': 1, 'patch': 4}}))
+    for _ in range(2):  # The second goes on.
+        result = CliRunner().invoke(app, [
+            'benchmark', '--scene', str(flat_scene), '--scale', 'full', '--config', str(config),
+            '--methods', 'edge_replication', '--frames', '2',
+            '--out', str(tmp_path / 'x.json'), '--work', str(tmp_path / 'work')],
+            catch_exceptions=False)
+        assert result.exit_code == 0, result.output
+    job = Job(**json.loads((tmp_path / 'work/flat_square_full/job.json').read_text())['job'])
+    own, plain = (Workbench(job, tmp_path / str(job.settings is None), lambda *progress: None)
+                  for job in (job, replace(job, settings=None)))
+    assert own.base.field.exposure
+    assert replace(own.base, field=plain.base.field) == plain.base
 
 
 def test_a_method_whose_package_is_missing_is_left_out(monkeypatch):
@@ -145,10 +166,11 @@ def test_a_run_that_is_told_to_end_leaves_its_bundle(flat_scene, tmp_path, monke
     (['--suite', 'quarter', '--scale', 'half', '--frames', '2'],
      '--scale, --frames: expected only with --scene'),
     (['--suite', 'quarter', '--test-scene', '.'], '--test-scene: expected only'),
+    (['--suite', 'quarter', '--config', 'x.yaml'], '--config: expected only'),
     (['--suite', 'quarter', '--protocol', 'square', '--budget-minutes', '18'],
      '--protocol, --budget-minutes: expected only'),
 ], ids=['nothing', 'both', 'unknown suite', 'unknown method', 'folders of a scene',
-        'frames of a suite', 'truth of a suite', 'defaults of a suite'])
+        'frames of a suite', 'truth of a suite', 'settings of a suite', 'defaults of a suite'])
 def test_the_command_says_what_it_expects(arguments, message):
     result = CliRunner().invoke(app, ['benchmark', *arguments])
     assert isinstance(result.exception, ConfigError)

@@ -18,6 +18,10 @@ def benchmark(
         'half of the columns, grown to the photo. Default: square.')] = None,
     scale: Annotated[Optional[str], typer.Option(
         help='full, half or quarter of the resolution of the photos. Default: quarter.')] = None,
+    config: Annotated[Optional[Path], typer.Option(
+        help='Experiment file (YAML) with the settings for SCENE. Its view, scale, steps and '
+        "minutes, and the network's name, patch and depth, are not read: they follow from "
+        'protocol, scale, methods and budget.')] = None,
     methods: Annotated[Optional[str], typer.Option(
         help='Names, separated by commas. Default: all of the suite, or of quarter.')] = None,
     budget_minutes: Annotated[Optional[float], typer.Option(
@@ -44,6 +48,7 @@ def benchmark(
     goes on with the method it was at.
     """
     from contextlib import nullcontext
+    from dataclasses import asdict, replace
 
     from neo_ros.benchmark.bundle import bundled
     from neo_ros.benchmark.methods import check_methods
@@ -54,6 +59,7 @@ def benchmark(
     from neo_ros.cli.progress import stage_progress
     from neo_ros.errors import ConfigError
     from neo_ros.evaluation.output import make_output_folder, write_bytes
+    from neo_ros.experiment import read_experiment
     import rich
     from rich.markup import escape
 
@@ -61,10 +67,12 @@ def benchmark(
         raise ConfigError('benchmark: expected either --suite NAME or --scene FOLDER')
     if scene is None:
         refuse('expected only with --scene', test_scene=test_scene, protocol=protocol, scale=scale,
-               budget_minutes=budget_minutes, frames=frames)
+               config=config, budget_minutes=budget_minutes, frames=frames)
     else:
         refuse('expected only with --suite', scenes=scenes or None)
     plan = read_suite(suite or 'quarter')
+    # Without the view, whose tuples would come back from JSON as lists.
+    settings = asdict(replace(read_experiment(config), view=None)) if config else None
     names = check_methods(methods.split(',') if methods else plan.methods)
     with stage_progress() as show:
         names = installed(names, show)
@@ -78,7 +86,7 @@ def benchmark(
             name = scene.resolve().name
             jobs = {name: Job(
                 str(scene), protocol or 'square', scale or 'quarter', budget_minutes or 18.0,
-                str(test_scene) if test_scene else None, frames)}
+                str(test_scene) if test_scene else None, frames, settings)}
         # What is kept of a suite is replaced by a whole one alone, and when it is through.
         kept = Path('results') / f'{name}.json'
         rows_file = out or (kept if scene else work / f'{name}.json')
