@@ -7,6 +7,9 @@ JSON file with the camera: cam_params.json, camera.json or intrinsics.json, here
 above: w, h, fx, fy, cx, cy, or w, h, hfov (degrees), at the top or below "camera". Its key
 "axes" says whether the camera looks along +z ("opencv", the default; NICE-SLAM's Replica) or
 along -z ("opengl"; agent and sensor states of Habitat).
+
+Images in folders of their own (rgb/WALK/*.png) are walks: the lines go through all of them,
+folders in natural order, and each has its path id.
 """
 import json
 import math
@@ -15,7 +18,7 @@ from typing import Any
 
 from neo_ros.errors import GeometryError, SceneError
 from neo_ros.geometry import Intrinsics
-from neo_ros.scenes.capture import Capture, CapturedFrame, list_photos, listed
+from neo_ros.scenes.capture import Capture, CapturedFrame, list_photos, listed, natural_key
 from neo_ros.scenes.lens import Lens
 from neo_ros.scenes.pose_files import parse_matrix, pose_or_lost
 
@@ -30,7 +33,11 @@ def read_trajectory(source: Path) -> Capture:
     if folder is None:
         raise SceneError(f'{source}: expected a folder {", ".join(IMAGE_FOLDERS)} beside '
                          f'{TRAJECTORY_FILE}')
-    photos = [path for path in list_photos(folder) if 'depth' not in path.name]
+    walks = [folder] if list_photos(folder) else sorted(
+        (path for path in folder.iterdir() if path.is_dir()),
+        key=lambda path: natural_key(path.name))
+    photos = [(photo, path_id) for path_id, walk in enumerate(walks)
+              for photo in list_photos(walk) if 'depth' not in photo.name]
     path = source / TRAJECTORY_FILE
     try:
         lines = [line for line in path.read_text().splitlines() if line.strip()]
@@ -41,12 +48,14 @@ def read_trajectory(source: Path) -> Capture:
                          f'{len(photos)} images in {folder}')
     intrinsics, opengl = _camera(source)
     frames, lost = [], []
-    for number, (line, photo) in enumerate(zip(lines, photos), start=1):
+    for number, (line, (photo, path_id)) in enumerate(zip(lines, photos), start=1):
+        name = photo.relative_to(folder).as_posix()
         pose = pose_or_lost(parse_matrix(line, f'{path}:{number}'), f'{path}:{number}', opengl)
         if pose is None:
-            lost.append(photo.name)
+            lost.append(name)
             continue
-        frames.append(CapturedFrame(f'images/{photo.name}', pose, Lens(intrinsics), file=photo))
+        frames.append(
+            CapturedFrame(f'images/{name}', pose, Lens(intrinsics), path_id, file=photo))
     if not frames:
         raise SceneError(f'{path}: none of the {len(lines)} poses is finite')
     notes = ((f'{len(lost)} frames with a lost pose are left out: {listed(lost)}',)
