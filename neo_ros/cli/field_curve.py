@@ -21,6 +21,7 @@ def field_curve(
     """
     Train a field for several times, and score each on held-out photos and wide test views.
 
+    Choose a time by the held-out photos: the test views are for the last scoring.
     Where nerfstudio is installed, its nerfacto trains for the minutes that ours took.
     """
     from neo_ros.benchmark.field_curve import measure_field_curve
