@@ -56,15 +56,42 @@ def test_angles_mean_what_they_say() -> None:
                                rotation_from_angles(0.7, 0.3, 0) @ about_z, atol=1e-12)
 
 
-@pytest.mark.parametrize('interval, expected', [(0.05, 0.05), (0.1, 0.1), (0.5, 0.5),
-                                                (0.01, 0.05), (0.12, 0.1)], ids=str)
-def test_the_floor_is_sampled_on_a_grid(interval: float, expected: float) -> None:
+@pytest.mark.parametrize('interval', [0.05, 0.1, 0.5, 0.01, 0.12])
+def test_the_floor_is_sampled_on_a_grid(interval: float) -> None:
     sampler = PoseSampler.for_walkable(FLOOR, SamplingConfig(interval=interval))
     for axis, length in ((0, 3.0), (1, 2.0)):
         values = np.unique(sampler.positions_xy[:, axis].round(6))
-        np.testing.assert_allclose(np.diff(values), expected)
-        assert len(values) == math.ceil(length / expected - 1e-6)
+        np.testing.assert_allclose(np.diff(values), interval)
+        assert len(values) == int((length - 0.05) / interval + 1e-6) + 1
     assert FLOOR.contains(sampler.positions_xy).all()
+
+
+def ragged_floor(resolution: float) -> WalkableMap:
+    cells = np.random.default_rng(3).random((40, 60)) < 0.7
+    return WalkableMap(resolution, (-1.23, 2.17), cells, 1.2, clearance=0.25)
+
+
+@pytest.mark.parametrize('every', [1, 2, 7])
+def test_at_a_multiple_of_the_cells_positions_are_centres_of_cells(every: int) -> None:
+    floor = ragged_floor(0.05)
+    centres = floor.centres()
+    index = np.round((centres - centres.min(0)) / 0.05).astype(int)
+    sampler = PoseSampler.for_walkable(floor, SamplingConfig(interval=0.05 * every))
+    np.testing.assert_allclose(sampler.positions_xy, centres[(index % every == 0).all(1)],
+                               rtol=0, atol=1e-9)
+
+
+def test_positions_may_lie_closer_than_the_cells() -> None:
+    floor = ragged_floor(0.1)
+    positions = PoseSampler.for_walkable(floor, SamplingConfig(interval=0.05)).positions_xy
+    assert floor.contains(positions).all()
+    centres = floor.centres()
+    steps = (positions - centres.min(0)) / 0.05
+    np.testing.assert_allclose(steps, steps.round(), atol=1e-6)
+    # All centres of cells, and three more of every cell, less some at the edges.
+    assert 3 * len(centres) < len(positions) <= 4 * len(centres)
+    known = {tuple(place) for place in positions.round(6)}
+    assert {tuple(place) for place in centres.round(6)} <= known
 
 
 def test_positions_in_the_flat_keep_their_clearance() -> None:

@@ -70,11 +70,13 @@ class PoseSampler:
         """3-DoF (section 4.1): a grid over the free floor, fixed height, yaws all around."""
         floor = walkable.kept_off(config.robot_radius)
         centres = floor.centres()
-        every = max(1, round(config.interval / floor.resolution))
-        index = np.round((centres - centres.min(0)) / floor.resolution).astype(int)
+        low, steps = centres.min(0), np.ptp(centres, axis=0) / config.interval
+        axes = [start + config.interval * np.arange(int(count + 1e-6) + 1)
+                for start, count in zip(low, steps)]
+        grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
         height = (floor.camera_height if config.camera_height is None
                   else config.camera_height)
-        return cls(centres[(index % every == 0).all(1)], (-math.pi, 2 * math.pi),
+        return cls(grid[floor.contains(grid)], (-math.pi, 2 * math.pi),
                    ((0.0, 0.0), (0.0, 0.0)), (height, 0.0), config.yaws)
 
     @classmethod
