@@ -20,7 +20,8 @@ def snapshot(**changes):
 def health(counts=None, **changes):
     fields = {'state': 'active', 'fault': '', 'loading': False, 'enabled': True,
               'topic': '/camera/image',
-              'publishers': 1, 'qos_conflict': '', 'subscribed': True, 'unlike_scene': False}
+              'publishers': 1, 'qos_conflict': '', 'subscribed': True, 'unlike_scene': False,
+              'memory': False}
     return Health(**(fields | changes), counts=counts or snapshot())
 
 
@@ -48,6 +49,9 @@ REJECTING = snapshot(recent_rejected=3, last_rejection='size: too big')
     (health(snapshot(recent_published=0)), WARN, 'none was lately'),
     (health(snapshot(recent_received=0), loading=True), OK, 'active: the model is being loaded'),
     (health(unlike_scene=True), WARN, 'unlike the trained scene'),
+    (health(snapshot(guided=0.09), memory=True), OK,
+     'widening 29.8 images per second, the network alone: the memory does not know this place'),
+    (health(snapshot(guided=0.09), memory=True, unlike_scene=True), WARN, 'unlike the trained'),
 ], ids=lambda value: value if isinstance(value, str) else '')
 def test_verdict(found, level, words):
     assert judge(found)[0] == level
@@ -63,6 +67,16 @@ def test_status_has_the_numbers():
     assert lines['dropped for a newer image'] == '4'
     assert lines['latency infer median/p95/max [ms]'] == '1.00/2.00/3.00'
     assert lines['model path'] == 'm.onnx' and lines['image publishers'] == '1'
+
+
+@pytest.mark.parametrize('guided, memory, share', [
+    (0.9, True, '90%'), (None, True, 'unknown'), (0.0, False, 'unknown')],
+    ids=['known', 'nothing widened', 'no memory'])
+def test_a_memory_that_knows_the_place_or_has_no_say(guided, memory, share):
+    status = build_status('/node', health(snapshot(guided=guided), memory=memory), {})
+    assert status.message == 'widening 29.8 images per second'
+    lines = {pair.key: pair.value for pair in status.values}
+    assert lines['guided by the scene memory'] == share
 
 
 def test_verdict_on_the_scene_does_not_flicker():

@@ -68,14 +68,14 @@ def test_what_the_images_were_like_is_that_of_the_window():
     for score, guided in ((1.0, True), (1.0, True)):
         statistics.count_published({}, score, guided, 'resampled')
     clock.time += WINDOW_S + 0.1
-    for score, guided in ((0.2, True), (0.4, False), (None, False), (None, False)):
+    for score, guided in ((0.2, True), (0.4, False), (None, False), (None, False), (None, None)):
         statistics.count_published({}, score, guided, 'as the model takes it')
     counts = statistics.snapshot()
     assert (counts.out_of_scene, counts.guided) == (pytest.approx(0.3), 0.25)
     assert counts.camera_note == 'as the model takes it'
     clock.time += WINDOW_S + 0.1
     assert statistics.snapshot().out_of_scene is None
-    assert statistics.snapshot().guided == 0
+    assert statistics.snapshot().guided is None
 
 
 def test_another_model_is_not_judged_by_what_the_last_one_said():
@@ -86,6 +86,8 @@ def test_another_model_is_not_judged_by_what_the_last_one_said():
     counts = statistics.snapshot()
     assert (counts.out_of_scene, counts.latency_ms, counts.camera_note) == (None, {}, 'unknown')
     assert (counts.published, counts.recent_published) == (1, 1)
+    statistics.count_published({}, guided=True)
+    assert statistics.snapshot().guided == 1
     statistics.count_rejected('camera', 'another camera')
     assert statistics.snapshot().camera_note == 'rejected'
 

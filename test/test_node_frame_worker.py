@@ -21,6 +21,7 @@ class GatedExtrapolator:
 
     expansion = TINY_EXPANSION
     scene_check = None
+    guided = False
 
     def __init__(self):
         self.resets = 0
@@ -36,7 +37,7 @@ class GatedExtrapolator:
         if image[0, 0, 0] == 13:
             raise RuntimeError('the network broke')
         return WideView(np.zeros((TARGET.height, TARGET.width, 3), np.uint8),
-                        np.zeros((TARGET.height, TARGET.width), np.uint8))
+                        np.zeros((TARGET.height, TARGET.width), np.uint8), self.guided)
 
 
 class KeptOutputs:
@@ -85,6 +86,20 @@ def test_newest_frame_wins_over_a_slow_network(bench):
     assert bench.outputs.headers == [0, 7]
     counts = bench.statistics.snapshot()
     assert (counts.received, counts.dropped) == (8, 6)
+
+
+def test_only_frames_that_are_widened_tell_of_the_memory(bench):
+    bench.outputs._wanted = Wanted(image=False, compressed=False, confidence=False)
+    bench.worker.submit(frame('mask'))
+    assert bench.outputs.published.acquire(timeout=WAIT_S)
+    bench.outputs._wanted = Wanted()
+    bench.extrapolator.guided = True
+    bench.extrapolator.gate.release()
+    bench.worker.submit(frame('wide'))
+    assert bench.outputs.published.acquire(timeout=WAIT_S)
+    assert bench.worker.stop(WAIT_S)
+    counts = bench.statistics.snapshot()
+    assert (counts.published, counts.guided) == (2, 1)
 
 
 def test_bad_frames_are_counted_and_good_ones_pass_after_them(bench):

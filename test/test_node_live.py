@@ -79,6 +79,7 @@ def test_a_guided_walk_gives_the_bytes_of_its_replay(graph, tmp_path):
                 frame[name].data.tobytes() for frame in ours]
     status = camera.wait_for_diagnosis(DiagnosticStatus.OK, 'widening')
     assert status['guided by the scene memory'] == '100%'
+    assert status['model has a scene memory'] == 'yes'
 
 
 def test_bad_messages_are_counted_and_good_ones_pass(graph, model):

@@ -5,6 +5,9 @@ from dataclasses import dataclass
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from neo_ros.node.frame_statistics import Snapshot
 
+# Share of the widened images: a memory that knows the place guides nearly all of them.
+LEAST_GUIDED = 0.1
+
 
 @dataclass(frozen=True)
 class Health:
@@ -14,7 +17,8 @@ class Health:
     state: lifecycle state. fault: why the last transition failed, or empty. topic: the image
     topic's full name, publishers: how many it has. qos_conflict: in words, or empty.
     subscribed: whether anybody reads an output. unlike_scene: the verdict of the SceneWatch.
-    loading: a model is being loaded, and no image is taken meanwhile.
+    memory: the model has a scene memory. loading: a model is being loaded, and no image is taken
+    meanwhile.
     """
 
     state: str
@@ -26,6 +30,7 @@ class Health:
     qos_conflict: str
     subscribed: bool
     unlike_scene: bool
+    memory: bool
     counts: Snapshot
 
 
@@ -64,7 +69,10 @@ def _judge_frames(health: Health) -> tuple[bytes, str]:
         return DiagnosticStatus.WARN, (
             'the images are unlike the trained scene: another place, or a camera that is covered, '
             'in the dark or out of focus')
-    return DiagnosticStatus.OK, f'widening {counts.rate_out:.1f} images per second'
+    message = f'widening {counts.rate_out:.1f} images per second'
+    if health.memory and counts.guided is not None and counts.guided < LEAST_GUIDED:
+        message += ', the network alone: the memory does not know this place'
+    return DiagnosticStatus.OK, message
 
 
 def build_status(name: str, health: Health, model: Mapping[str, str]) -> DiagnosticStatus:
@@ -86,7 +94,9 @@ def build_status(name: str, health: Health, model: Mapping[str, str]) -> Diagnos
            for reason, count in sorted(counts.rejected.items())},
         'last rejection': counts.last_rejection,
         'camera': counts.camera_note,
-        'guided by the scene memory': f'{counts.guided:.0%}',
+        'guided by the scene memory': (f'{counts.guided:.0%}'
+                                       if health.memory and counts.guided is not None
+                                       else 'unknown'),
         'out of the scene': ('unknown' if counts.out_of_scene is None
                              else f'{counts.out_of_scene:.2f}'),
         'in the trained scene': ('unknown' if counts.out_of_scene is None

@@ -281,7 +281,8 @@ class ExtrapolatorNode(LifecycleNode):
             topic=self._inputs.topic, publishers=self._inputs.publishers,
             qos_conflict=self._inputs.qos_conflict, loading=self._loading is not None,
             subscribed=self._outputs is not None and any(self._outputs.wanted()),
-            unlike_scene=self._scene_watch.update(counts.out_of_scene), counts=counts)
+            unlike_scene=self._scene_watch.update(counts.out_of_scene),
+            memory=self._model is not None and self._model.memory, counts=counts)
         status = build_status(self.get_fully_qualified_name(), health,
                               self._model.description if self._model else {})
         self._diagnostics.publish(build_array(self.get_clock().now().to_msg(), status))

@@ -29,8 +29,8 @@ class Snapshot:
     `recent_*` count events inside the window, `rate_*` are per second. `rejected` counts by
     reason; `last_rejection` is the newest refusal in words, also when it is older than the window.
     `out_of_scene` is the mean score of the window, None without one; `guided` the share of its
-    images that the scene memory guided; `camera_note` says what was done to the newest image to
-    make it the model's view, 'unknown' without one.
+    widened images that the scene memory guided, None without one; `camera_note` says what was done
+    to the newest image to make it the model's view, 'unknown' without one.
     """
 
     received: int
@@ -44,7 +44,7 @@ class Snapshot:
     rate_in: float
     rate_out: float
     out_of_scene: float | None
-    guided: float
+    guided: float | None
     camera_note: str
     latency_ms: dict[str, Spread]
 
@@ -74,7 +74,7 @@ class Statistics:
         with self._lock:
             self._latencies: dict[str, deque[float]] = {}
             self._scores: deque[tuple[float, float]] = deque()
-            self._guided: deque[float] = deque()
+            self._guided: deque[tuple[float, float]] = deque()
             self._camera_note = 'unknown'
 
     def count_received(self) -> None:
@@ -96,13 +96,17 @@ class Statistics:
             self._camera_note = 'rejected'
 
     def count_published(self, stages_ms: Mapping[str, float], out_of_scene: float | None = None,
-                        guided: bool = False, camera_note: str = 'unknown') -> None:
-        """Count a frame that went out, the milliseconds of each stage, and what it was like."""
+                        guided: bool | None = None, camera_note: str = 'unknown') -> None:
+        """
+        Count a frame that went out, the milliseconds of each stage, and what it was like.
+
+        `guided` is None for a frame that was not widened.
+        """
         with self._lock:
             self._count('published')
             self._camera_note = camera_note
-            if guided:
-                self._guided.append(self._now())
+            if guided is not None:
+                self._guided.append((self._now(), guided))
             if out_of_scene is not None:
                 self._scores.append((self._now(), out_of_scene))
             self._forget()
@@ -119,16 +123,14 @@ class Statistics:
             totals, reasons = self._totals.copy(), dict(self._reasons)
             last_rejection, camera_note = self._last_rejection, self._camera_note
             self._forget()
-            guided = len(self._guided) / max(recent['published'], 1)
-            scores = [score for _, score in self._scores]
+            guided, out_of_scene = _mean(self._guided), _mean(self._scores)
         return Snapshot(
             received=totals['received'], published=totals['published'],
             dropped=totals['dropped'], rejected=reasons, last_rejection=last_rejection,
             recent_received=recent['received'], recent_published=recent['published'],
             recent_rejected=recent['rejected'], rate_in=recent['received'] / window,
             rate_out=recent['published'] / window, camera_note=camera_note,
-            guided=guided,
-            out_of_scene=float(np.mean(scores)) if scores else None,
+            guided=guided, out_of_scene=out_of_scene,
             latency_ms={stage: Spread(*np.percentile(values, [50, 95, 100]).tolist())
                         for stage, values in latencies.items()})
 
@@ -140,13 +142,16 @@ class Statistics:
     def _forget(self) -> None:
         """Drop what has left the window."""
         begin = self._now() - WINDOW_S
-        while self._scores and self._scores[0][0] < begin:
-            self._scores.popleft()
-        while self._guided and self._guided[0] < begin:
-            self._guided.popleft()
+        for kept in (self._scores, self._guided):
+            while kept and kept[0][0] < begin:
+                kept.popleft()
 
     def _recent(self, event: str) -> int:
         times = self._times[event]
         while times and times[0] < self._now() - WINDOW_S:
             times.popleft()
         return len(times)
+
+
+def _mean(timed: deque[tuple[float, float]]) -> float | None:
+    return float(np.mean([value for _, value in timed])) if timed else None

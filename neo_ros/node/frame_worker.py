@@ -118,7 +118,7 @@ class FrameWorker:
         self._statistics.count_published({
             'queue': 1e3 * (taken - frame.received), **wide.stages_ms,
             'publish': 1e3 * (done - processed), 'total': 1e3 * (done - frame.received)},
-            wide.out_of_scene, wide.guided, wide.camera_note)
+            wide.out_of_scene, None if wide.image is None else wide.guided, wide.camera_note)
 
     def _reject(self, reason: str, message: str) -> None:
         self._statistics.count_rejected(reason, message)

@@ -15,9 +15,10 @@ Load = Callable[[str, int, list[str]], Any]
 
 @dataclass(frozen=True)
 class LoadedModel:
-    """The frame processor of a model, and lines for the log and the diagnostics."""
+    """The frame processor of a model, whether it has a memory, and lines that describe it."""
 
     processor: FrameProcessor
+    memory: bool
     description: dict[str, str]
 
 
@@ -30,7 +31,8 @@ def load_model(values: NodeParameters, load: Load = FovExtrapolator.load) -> Loa
     if missing := [name for name in values.providers
                    if PROVIDERS[name] not in extrapolator.providers]:
         description['not here'] = ', '.join(missing)
-    return LoadedModel(FrameProcessor(extrapolator, values.rectify), description)
+    return LoadedModel(FrameProcessor(extrapolator, values.rectify),
+                       extrapolator.card.memory is not None, description)
 
 
 def _describe_size(extrapolator: Extrapolator) -> dict[str, str]:
@@ -40,4 +42,5 @@ def _describe_size(extrapolator: Extrapolator) -> dict[str, str]:
 
 def _describe_card(card: ModelCard) -> dict[str, str]:
     return {'scene': card.scene_id, 'config': card.config_hash, 'network': card.network,
-            'knows its scene': 'yes' if card.scene_reference else 'no'}
+            'knows its scene': 'yes' if card.scene_reference else 'no',
+            'has a scene memory': 'yes' if card.memory else 'no'}
