@@ -68,6 +68,17 @@ def test_a_missing_or_exchanged_memory_is_refused(model: Path, tmp_path: Path) -
         np.zeros((64, 64, 3), np.uint8)).guided
 
 
+def test_a_link_to_a_model_finds_its_memory(model: Path, tmp_path: Path) -> None:
+    link = tmp_path / 'link.onnx'
+    link.symlink_to(model)
+    narrow = EXPANSION.crop(walk(1)[0])
+    assert FovExtrapolator.load(link).expand(narrow).guided
+    # What lies beside the link goes first, and must be the one that the card tells of.
+    (tmp_path / 'box.memory').write_bytes(b'another')
+    with pytest.raises(ModelError, match='sha256'):
+        FovExtrapolator.load(link)
+
+
 @pytest.mark.parametrize('name', ['../x.memory', '/etc/passwd', 'a/b', '', '.', '..'],
                          ids=['above', 'absolute', 'below', 'empty', 'folder', 'folder above'])
 def test_a_card_names_only_files_beside_the_model(name: str) -> None:

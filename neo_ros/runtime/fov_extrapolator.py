@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from neo_ros.errors import ImageRejected, ModelError
 from neo_ros.geometry import ViewExpansion
 from neo_ros.runtime.confidence import confidence_of
-from neo_ros.runtime.model_card import ModelCard
+from neo_ros.runtime.model_card import MemoryFile, ModelCard
 from neo_ros.runtime.model_file import open_model
 from neo_ros.runtime.scene_check import SceneCheck
 import numpy as np
@@ -60,8 +60,8 @@ class FovExtrapolator:
         """
         Check a model file and make it ready to run; `threads` = 0 takes all cores.
 
-        A scene memory that the card names must lie beside the file; with `guided` False it is
-        left alone, and the network works by itself.
+        A scene memory that the card names must lie beside the file, see `memory_path`; with
+        `guided` False it is left alone, and the network works by itself.
         Runs the model once, so the first `expand` is not slower than the others.
         Raises ModelError for everything that is not a complete neo_ros model: see `open_model`;
         also when it does not give the camera's pixels back unchanged.
@@ -77,8 +77,8 @@ class FovExtrapolator:
         if guided and card.memory is not None:
             # Its compiled loops take a second to load: not for models that do without.
             from neo_ros.memory.guided_view import GuidedView
-            guided_view = GuidedView.load(Path(path).with_name(card.memory.file),
-                                          card.memory.sha256, card.expansion, threads)
+            guided_view = GuidedView.load(memory_path(path, card.memory), card.memory.sha256,
+                                          card.expansion, threads)
         extrapolator = cls(session, card, guided_view)
         _check_observed_pixels(path, extrapolator)
         extrapolator.reset()
@@ -127,6 +127,12 @@ class FovExtrapolator:
         """Forget where the camera was; the next image may be from anywhere."""
         if self._guided_view is not None:
             self._guided_view.reset()
+
+
+def memory_path(model: Path | str, memory: MemoryFile) -> Path:
+    """Return where a model's memory lies: beside `model`, or beside the file it is a link to."""
+    beside = Path(model).with_name(memory.file)
+    return beside if beside.exists() else Path(model).resolve().with_name(memory.file)
 
 
 def _session_options(threads: int) -> onnxruntime.SessionOptions:
