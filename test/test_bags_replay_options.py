@@ -1,13 +1,16 @@
 """Replay of sections, of compressed and of other cameras, with its threads and its video."""
 from collections import Counter
+import json
 import math
 from pathlib import Path
 
 import av
 from bag_files import START_NS, walk_frames, write_walk_bag
+import box_room
 from camera_bags import CameraBag
 from neo_ros.bags import BagReader, replay, Section
 from neo_ros.bags.camera_topics import find_camera, find_truth_topic
+from neo_ros.bags.demo_bag import write_demo_bag
 from neo_ros.cli.main import app
 from neo_ros.errors import BagError, NeoError
 from neo_ros.evaluation.side_by_side import SideBySide
@@ -195,6 +198,31 @@ def test_a_replay_that_is_refused_leaves_the_video_of_the_last_one(
     content = video.read_bytes()
     assert CliRunner().invoke(app, arguments).exit_code != 0
     assert video.read_bytes() == content and not list(tmp_path.glob('*.partial'))
+
+
+def test_the_share_that_the_memory_guided_is_told(tmp_path) -> None:
+    poses = box_room.box_walk(3)
+    wide = [box_room.view(pose, box_room.EXPANSION.target)[0] for pose in poses]
+    # The last image is of elsewhere.
+    wide[2] = np.random.default_rng(0).integers(0, 256, wide[2].shape, np.uint8)
+    write_demo_bag(tmp_path / 'bag', zip([START_NS, START_NS + 1, START_NS + 2], wide, poses),
+                   box_room.EXPANSION)
+    model_file = box_room.write_box_model(tmp_path)
+    result = CliRunner().invoke(app, [
+        'replay', str(tmp_path / 'bag'), '--model', str(model_file), '--score', '--out',
+        str(tmp_path / 'out')])
+    assert result.exit_code == 0, result.output
+    assert 'guided: the memory knew 67% of the frames' in result.output
+    assert json.loads((tmp_path / 'out' / 'scores.json').read_text())['guided'] == 0.6667
+
+
+def test_a_model_without_a_memory_says_nothing_of_it(tmp_path, walk_bag) -> None:
+    model_file = write_tiny_model(tmp_path / 'm.onnx', EXPANSION)
+    result = CliRunner().invoke(app, ['replay', str(walk_bag), '--model', str(model_file),
+                                      '--score', '--out', str(tmp_path / 'out')])
+    assert result.exit_code == 0, result.output
+    assert 'guided' not in result.output
+    assert json.loads((tmp_path / 'out' / 'scores.json').read_text())['guided'] is None
 
 
 def test_depth_images_are_no_camera(tmp_path) -> None:

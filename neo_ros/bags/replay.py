@@ -70,10 +70,15 @@ class Section:
 
 @dataclass
 class ReplayResult:
-    """What a replay did. Times in seconds; `rejected` counts messages by reason."""
+    """
+    What a replay did. Times in seconds; `rejected` counts messages by reason.
+
+    guided  frames that the scene memory guided
+    """
 
     image_topic: str
     frames: int = 0
+    guided: int = 0
     pairs: int = 0
     rejected: Counter[str] = field(default_factory=Counter)
     wall_seconds: float = 0.0
@@ -233,6 +238,7 @@ class _Replay:
                              ('image', frame.image)):
             self._write(name, stamp_ns, content.header, image_fields(pixels))
         self._result.frames += 1
+        self._result.guided += frame.guided
         if self.on_frame is not None:
             # The camera's pixels come back unchanged: the crop is what the model saw.
             self._behind.submit(self.on_frame, stamp_of(content.header),

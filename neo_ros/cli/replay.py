@@ -74,10 +74,16 @@ def replay(
     model_rate = result.frames / result.expand_seconds if result.frames else 0.0
     rich.print(f'{escape(result.image_topic)}: {result.frames} frames at {rate:.1f} Hz '
                f'(the model alone: {model_rate:.1f} Hz)')
+    guided = None
+    if extrapolator.card.memory is not None and result.frames:
+        guided = round(result.guided / result.frames, 4)
+        rich.print(f'guided: the memory knew {guided:.0%} of the frames')
     if scores is not None and scores.rows:
         about = {'bag': bag.name, 'image_topic': result.image_topic, 'truth_topic': truth_topic,
                  'model': model.name, 'scene_id': extrapolator.card.scene_id,
-                 'config_hash': extrapolator.card.config_hash}
+                 'config_hash': extrapolator.card.config_hash,
+                 # What the camera scores against itself are other frames than these.
+                 'guided': guided if truth_topic is not None else None}
         scores.write(out, about)
         _print_scores(scores, about)
     elif truth_topic is not None:
