@@ -1,4 +1,4 @@
-"""The whole demo on a real ROS graph, with a tiny model; node and replay give the same pixels."""
+"""The demo on a real ROS graph, with a tiny model; the shipped model knows the walk it shows."""
 import json
 from pathlib import Path
 import time
@@ -6,10 +6,14 @@ from urllib.request import urlopen
 
 from bag_files import write_walk_bag
 from neo_ros.bags import BagReader, replay
-from neo_ros.demo import _Graph, DemoResult, run_demo, WIDE_TOPIC
+from neo_ros.demo import _Graph, DemoResult, run_demo, WALK_SEED, WIDE_TOPIC
 from neo_ros.errors import ModelError, NeoError
+from neo_ros.evaluation.metrics import score_frame
 from neo_ros.messages import read_image
+from neo_ros.paths import share_dir
 from neo_ros.runtime import FovExtrapolator
+from neo_ros.scenes.demo_captures import render_demo_views
+from neo_ros.scenes.demo_flat import build_demo_flat, walking_paths
 import numpy as np
 import pytest
 from tiny_model import TINY_EXPANSION, write_tiny_model
@@ -87,3 +91,15 @@ def test_a_part_of_the_graph_that_ends_is_told_at_once(
             with pytest.raises(NeoError, match='recorder ended with code'):
                 graph.play(bag, subscribers=9)
     assert time.monotonic() - started < 60
+
+
+def test_the_shipped_model_knows_the_flat() -> None:
+    extrapolator = FovExtrapolator.load(share_dir() / 'models' / 'demo_flat.onnx')
+    expansion = extrapolator.expansion
+    walk = walking_paths(build_demo_flat(), 1, 10, WALK_SEED)[0]
+    truth = render_demo_views(expansion.target, walk, workers=1)
+    wide = [extrapolator.expand(expansion.crop(image)) for image in truth]
+    assert sum(view.guided for view in wide) >= 9
+    # The network alone has 18 dB here.
+    assert np.mean([score_frame(image, view.wide_image, expansion)['ring_psnr']
+                    for image, view in zip(truth, wide)]) > 25
