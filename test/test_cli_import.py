@@ -77,18 +77,38 @@ def test_the_report_shows_the_world_as_trainings_stand_it_up(tmp_path: Path) -> 
     assert 'Extent: 0.0 x 0.4 x 0.0 m' in run(source, tmp_path / 'scene')
 
 
+def test_a_model_that_is_not_in_metres_is_scaled_and_not_turned(tmp_path: Path) -> None:
+    source = write_transforms_capture(tmp_path / 'source', demo_photos())
+    assert 'all lengths are multiplied by 2.5' in run(
+        source, tmp_path / 'scene', '--scale', '2.5', '--keyframe-distance', '0.2')
+    found = read_scene(tmp_path / 'scene').train
+    assert len(found) == 5 and not found.z_up  # steps are now 0.25 m long
+    expected = np.stack([pose.T_world_cam for pose in demo_photos().poses])
+    expected[:, :3, 3] *= 2.5
+    np.testing.assert_allclose(found.T_world_cam, expected, atol=1e-9)
+
+
 @pytest.mark.parametrize('arguments, error, message', [
     (['--format', 'polaroid'], ConfigError, "expected scene, transforms.*'polaroid'"),
     (['--format', 'scannet'], SceneError, 'color'),
     (['--format', 'scene', '--level'], ConfigError, 'copied as it is'),
+    (['--format', 'scene', '--scale', '2'], ConfigError, '--scale: for captures'),
+    *[(['--scale', value], ConfigError, 'expected a number > 0, got')
+      for value in ('0', '-1', 'nan', 'inf')],
     (['--size', '64'], ConfigError, '--size: expected only with "demo"'),
     (['--pose-topic', '/odom'], ConfigError, '--pose-topic: expected only with a bag'),
-], ids=['unknown format', 'another format', 'a scene cannot be levelled', 'no demo', 'no bag'])
+], ids=['unknown format', 'another format', 'a scene cannot be levelled', 'nor scaled',
+        'scale 0', 'negative scale', 'no scale', 'infinite scale', 'no demo', 'no bag'])
 def test_a_wrong_format_is_named(tmp_path: Path, arguments: list[str], error: type[Exception],
                                  message: str) -> None:
     source = write_transforms_capture(tmp_path / 'source', demo_photos())
     with pytest.raises(error, match=message):
         run(source, tmp_path / 'scene', *arguments)
+
+
+def test_the_demo_is_in_metres(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match='--scale: the demo has its own'):
+        run('demo', tmp_path / 'scene', '--scale', '2')
 
 
 def test_a_source_that_is_not_there_is_named(tmp_path: Path) -> None:

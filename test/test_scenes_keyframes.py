@@ -12,7 +12,7 @@ from neo_ros.geometry.camera_pose import rotation_from_vector
 from neo_ros.scenes.capture import Capture, CapturedFrame
 from neo_ros.scenes.keyframes import keyframes, split_steps
 from neo_ros.scenes.levelling import (
-    estimate_up, level, rotation_between, stood_up, tilt)
+    estimate_up, level, rotation_between, scaled, stood_up, tilt)
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.scene import Scene
 from neo_ros.scenes.sharpness import sharpness
@@ -96,8 +96,8 @@ def test_levelling_finds_up_whatever_the_world_was(vector: tuple[float, ...],
         T_world_cam[:3, :3] = T_world_cam[:3, :3] @ down
         poses.append(CameraPose(T @ T_world_cam))
     np.testing.assert_allclose(estimate_up(poses), T[:3, 2], atol=1e-6)
-    capture = level(Capture(tuple(CapturedFrame(f'{i}', pose, None)
-                                  for i, pose in enumerate(poses))), scale=2.0)
+    capture = scaled(level(Capture(tuple(CapturedFrame(f'{i}', pose, None)
+                                         for i, pose in enumerate(poses)))), 2.0)
     levelled = [frame.pose for frame in capture.frames if frame.pose is not None]
     assert tilt(levelled) < 1e-4
     steps = np.diff([pose.position for pose in levelled], axis=0)

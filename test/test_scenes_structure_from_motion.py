@@ -1,4 +1,5 @@
 """Poses for photos without poses; skipped where pycolmap is not installed."""
+from dataclasses import replace
 import math
 from pathlib import Path
 
@@ -8,6 +9,7 @@ from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.geometry.camera_pose import rotation_vector
 from neo_ros.scenes.capture_writing import write_capture
 from neo_ros.scenes.demo_captures import render_demo_views
+from neo_ros.scenes.lens import Lens
 from neo_ros.scenes.photos import read_photos
 from neo_ros.scenes.scene import read_scene
 from neo_ros.scenes.structure_from_motion import photo_pairs, reconstruct
@@ -63,6 +65,19 @@ def test_photos_get_the_poses_they_were_taken_from(tmp_path: Path) -> None:
     np.testing.assert_array_equal(
         [frame.pose.T_world_cam for frame in again.frames if frame.pose is not None],
         [frame.pose.T_world_cam for frame in capture.frames if frame.pose is not None])
+
+
+def test_a_calibration_is_held_fixed(tmp_path: Path) -> None:
+    needs_pycolmap()
+    poses = arc(6)
+    for index, image in enumerate(render_demo_views(CAMERA, poses, workers=1)):
+        write_image(tmp_path / f'photos/{index}.png', image)
+    photos = read_photos(tmp_path / 'photos')
+    capture, verdict = reconstruct(replace(photos, frames=tuple(
+        replace(frame, lens=Lens(CAMERA)) for frame in photos.frames)), tmp_path / 'sfm')
+    assert verdict.registered == 6
+    assert {frame.lens for frame in capture.frames} == {Lens(CAMERA)}
+    check_poses(capture.frames, poses)
 
 
 def check_poses(frames: object, poses: list[CameraPose]) -> None:

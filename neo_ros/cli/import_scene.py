@@ -29,6 +29,8 @@ def import_scene(
              'good a model of this capture is.', min=0)] = 0,
     level: Annotated[bool, typer.Option(
         '--level', help='Turn the world so that z points up, as the photos were held.')] = False,
+    scale: Annotated[Optional[float], typer.Option(
+        help='Multiply all lengths by this factor; for models that are not in metres.')] = None,
     size: Annotated[Optional[int], typer.Option(
         help='Demo only: edge of the training photos in pixels; default: 128.', min=16)] = None,
     photos: Annotated[Optional[int], typer.Option(
@@ -57,7 +59,7 @@ def import_scene(
             refuse('the demo has its own', test_runs=test_runs or None, format=format_name,
                    image_topic=image_topic, pose_topic=pose_topic,
                    keyframe_distance=keyframe_distance, keyframe_angle=keyframe_angle,
-                   level=level)
+                   level=level, scale=scale)
             write_demo_scene(scene, image_size=size or 128, n_train=photos or 1000,
                              progress=lambda done, total: show('images', done, total))
             notes: list[str] = []
@@ -70,14 +72,14 @@ def import_scene(
             if format_ == CaptureFormat.SCENE:
                 refuse(f'for captures, {source} is a scene already and is copied as it is',
                        keyframe_distance=keyframe_distance, keyframe_angle=keyframe_angle,
-                       level=level)
+                       level=level, scale=scale)
                 import_transforms(Path(source), scene,
                                   lambda done, total: show('images', done, total))
                 notes = []
             else:
                 notes = _import_capture(
                     Path(source), scene, format_, image_topic, pose_topic, keyframe_distance,
-                    keyframe_angle, level, show)
+                    keyframe_angle, level, scale, show)
         if test_runs:
             train, test = hold_out_runs(scene, test_runs)
             notes.append(f'{len(test)} photos in {test_runs} runs are test frames; their middle '
@@ -105,15 +107,18 @@ def _named_format(name: str) -> Any:
 
 def _import_capture(source: Path, scene: Path, format_: Any, image_topic: Optional[str],
                     pose_topic: Optional[str], keyframe_distance: Optional[float],
-                    keyframe_angle: Optional[float], level: bool, show: Any) -> list[str]:
+                    keyframe_angle: Optional[float], level: bool, scale: Optional[float],
+                    show: Any) -> list[str]:
     """Read, place, choose and write; returns what the user should know."""
     import math
 
     from neo_ros.scenes.capture_writing import write_capture
     from neo_ros.scenes.formats import CaptureFormat, FOLDER_READERS
     from neo_ros.scenes.keyframes import keyframes
-    from neo_ros.scenes.levelling import CLEARLY_TILTED, level as level_world, tilt
+    from neo_ros.scenes.levelling import CLEARLY_TILTED, level as level_world, scaled, tilt
 
+    if scale is not None and not (math.isfinite(scale) and scale > 0):
+        raise ConfigError(f'--scale: expected a number > 0, got {scale}')
     notes = []
     if format_ == CaptureFormat.BAG:
         from neo_ros.bags.capture import read_bag_capture
@@ -134,6 +139,9 @@ def _import_capture(source: Path, scene: Path, format_: Any, image_topic: Option
                      else '; if z shall point up')
             notes.append(f'the photos were held {math.degrees(angle):.0f} degrees from the '
                          f"world's z axis{which}, import with --level")
+    if scale is not None:
+        capture = scaled(capture, scale)
+        notes.append(f'all lengths are multiplied by {scale:g}')
     if keyframe_distance is not None or keyframe_angle is not None:
         capture = keyframes(
             capture, keyframe_distance,

@@ -1,4 +1,4 @@
-"""Which way is up: turn a world so that z points up."""
+"""Which way is up: turn a world so that z points up. And how large it is."""
 from dataclasses import replace
 import logging
 import math
@@ -40,22 +40,28 @@ def tilt(poses: list[CameraPose]) -> float:
     return math.acos(float(np.clip(estimate_up(poses)[2], -1, 1)))
 
 
-def level(capture: Capture, scale: float = 1.0) -> Capture:
+def level(capture: Capture) -> Capture:
     """
-    Turn the world of a posed capture about its origin so that z points up, and scale it.
+    Turn the world of a posed capture about its origin so that z points up.
 
     Only poses change, and up is known from now on.
     """
     poses = [frame.pose for frame in capture.frames if frame.pose is not None]
     T = np.eye(4)
     T[:3, :3] = rotation_between(estimate_up(poses), np.array([0.0, 0.0, 1.0]))
-    levelled = []
-    for pose in poses:
-        T_world_cam = T @ pose.T_world_cam
-        T_world_cam[:3, 3] *= scale
-        levelled.append(CameraPose(T_world_cam))
     return replace(capture, z_up=True, frames=tuple(
-        replace(frame, pose=pose) for frame, pose in zip(capture.frames, levelled)))
+        replace(frame, pose=CameraPose(T @ pose.T_world_cam))
+        for frame, pose in zip(capture.frames, poses)))
+
+
+def scaled(capture: Capture, factor: float) -> Capture:
+    """Multiply all lengths of the world of a posed capture; only positions change."""
+    poses = [frame.pose for frame in capture.frames if frame.pose is not None]
+    lengths = np.ones((4, 4))
+    lengths[:3, 3] = factor
+    return replace(capture, frames=tuple(
+        replace(frame, pose=CameraPose(lengths * pose.T_world_cam))
+        for frame, pose in zip(capture.frames, poses)))
 
 
 def read_upright_scene(folder: Path) -> Scene:

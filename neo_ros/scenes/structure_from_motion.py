@@ -11,7 +11,7 @@ from neo_ros.geometry import Intrinsics
 from neo_ros.scenes.capture import Capture
 from neo_ros.scenes.capture_writing import write_images
 from neo_ros.scenes.colmap import read_colmap_model
-from neo_ros.scenes.levelling import level
+from neo_ros.scenes.levelling import level, scaled
 import numpy as np
 
 # All pairs up to this number of photos; beyond it photos are taken for a walk.
@@ -81,7 +81,7 @@ def reconstruct(capture: Capture, work: Path,
                                   name=str(name)))
     registered = Capture(tuple(frames), capture.notes)
     scale = MEDIAN_DISTANCE / _median_depth(reconstruction)
-    return level(registered, scale), verdict
+    return scaled(level(registered), scale), verdict
 
 
 def photo_pairs(names: Sequence[str]) -> list[tuple[str, str]]:
