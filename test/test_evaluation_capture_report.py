@@ -141,7 +141,7 @@ def test_the_map_takes_the_colour_of_the_nearest_photo_that_was_looked_at(
     measures = replace(measure_capture(make_scene(tmp_path, poses)), viewed=np.array([0, 2]),
                        wide_seen=np.stack([np.ones(RAYS, bool), np.zeros(RAYS, bool)]))
     positions = measures.photos.T_world_cam[:, :2, 3]
-    column, row = PlanView(positions.min(0), positions.max(0)).place(place)
+    column, row = PlanView(positions.min(0), positions.max(0)).place(np.array(place))
     red, green, _ = draw_map(measures, None)[row, column]
     assert green > red
 
