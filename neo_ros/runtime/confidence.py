@@ -5,7 +5,8 @@ What the confidence image means.
 difference to the truth, averaged over the colour channels, as a share of full brightness. So 255
 is no error, 128 is 0.025 (6 of 255), 64 is 0.05, and 0 is 0.2 or more. The expectation is a
 Laplace scale that the network predicts, times one factor that is fitted at export so that it
-agrees with the error on photos held out of the training.
+agrees with the error on photos held out of the training. Where no photo is wider than the camera's
+view, the ring of these is the field's rendering, so the field's own error is left out.
 """
 import math
 
