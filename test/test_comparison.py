@@ -9,7 +9,7 @@ from neo_ros.cli.main import app
 from neo_ros.comparison import compare, marked_front, Row
 from neo_ros.errors import ConfigError, ModelError
 from neo_ros.model_variants import export_variants
-from neo_ros.outpaint.variants import export_variant
+from neo_ros.outpaint.export import ExportedFunction
 from neo_ros.pipeline import TrainingRun
 from neo_ros.runtime import read_model_card
 import numpy as np
@@ -108,8 +108,9 @@ def test_an_fp32_variant_with_a_wrong_confidence_is_refused(
         tiny_run: TrainingRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shutil.copytree(tiny_run.out, tmp_path / 'out')
     run = TrainingRun(tiny_run.scene, TINY, tmp_path / 'out', tiny_run.progress)
-    monkeypatch.setattr(model_variants, 'export_variant',
-                        lambda *arguments: export_variant(*arguments[:-1], 3 * arguments[-1]))
+    monkeypatch.setattr(
+        model_variants, 'ExportedFunction',
+        lambda network, view, factor: ExportedFunction(network, view, 3 * factor))
     with pytest.raises(ModelError, match='fp32.onnx: expected 99.9 % .* the file was deleted'):
         export_variants(run, ('fp32',))
     assert not (tmp_path / 'out' / 'scene.fp32.onnx').exists()
