@@ -243,8 +243,7 @@ def export_step(run: TrainingRun, network: nn.Module, held_out: Optional[np.ndar
     write_model_card(path, card)
     extrapolator = FovExtrapolator.load(path, guided=False)
     frames = real_frames(run, 8)
-    worst, share = check_parity(
-        function, lambda image: extrapolator.expand(image).wide_image, frames)
+    worst, share = check_parity(function, extrapolator.expand, frames)
     require_parity(path, worst, share)
     write_model_card(path, card.model_copy(update={
         'parity': Parity(max_abs_error=worst, share_within_1=share),

@@ -16,8 +16,10 @@ from neo_ros.evaluation.baselines import EdgeReplication, NeoModel
 from neo_ros.evaluation.evaluate import evaluate, ROW_KEYS, TruthFrames
 from neo_ros.evaluation.metrics import Estimate, score_frame
 from neo_ros.evaluation.sparse_model import SparseModel
+from neo_ros.experiment import read_experiment
 from neo_ros.field import fitting
 from neo_ros.geometry import CameraPose
+from neo_ros.paths import share_dir
 from neo_ros.scenes.scene import read_scene
 from neo_ros.scenes.transforms_json import read_input_crop, read_transforms, write_transforms
 import numpy as np
@@ -225,6 +227,23 @@ def test_a_world_with_another_axis_up_is_turned_for_all_methods_alike(flat_scene
                           protocol='horizontal'), tmp_path / 'work_two', quiet)
     np.testing.assert_allclose(other.frames.images.T_world_cam, upright.train.T_world_cam,
                                atol=1e-9)
+
+
+def test_every_network_has_a_size_of_its_own(flat_scene, tmp_path, monkeypatch):
+    trained = []
+    monkeypatch.setattr(Workbench, 'field', lambda bench: None)
+    monkeypatch.setattr(workbench, 'share_file', lambda source, target: None)
+    monkeypatch.setattr(workbench, 'train', lambda scene, experiment, *rest: trained.append(
+        (experiment.network, experiment.memory)))
+    bench = Workbench(job(flat_scene, settings={'network': {'width': 8}}), tmp_path, quiet)
+    for name in ('neo_fast', 'mat', 'lama'):
+        bench.model(name)
+    networks = {network.name: network for network, _ in trained}
+    assert [memory is not None for _, memory in trained] == [True, False, False]
+    assert networks['neo_fast'].width == 8
+    for name in ('mat', 'lama'):
+        file = share_dir() / 'config/experiments/networks' / f'{name}.yaml'
+        assert networks[name] == read_experiment(file).network
 
 
 def test_an_unknown_method_is_not_taken_for_another(flat_scene, tmp_path):

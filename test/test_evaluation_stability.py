@@ -82,6 +82,9 @@ def test_points_move_as_the_camera_does_and_hidden_ones_do_not_count():
     hidden = follow_points(camera, far, near, T_last_now)[1]
     assert not hidden[5, 5]
     assert hidden[5, 10]
+    near[:, 7] = np.nan  # fog: nobody knows
+    unknown = follow_points(camera, far, near, T_last_now)[1]
+    assert not unknown[5, 5] and unknown[5, 10]
 
 
 def test_flicker_is_the_deviation_of_the_ring(frames):

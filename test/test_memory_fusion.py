@@ -1,8 +1,9 @@
 """Fusing camera image, guide and network."""
-from box_room import EXPANSION, planar, view
+from box_room import box_memory, EXPANSION, planar, view
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.memory.fusion import fuse, LEAST_ERROR
-from neo_ros.memory.scene_guide import Guide
+from neo_ros.memory.guided_view import GuidedView
+from neo_ros.memory.scene_guide import Guide, SceneGuide
 import numpy as np
 
 POSE = planar(1.9, 1.7, 35)
@@ -28,6 +29,13 @@ def test_the_camera_pixels_are_never_touched() -> None:
     noise = np.random.default_rng(0).integers(0, 256, WIDE.shape).astype(np.uint8)
     wide, _ = fuse(NARROW, guide_of(noise), NETWORK, EXPANSION)
     assert np.array_equal(EXPANSION.crop(wide), NARROW)
+
+
+def test_gaps_that_the_camera_fills_need_no_network() -> None:
+    known = ~RING  # All that the camera does not show.
+    guided = GuidedView(SceneGuide(box_memory(), EXPANSION))
+    assert guided.needs_network(guide_of(WIDE, known))
+    assert not guided.needs_network(guide_of(WIDE, ~known))
 
 
 def test_what_the_memory_does_not_know_comes_from_the_network() -> None:

@@ -6,6 +6,7 @@ from typing import Any
 from box_room import apart, box_memory, EXPANSION, planar, SOURCE, view
 from neo_ros.geometry import CameraPose
 from neo_ros.geometry.camera_pose import rotation_from_vector
+from neo_ros.memory import scene_guide
 from neo_ros.memory.alignment import agreement, Aligner
 from neo_ros.memory.compiled import ALL_THREADS
 from neo_ros.memory.rendering import GuideView, MemoryRenderer
@@ -150,6 +151,26 @@ def test_an_occluder_does_not_drag_the_pose() -> None:
         found = guide.guide(image)
         assert found is not None
         assert apart(found.pose, pose)[0] < 0.02
+
+
+def test_a_camera_that_stops_behind_an_occluder_is_not_lost() -> None:
+    guide = SceneGuide(MEMORY, EXPANSION)
+    for yaw in (20, 29, 38):
+        assert guide.guide(photo_at(planar(1.9, 1.7, yaw))) is not None
+    image = photo_at(planar(1.9, 1.7, 38)).copy()
+    image[:, 22:43] = (60, 40, 50)  # a third of the image
+    found = guide.guide(image)
+    assert found is not None and apart(found.pose, planar(1.9, 1.7, 38))[0] < 0.02
+
+
+def test_a_pose_that_was_searched_for_has_to_agree_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    guide = SceneGuide(MEMORY, EXPANSION)
+    for whole, searched in ((0.91, True), (0.88, False), (0.84, False)):
+        monkeypatch.setattr(scene_guide, 'agreement', lambda *images: (whole, 0.0))
+        guide.reset()
+        assert (guide.guide(photo_at(TRUE_POSE)) is not None) == searched
+        guide._last = TRUE_POSE
+        assert (guide.guide(photo_at(TRUE_POSE)) is not None) == (whole > 0.85)
 
 
 @pytest.mark.parametrize('colour', [(60, 40, 50), (240, 230, 235)], ids=['dark', 'light'])

@@ -10,6 +10,7 @@ from neo_ros.outpaint.fourier import RealFourier
 from neo_ros.outpaint.mat import INVALID, Mat, WindowAttention
 from neo_ros.outpaint.network import NetworkConfig
 from neo_ros.outpaint.networks import build_network, check_network
+from neo_ros.runtime.fov_extrapolator import WideView
 from neo_ros.runtime.operators import ALLOWED_OPERATORS
 import numpy as np
 import onnx
@@ -99,7 +100,8 @@ def test_exports_agree_with_torch_and_use_allowed_operators(name: str, tmp_path:
     images = np.random.default_rng(0).integers(
         0, 256, (4, view.source.height, view.source.width, 3), np.uint8)
     worst, within = check_parity(
-        function, lambda image: np.asarray(session.run(['wide'], {'image': image[None]})[0])[0],
+        function, lambda image: WideView(*(
+            output[0] for output in session.run(['wide', 'confidence'], {'image': image[None]}))),
         images)
     assert within >= 0.999 and worst <= 2
     wide = function(torch.from_numpy(images[:1]))[0][0].numpy()

@@ -6,6 +6,8 @@ How much memory a method takes: a process of its own loads it and widens a few f
 FOLDER is a benchmark's working folder in which the method is ready. Prints by how many MB the
 process grew at its peak; the interpreter and the libraries were loaded before and do not count.
 """
+from importlib import import_module
+from importlib.util import find_spec
 import json
 from pathlib import Path
 import re
@@ -32,6 +34,10 @@ def main() -> None:
     folder, name = Path(sys.argv[1]), sys.argv[2]
     job = Job(**json.loads((folder / 'job.json').read_text())['job'])
     bench = Workbench(job, folder, lambda stage, done, total, note: None)
+    # What methods import only when they are made.
+    for module in ('pycolmap', 'scipy.ndimage', 'neo_ros.memory.guided_view'):
+        if find_spec(module):
+            import_module(module)
     before = _resident('VmRSS')
     method = make_method(name, bench)
     for index in range(min(FRAMES, len(bench.frames))):

@@ -6,6 +6,7 @@ At the square protocol the photos' field of view is not the wide one: that misma
 nature (paper, section 4.2).
 """
 from dataclasses import replace
+import time
 from typing import Any
 
 import cv2
@@ -62,12 +63,18 @@ def train_naive(run: TrainingRun) -> None:
         replace(experiment.outpaint, validations=VALIDATIONS, real_centre=0.0),
         experiment.seed, held_out)
     checkpoint = run.out / 'naive.ckpt'
+
+    def save() -> None:
+        write_checkpoint(checkpoint, {'trainer': trainer.state(), 'best': best,
+                                      'seconds': run.seconds})
+
     best: dict[str, Any] = {'psnr': -np.inf, 'at': 0, 'weights': trainer.averaged.state_dict()}
     if checkpoint.exists():
         state = read_checkpoint(checkpoint)
         trainer.restore(state['trainer'])
         best = state['best']
-    saved = trainer.seconds
+        run.seconds = state['seconds']
+    saved, last = trainer.seconds, time.monotonic()
     while trainer.done[0] < trainer.done[1] and len(trainer.validation) - best['at'] < PATIENCE:
         scores = len(trainer.validation)
         trainer.train_step(stream.batch(trainer.step, trainer.batch_size))
@@ -75,12 +82,13 @@ def train_naive(run: TrainingRun) -> None:
             best = {'psnr': trainer.validation[-1][2], 'at': len(trainer.validation),
                     'weights': {name: value.detach().cpu().clone() for name, value
                                 in trainer.averaged.state_dict().items()}}
+        now = time.monotonic()
+        run.seconds, last = run.seconds + now - last, now
         run.progress('naive', *trainer.done, trainer.note())
         if trainer.seconds - saved > CHECKPOINT_SECONDS:
-            write_checkpoint(checkpoint, {'trainer': trainer.state(), 'best': best})
+            save()
             saved = trainer.seconds
-    write_checkpoint(checkpoint, {'trainer': trainer.state(), 'best': best})
-    run.seconds = trainer.seconds
+    save()
     network = trainer.averaged.eval().cpu()
     network.load_state_dict(best['weights'])
     export_step(run, network)

@@ -74,8 +74,8 @@ def fitting_network(experiment: Experiment, expansion: ViewExpansion) -> Network
         if patch == 16 and expansion.target.width < _LARGE:
             continue
         # The coarsest cells, which the middle sees, have as many channels in every grid.
-        network = replace(experiment.network, patch=patch, depth=depth,
-                          width=experiment.network.width * 2 ** (2 - depth))
+        coarse = experiment.network.width * 2 ** experiment.network.depth
+        network = replace(experiment.network, patch=patch, depth=depth, width=coarse // 2 ** depth)
         try:
             check_network(expansion, network)
         except ConfigError as error:

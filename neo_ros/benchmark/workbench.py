@@ -20,8 +20,9 @@ from neo_ros.evaluation.evaluate import TruthFrames
 from neo_ros.evaluation.local_features import PhotoBank, read_photo_bank
 from neo_ros.evaluation.output import make_output_folder, share_file, write_bytes
 from neo_ros.evaluation.sparse_model import read_sparse_model, SparseModel
-from neo_ros.experiment import Experiment, experiment_from
+from neo_ros.experiment import Experiment, experiment_from, read_experiment
 from neo_ros.field.voxel_field import RadianceField
+from neo_ros.paths import share_dir
 from neo_ros.pipeline import claim, fit_field_step, Progress, train, TrainingRun
 from neo_ros.scenes.capture import listed
 from neo_ros.scenes.levelling import stood_up
@@ -79,11 +80,9 @@ class Workbench:
         view = choose_view(self.scene, job.protocol, SCALES[job.scale])
         base = replace(base, view=view)
         self.expansion = base.expansion(self.scene.train.intrinsics, self.scene.expansion)
-        # Methods name their networks; `fitting_network` takes the width for that of two grids.
-        network = replace(base.network, name='neo_fast',
-                          width=base.network.width * 2 ** base.network.depth // 4)
-        self.base = replace(base, network=fitting_network(
-            replace(base, network=network), self.expansion))
+        # Methods name their networks.
+        base = replace(base, network=replace(base.network, name='neo_fast'))
+        self.base = replace(base, network=fitting_network(base, self.expansion))
         self.frames = TruthFrames(split_walks(test), self.expansion, job.most_frames)
         make_output_folder(folder)
         self._claim()
@@ -108,9 +107,13 @@ class Workbench:
         path = out / f'{self.scene.name}.onnx'
         if not (out / 'done').exists():
             self.field()
-            named = replace(self.experiment.network, name=network)
-            memory = self.base.memory if network == 'neo_fast' else None  # One scene, one memory.
-            run = self._run(replace(self.experiment, network=named, memory=memory), out)
+            experiment = self.experiment
+            if network != 'neo_fast':
+                # Sizes mean something else in each network; and one scene has one memory.
+                experiment = replace(experiment, memory=None, network=read_experiment(
+                    share_dir() / 'config' / 'experiments' / 'networks' / f'{network}.yaml'
+                ).network)
+            run = self._run(experiment, out)
             for name in ('field.npz', 'field.json'):
                 if not (out / name).exists():
                     share_file(self.folder / 'field' / name, out / name)

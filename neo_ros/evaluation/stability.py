@@ -65,8 +65,9 @@ def follow_points(camera: Intrinsics, depth: np.ndarray, last_depth: np.ndarray,
     where = np.nan_to_num(camera.project(before), nan=-1e3).astype(np.float32)
     inside = ((where > 0.5) & (where < np.array([camera.width, camera.height]) - 0.5)).all(-1)
     seen = sample_pixels(last_depth.astype(np.float32), where)
-    hidden = before[..., 2] > seen * (1 + HIDDEN)
-    return where, inside & ~hidden & np.isfinite(depth)
+    # Of a point whose depth in either frame is not known, nobody can tell.
+    visible = before[..., 2] <= seen * (1 + HIDDEN)
+    return where, inside & visible & np.isfinite(depth)
 
 
 def warping_error(wide_image: np.ndarray, last_image: np.ndarray, where: np.ndarray,

@@ -31,7 +31,9 @@ class GuidedView:
 
     def needs_network(self, guide: Guide) -> bool:
         """Tell whether the memory has gaps that are worth the time of the network."""
-        return bool(1 - guide.known.mean() > MOST_MISSING)
+        missing = ~guide.known
+        missing[self._guide.expansion.observed] = False  # The camera shows that.
+        return bool(missing.mean() > MOST_MISSING)
 
     def fuse(self, image: np.ndarray, guide: Guide, network_image: np.ndarray | None
              ) -> tuple[np.ndarray, np.ndarray]:

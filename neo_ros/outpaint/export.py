@@ -117,13 +117,12 @@ def _clean_graph(path: Path) -> None:
 
 
 def check_parity(function: ExportedFunction,
-                 run_exported: Callable[[np.ndarray], WideView | np.ndarray],
-                 images: np.ndarray) -> tuple[int, float]:
+                 run_exported: Callable[[np.ndarray], WideView], images: np.ndarray,
+                 ) -> tuple[int, float]:
     """
     Compare torch with the exported file on real frames, uint8 (N, h, w, 3).
 
-    run_exported widens one image. Both outputs are compared; of what gives the wide image
-    (H, W, 3) uint8 alone, that one.
+    run_exported widens one image; wide image and confidence are compared.
     Returns the largest error in steps of 1/255 and the share of values within one step.
     """
     worst, within, total = 0, 0, 0
@@ -131,9 +130,7 @@ def check_parity(function: ExportedFunction,
         with torch.no_grad():
             expected = function(torch.from_numpy(image[None]))
         found = run_exported(image)
-        outputs = ((found,) if isinstance(found, np.ndarray)
-                   else (found.wide_image, found.confidence))
-        for output, values in zip(expected, outputs):
+        for output, values in zip(expected, (found.wide_image, found.confidence)):
             error = np.abs(values.astype(int) - output[0].numpy().astype(int))
             worst = max(worst, int(error.max()))
             within += int((error <= 1).sum())

@@ -116,7 +116,8 @@ class OutpaintTrainer:
         self.step = 0
         self.loss = math.nan
         self.seconds = 0.0
-        self._clock: Optional[float] = None
+        # The first batch counts, whose panoramas take longest; after `restore` they come again.
+        self._clock: Optional[float] = time.monotonic()
 
     @property
     def figure(self) -> float:
@@ -268,6 +269,7 @@ class OutpaintTrainer:
         self.network.load_state_dict(state['network'])
         self.averaged.load_state_dict(state['averaged'])
         self.optimizer.load_state_dict(state['optimizer'])
+        self._clock = None
 
 
 def share_of_batch(batch: int, world: int) -> int:
