@@ -34,8 +34,23 @@ def test_the_first_is_a_method_that_a_robot_could_run():
 def test_the_first_is_compared_with_the_second_frame_by_frame():
     table = markdown([RESULTS])
     # The walks differ by 10 dB, the methods by 1 to 3: an unpaired interval would hold 0.
-    assert 'guided minus relocalized, frame by frame: 2.00 (1.00 to 3.00).' in table
-    assert 'relocalized minus guided, frame by frame: -0.100 (-0.200 to 0.000).' in table
+    assert ('guided minus relocalized, frame by frame: 2.00 (1.00 to 3.00), on its worst walk '
+            '1.00.') in table
+    assert ('relocalized minus guided, frame by frame: -0.100 (-0.200 to 0.000), on its worst '
+            'walk 0.000.') in table
+
+
+def test_what_the_memory_is_worth_is_told_with_its_worst_walk():
+    alone = scores('neo_fast', [20, 20, 21, 21])
+    table = markdown([[alone, *RESULTS]])
+    assert ('What the memory is worth, by ring PSNR; guided minus neo_fast, frame by frame: 4.50 '
+            '(-1.00 to 10.00), on its worst walk -1.00.') in table
+
+
+def test_the_gap_is_closed_by_lpips_too():
+    table = markdown([[scores('naive', [10] * 4, [0.5] * 4), *RESULTS]])
+    assert '| guided |  | 30 % |' in table and '| oracle |  | 100 % |' in table
+    assert '| guided |  |  |' in markdown([RESULTS])
 
 
 def test_what_no_photo_covered_and_the_minutes_are_told():

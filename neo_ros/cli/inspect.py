@@ -19,7 +19,7 @@ def inspect(
     import time
 
     from neo_ros.evaluation.speed_model import count_flops
-    from neo_ros.runtime import FovExtrapolator
+    from neo_ros.runtime.fov_extrapolator import FovExtrapolator, memory_path
     import numpy as np
     import rich
     from rich.markup import escape
@@ -43,7 +43,7 @@ def inspect(
     if extrapolator.card.memory is not None:
         from neo_ros.memory.scene_memory import SceneMemory
 
-        path = model.with_name(extrapolator.card.memory.file)
+        path = memory_path(model, extrapolator.card.memory)
         memory = SceneMemory.read(path, extrapolator.card.memory.sha256)
         table.add_row('scene memory', f'{escape(path.name)}: {len(memory.positions)} keyframes, '
                       f'{path.stat().st_size / 1e6:.2f} MB')

@@ -9,7 +9,7 @@ from typing import Iterable, Protocol
 import cv2
 from neo_ros.errors import SceneError
 from neo_ros.geometry import CameraPose, ViewExpansion
-from neo_ros.runtime.fov_extrapolator import FovExtrapolator
+from neo_ros.runtime.fov_extrapolator import FovExtrapolator, memory_path
 import numpy as np
 
 
@@ -104,7 +104,7 @@ class NeoModel:
         self.name = name or ('guided' if self.guided else self.card.network)
         files = [Path(path)]
         if self.guided and self.card.memory is not None:
-            files.append(Path(path).with_name(self.card.memory.file))
+            files.append(memory_path(path, self.card.memory))
         self.model_mb: float | None = sum(file.stat().st_size for file in files) / 1e6
 
     def expand(self, narrow_image: np.ndarray) -> np.ndarray:
