@@ -138,7 +138,7 @@ def test_other_photos_are_cut_to_the_cameras_view(
     images = read_transforms(noise_scene / 'transforms_test.json')
     images = PosedImages(Intrinsics(80, 48, 64, 64, 40, 24), *(
         getattr(images, name) for name in ('image_paths', 'poses', 'path_ids')))
-    walks = out_of_scene._seen_by(camera, images)
+    walks = out_of_scene.seen_by(camera, images)
     assert [len(walk) for walk in walks] == [2, 2]
     expected = cv2.resize(images.read_image(2)[window], (camera.width, camera.height),
                           interpolation=cv2.INTER_AREA)

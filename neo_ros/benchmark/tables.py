@@ -118,14 +118,19 @@ def _cost_table(results: Sequence[MethodScores]) -> str:
         row, figures = result.row, result.figures
         rows.append([
             result.method, _number(row['oracle_gap_closed'], 0, 100, ' %'),
-            '' if None in (worst, best, lpips[result.method]) or worst == best else _number(
-                (worst - lpips[result.method]) / (worst - best), 0, 100, ' %'),
+            _number(_closed(row['ring_lpips_vgg'], worst, best), 0, 100, ' %'),
             _number(row['warping_error'], 2, 1e3), _number(figures.get('flicker'), 2),
             _number(row['latency_ms_median'], 1), _number(row['latency_ms_p95'], 1),
             _number(figures.get('memory_mb'), 0), _number(row['train_minutes'], 1),
             _number(row['model_mb'], 1)])
     return _table(['method', 'gap closed', 'by LPIPS', 'warping error, 10^-3', 'flicker',
                    'ms median', 'ms p95', 'memory MB', 'training min', 'MB'], rows)
+
+
+def _closed(value: float | None, worst: float | None, best: float | None) -> float | None:
+    if value is None or worst is None or best is None or worst == best:
+        return None
+    return (worst - value) / (worst - best)
 
 
 def _remarks(results: Sequence[MethodScores]) -> list[str]:

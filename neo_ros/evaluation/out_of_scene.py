@@ -13,6 +13,7 @@ import json
 from pathlib import Path
 import sys
 from types import SimpleNamespace
+from typing import TypeVar
 
 import cv2
 from neo_ros.errors import ModelError, SceneError
@@ -31,6 +32,7 @@ FINGER = (96, 34, 24)  # dark red: light through skin
 # The images of one walk after the other, uint8 RGB (h, w, 3).
 Walks = Sequence[Sequence[np.ndarray]]
 Spoil = Callable[[np.ndarray], np.ndarray]
+_Read = TypeVar('_Read')
 
 
 @dataclass(frozen=True)
@@ -65,7 +67,7 @@ def score_scenes(model: Path, scene: Path, others: Sequence[Path]) -> list[Scene
     if network.card.memory is not None:
         models.append(FovExtrapolator.load(model))
     frames = TruthFrames(read_scene(scene).test, network.expansion)
-    own = _by_walk(frames.images, lambda index: frames.read(index)[0])
+    own = by_walk(frames.images, lambda index: frames.read(index)[0])
     usual = [_scores(one, own) for one in models]
 
     def row(name: str, found: list[tuple[np.ndarray, float]]) -> SceneScores:
@@ -83,7 +85,7 @@ def score_scenes(model: Path, scene: Path, others: Sequence[Path]) -> list[Scene
         images = read_scene(folder).test
         if images is None:
             raise SceneError(f'{folder}: expected test frames (transforms_test.json), got none')
-        rows.append(judge(folder.name, _seen_by(network.expansion.source, images)))
+        rows.append(judge(folder.name, seen_by(network.expansion.source, images)))
     return rows + [judge(name, [[spoil(image) for image in walk] for walk in own])
                    for name, spoil in spoils().items()]
 
@@ -94,13 +96,13 @@ def spoils() -> dict[str, Spoil]:
     return {
         'lens cap': np.zeros_like,
         'finger over the lens': _finger,
-        'a tenth of the light': lambda image: _lit(image, 0.1),
-        'a quarter of the light': lambda image: _lit(image, 0.25),
+        'a tenth of the light': lambda image: lit(image, 0.1),
+        'a quarter of the light': lambda image: lit(image, 0.25),
         'blur, sigma 1.5 pixels': lambda image: cv2.GaussianBlur(image, (0, 0), 1.5),
         'motion blur of 7 pixels': lambda image: cv2.blur(image, (7, 1)),
         'half of the lens covered': _half_covered,
-        'harmless: a fifth more light': lambda image: _lit(image, 1.2),
-        'harmless: a fifth less light': lambda image: _lit(image, 0.8),
+        'harmless: a fifth more light': lambda image: lit(image, 1.2),
+        'harmless: a fifth less light': lambda image: lit(image, 0.8),
         'harmless: noise of 3 grey levels':
             lambda image: _rounded(image + random.normal(0, 3, image.shape)),
         'harmless: JPEG at quality 80': _jpeg,
@@ -132,9 +134,9 @@ def _scores(extrapolator: FovExtrapolator, walks: Walks) -> tuple[np.ndarray, fl
     return np.array(scores, np.float64), float(np.mean(guided))
 
 
-def _by_walk(images: PosedImages, read: Callable[[int], np.ndarray]) -> list[list[np.ndarray]]:
+def by_walk(images: PosedImages, read: Callable[[int], _Read]) -> list[list[_Read]]:
     """Read all images, a list for each walk; a new one begins where the path's number changes."""
-    walks: list[list[np.ndarray]] = []
+    walks: list[list[_Read]] = []
     for index, path_id in enumerate(images.path_ids):
         if not index or path_id != images.path_ids[index - 1]:
             walks.append([])
@@ -142,7 +144,7 @@ def _by_walk(images: PosedImages, read: Callable[[int], np.ndarray]) -> list[lis
     return walks
 
 
-def _seen_by(camera: Intrinsics, images: PosedImages) -> Walks:
+def seen_by(camera: Intrinsics, images: PosedImages) -> Walks:
     """
     Cut the view of a camera out of the middle of images, and resample it to the camera's size.
 
@@ -154,12 +156,13 @@ def _seen_by(camera: Intrinsics, images: PosedImages) -> Walks:
     size = (round(width * shrink), round(height * shrink))
     left, top = ((full - part) // 2 for full, part in zip((taken.width, taken.height), size))
     method = cv2.INTER_AREA if size[0] > camera.width else cv2.INTER_LINEAR
-    return _by_walk(images, lambda index: cv2.resize(
+    return by_walk(images, lambda index: cv2.resize(
         images.read_image(index)[top:top + size[1], left:left + size[0]],
         (camera.width, camera.height), interpolation=method))
 
 
-def _lit(image: np.ndarray, gain: float) -> np.ndarray:
+def lit(image: np.ndarray, gain: float) -> np.ndarray:
+    """Return an image, RGB uint8, with more or less light."""
     return _rounded(image * gain)
 
 
