@@ -52,7 +52,8 @@ def test_cases_are_what_they_are_called(walks) -> None:
     share = (hidden[4].image != walks[0][4].image).any(-1).mean()
     assert share == pytest.approx(0.3, abs=0.02) and hidden[4].truth is walks[0][4].truth
     dim = found['a quarter of the light'][0][0]
-    assert dim.truth is not None and dim.truth.mean() == pytest.approx(walks[0][0].truth.mean() / 4, abs=1)
+    assert dim.truth is not None
+    assert dim.truth.mean() == pytest.approx(walks[0][0].truth.mean() / 4, abs=1)
 
 
 def test_a_model_without_a_memory_is_refused(tmp_path: Path) -> None:
