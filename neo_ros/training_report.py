@@ -11,6 +11,7 @@ from neo_ros.evaluation.strips import error_label, error_map
 from neo_ros.field.rendering import render_view, to_uint8
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.runtime import FovExtrapolator
+from neo_ros.training_views import held_out_poses, held_out_views
 import numpy as np
 
 if TYPE_CHECKING:
@@ -28,12 +29,14 @@ def write_training_report(run: 'TrainingRun', field: RadianceField, scoring: 'Sc
     """
     Write report.html (and scores.json, if the scene has test frames) into the run's folder.
 
-    Returns the figures at its top: field_psnr on held-out photos and, with test frames,
-    oracle_ring_psnr (the field at the true pose) and the model's ring_psnr.
+    Returns the figures at its top: on held-out photos field_psnr, and the ring PSNR of the
+    network from_photo_psnr and from_rendering_psnr; with test frames oracle_ring_psnr (the field
+    at the true pose) and the model's ring_psnr.
     """
     figures: dict[str, float] = {}
     sections: list[Section] = [
         *_curves(run), *_held_out_strips(run, field, figures), *pose_sections(run.out)]
+    _compare_inputs(run, field, figures)
     confidence: dict[str, float] = {}
     if scoring is not None:
         figures['oracle_whole_psnr'], figures['oracle_ring_psnr'] = _oracle(field, scoring)
@@ -57,6 +60,8 @@ def write_training_report(run: 'TrainingRun', field: RadianceField, scoring: 'Sc
 
 _TITLES = {
     'field_psnr': 'Field against photos it was not shown, PSNR',
+    'from_photo_psnr': 'The network on these photos: ring, against the field around them',
+    'from_rendering_psnr': 'The network on renderings in their place',
     'oracle_whole_psnr': 'Field at the true pose of test frames, whole image',
     'oracle_ring_psnr': 'Field at the true pose of test frames, ring alone',
     'ring_psnr': 'The model on test frames, ring alone'}
@@ -106,6 +111,30 @@ def _held_out_strips(run: 'TrainingRun', field: RadianceField,
                  (error_label(), error_map(photo, rendered))]))
     figures['field_psnr'] = float(np.mean(scores))
     return [Text('Photos that the field was not shown.', 'The field against photos'), *strips]
+
+
+def _compare_inputs(run: 'TrainingRun', field: RadianceField, figures: dict[str, float]) -> None:
+    """
+    Score the network on photos that nothing was trained on, and on the field's views there.
+
+    It learns mostly from renderings: what real images cost is the difference. The truth around
+    both is what the field shows.
+    """
+    views = held_out_views(run, field)
+    if views is None or run.held_out is None:
+        return
+    network = FovExtrapolator.load(run.model_path, guided=False)
+    expansion = run.expansion
+    scores = []
+    for view, pose in zip(views, held_out_poses(run)):
+        ring = expansion.extrapolated_mask & (view[..., 3] > 127)
+        rendered = to_uint8(render_view(field, expansion.source, pose).image)
+        photo = np.ascontiguousarray(expansion.crop(view[..., :3]))
+        if ring.any():
+            scores.append([psnr(view[ring][:, :3], network.expand(image).wide_image[ring])
+                           for image in (photo, rendered)])
+    if scores:
+        figures['from_photo_psnr'], figures['from_rendering_psnr'] = np.mean(scores, 0).tolist()
 
 
 def _oracle(field: RadianceField, scoring: 'Scoring') -> tuple[float, float]:

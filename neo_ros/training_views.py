@@ -5,10 +5,12 @@ from neo_ros.errors import ConfigError
 from neo_ros.evaluation.pose_map import COUNTS_FILE, draw_poses, write_poses
 from neo_ros.field.free_space import find_free_floor
 from neo_ros.field.voxel_field import RadianceField
+from neo_ros.geometry import CameraPose
 from neo_ros.outpaint.pair_stream import PairStream, source_view_enlarged
 from neo_ros.outpaint.panorama_cache import PanoramaCache
 from neo_ros.outpaint.real_centres import RealCentres, same_focal_length
 from neo_ros.scenes.pose_sampling import PoseSampler
+from neo_ros.scenes.posed_images import PosedImages
 import numpy as np
 
 if TYPE_CHECKING:
@@ -29,8 +31,18 @@ def held_out_views(run: 'TrainingRun', field: RadianceField) -> Optional[np.ndar
             run.held_out.intrinsics.scaled(run.experiment.scale), run.expansion.target):
         return None
     real = RealCentres(field, run.held_out, run.expansion, run.experiment.scale)
-    indices = np.linspace(0, len(real) - 1, min(VALIDATION_VIEWS, len(real))).astype(int)
-    return real.views(indices.tolist())
+    return real.views(_shown(run.held_out))
+
+
+def held_out_poses(run: 'TrainingRun') -> list[CameraPose]:
+    """Return the poses of `held_out_views`."""
+    assert run.held_out is not None
+    return [run.held_out.poses[index] for index in _shown(run.held_out)]
+
+
+def _shown(photos: PosedImages) -> list[int]:
+    count = min(VALIDATION_VIEWS, len(photos))
+    return np.linspace(0, len(photos) - 1, count).astype(int).tolist()
 
 
 def make_stream(run: 'TrainingRun', field: RadianceField, seed: int) -> PairStream:

@@ -54,6 +54,7 @@ def test_longer_trainings_are_better_and_none_is_measured_twice(flat_scene, tmp_
     assert short['minutes'] > 0 and long['minutes'] >= 0.3
     # What it was fitted to looks the other way than the test frames: only those must gain.
     assert long['whole_psnr'] > short['whole_psnr'] + 0.5
+    assert 0.3 < long['held_out_ssim'] < 1
     assert long['held_out_psnr'] > 15 and long['ring_psnr'] > 10
     assert table.count('| flat | neo_ros |') == 2
     assert f'{long["whole_psnr"]:.2f}' in table

@@ -68,7 +68,10 @@ def test_the_model_widens_test_frames(tiny_run: TrainingRun) -> None:
 
 def test_the_figures_are_those_of_a_training_that_works(tiny_run: TrainingRun) -> None:
     figures = tiny_run.figures
-    assert set(figures) == {'field_psnr', 'oracle_whole_psnr', 'oracle_ring_psnr', 'ring_psnr'}
+    assert set(figures) == {'field_psnr', 'from_photo_psnr', 'from_rendering_psnr',
+                            'oracle_whole_psnr', 'oracle_ring_psnr', 'ring_psnr'}
+    # What it learnt of renderings holds for photos.
+    assert figures['from_photo_psnr'] > figures['from_rendering_psnr'] - 1.5 > 8
     assert figures['field_psnr'] > 17 and figures['oracle_ring_psnr'] > 15
     assert figures['ring_psnr'] > 11
     steps, seconds, psnr = np.array(tiny_run.log['field']).T
@@ -195,7 +198,7 @@ def test_photos_alone_are_enough(tiny_run: TrainingRun, tmp_path: Path) -> None:
         outpaint=replace(TINY.outpaint, steps=2),
         sampling=replace(TINY.sampling, interval=0.2))
     run = train_tiny(scene, tmp_path / 'out', experiment)
-    assert set(run.figures) == {'field_psnr'}
+    assert set(run.figures) == {'field_psnr', 'from_photo_psnr', 'from_rendering_psnr'}
     assert not (run.out / 'scores.json').exists()
     assert 'Photos that the field was not shown' in (run.out / 'report.html').read_text()
     card = FovExtrapolator.load(run.model_path).card

@@ -17,12 +17,11 @@ from neo_ros.benchmark.protocols import SCALES, split_checksums
 from neo_ros.benchmark.scoring import load_scorers
 from neo_ros.evaluation.evaluate import commit, host, Scorer, TruthFrames
 from neo_ros.evaluation.field_view import colour_gain
-from neo_ros.evaluation.metrics import psnr
 from neo_ros.evaluation.output import make_output_folder, write_bytes
 from neo_ros.experiment import Experiment
 from neo_ros.field.device import chosen_device, field_trainer
 from neo_ros.field.rendering import render_view
-from neo_ros.geometry import CameraPose, Intrinsics
+from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
 from neo_ros.pipeline import Progress, TrainingRun
 from neo_ros.scenes.scene import read_scene
 import numpy as np
@@ -104,7 +103,7 @@ def score(run: TrainingRun, render: Renderer, views: int, scorers: Sequence[Scor
     """
     Score what a field shows at true poses, nothing pasted; means over the views.
 
-    Returns held_out_psnr (photos that were not fitted) and whole_* and ring_* of the wide test
+    Returns held_out_* (photos that were not fitted) and whole_* and ring_* of the wide test
     frames. One gain per channel takes out differences of exposure: that of a test frame is from
     the observed window, that of a held-out photo from all of its truth.
     """
@@ -112,10 +111,15 @@ def score(run: TrainingRun, render: Renderer, views: int, scorers: Sequence[Scor
     scale = run.experiment.scale
     if run.held_out is not None:
         camera = run.held_out.intrinsics.scaled(scale)
+        # Of any expansion to the photo: the scores of the whole image are the same.
+        photo_view = ViewExpansion.inside(camera, 0, 0, camera.width // 2, camera.height // 2)
         for index in _spread(len(run.held_out), views):
             photo = run.held_out.read_image(index, scale)
             shown = 255 * render(camera, run.held_out.poses[index])
-            scores.append({'held_out_psnr': psnr(photo, _gained(shown, shown, photo))})
+            image = _gained(shown, shown, photo)
+            scores.append({name.replace('whole', 'held_out'): value for scorer in scorers
+                           for name, value in scorer(photo, image, photo_view).items()
+                           if name.startswith('whole')})
     frames = TruthFrames(run.scene.test, run.expansion)
     chosen = _spread(len(frames), views)
     for done, index in enumerate(chosen, 1):
@@ -131,13 +135,14 @@ def score(run: TrainingRun, render: Renderer, views: int, scorers: Sequence[Scor
 
 def markdown(rows: list[dict[str, Any]]) -> str:
     """Return the rows as a table."""
-    lines = ['| scene | field | minutes | held-out photos, dB | wide views, dB | SSIM | LPIPS |',
-             '|---|---|---|---|---|---|---|']
+    lines = ['| scene | field | minutes | held-out photos, dB | SSIM | LPIPS | wide views, dB '
+             '| SSIM | LPIPS |', '|---|---|---|---|---|---|---|---|---|']
     for row in sorted(rows, key=lambda row: (
             row['scene'], row['implementation'] != 'neo_ros', row['minutes'])):
         figures = ' | '.join(
             '' if row.get(name) is None else f'{row[name]:.{digits}f}'
-            for name, digits in (('minutes', 1), ('held_out_psnr', 2), ('whole_psnr', 2),
+            for name, digits in (('minutes', 1), ('held_out_psnr', 2), ('held_out_ssim', 3),
+                                 ('held_out_lpips_vgg', 3), ('whole_psnr', 2),
                                  ('whole_ssim', 3), ('whole_lpips_vgg', 3)))
         lines.append(f'| {row["scene"]} | {row["implementation"]} | {figures} |')
     return '\n'.join(lines)
