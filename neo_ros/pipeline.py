@@ -59,9 +59,10 @@ class Scoring:
     frames: TruthFrames
     results: list[MethodScores]
 
-    def to_json(self, figures: dict[str, float], confidence: dict[str, float]) -> str:
+    def to_json(self, figures: dict[str, float],
+                confidence: dict[str, dict[str, float]]) -> str:
         """Return the figures of the training, the result rows and every frame's scores."""
-        return json.dumps({'figures': figures, 'confidence': confidence,
+        return json.dumps({'figures': figures, **confidence,
                            'rows': [result.row for result in self.results],
                            'methods': [result.to_dict() for result in self.results]}, indent=1)
 

@@ -37,14 +37,19 @@ def write_training_report(run: 'TrainingRun', field: RadianceField, scoring: 'Sc
     sections: list[Section] = [
         *_curves(run), *_held_out_strips(run, field, figures), *pose_sections(run.out)]
     _compare_inputs(run, field, figures)
-    confidence: dict[str, float] = {}
+    confidence: dict[str, dict[str, float]] = {}
     if scoring is not None:
         figures['oracle_whole_psnr'], figures['oracle_ring_psnr'] = _oracle(field, scoring)
         figures['ring_psnr'] = scoring.results[0].estimates['ring_psnr'].mean
         sections += evaluation_sections(run.scene.name, scoring.frames, scoring.results)
-        calibration = _calibration(run, scoring)
-        sections += calibration.sections()
-        confidence = calibration.summary()
+        calibration = _calibration(run, scoring, guided=False)
+        sections += calibration.sections(
+            'Of the network by itself, where no scene memory guides it.')
+        confidence['confidence'] = calibration.summary()
+        if run.experiment.memory is not None:
+            calibration = _calibration(run, scoring, guided=True)
+            sections += calibration.sections('Of the model with its scene memory.')
+            confidence['guided_confidence'] = calibration.summary()
     source, target = run.expansion.source, run.expansion.target
     intro = (f'{len(run.fitted)} photos of {run.scene.name}, {source.width}x{source.height} '
              f'({np.degrees(source.hfov):.0f} deg) to {target.width}x{target.height} pixels '
@@ -82,12 +87,12 @@ def _curve(run: 'TrainingRun', stage: str, title: str) -> Plot:
                 [Series(stage, (rows[:, 1] / 60).tolist(), rows[:, 2].tolist())])
 
 
-def _calibration(run: 'TrainingRun', scoring: 'Scoring') -> Calibration:
-    """Judge the network's confidence on test frames, spread evenly; no memory guides it."""
+def _calibration(run: 'TrainingRun', scoring: 'Scoring', guided: bool) -> Calibration:
+    """Judge the confidence on test frames, spread evenly."""
     frames = scoring.frames
     chosen = np.unique(np.linspace(0, len(frames) - 1, CALIBRATION_FRAMES).astype(int))
-    network = FovExtrapolator.load(run.model_path, guided=False)
-    return calibrate(network.expand, frames.expansion,
+    model = FovExtrapolator.load(run.model_path, guided=guided)
+    return calibrate(model.expand, frames.expansion,
                      (frames.read(int(index)) for index in chosen))
 
 

@@ -99,7 +99,7 @@ def test_observed_pixels_count_for_nothing_and_frames_add_up() -> None:
 
 def test_a_report_shows_figures_and_both_curves() -> None:
     found = calibration()
-    table, reliability, sparsification = found.sections()
+    table, reliability, sparsification = found.sections('Of a test.')
     assert isinstance(table, Table)
     assert isinstance(reliability, Plot) and isinstance(sparsification, Plot)
     mean, expected, area = found.summary().values()

@@ -22,7 +22,10 @@ def guide_of(image: np.ndarray, known: np.ndarray | None = None) -> Guide:
 def test_a_perfect_guide_stays_as_it_is() -> None:
     wide, error = fuse(NARROW, guide_of(WIDE), NETWORK, EXPANSION)
     assert np.abs(wide.astype(int) - WIDE).max() <= 1
-    assert np.all(error[RING] == np.float32(LEAST_ERROR)) and np.all(error[~RING] == 0)
+    assert np.all(error[RING] >= LEAST_ERROR / 255) and np.all(error[~RING] == 0)
+    # It is sure of all but the edges.
+    steep = np.abs(np.gradient(WIDE.astype(float).mean(-1))).max(0) > 8
+    assert np.median(error[RING & ~steep]) < 2 / 255 < np.median(error[RING & steep]) / 2
 
 
 def test_the_camera_pixels_are_never_touched() -> None:
@@ -52,7 +55,7 @@ def test_small_gaps_are_filled_from_around_them() -> None:
     wide, error = fuse(NARROW, guide_of(np.where(known[..., None], WIDE, 0), known), None,
                        EXPANSION)
     assert np.abs(wide.astype(int) - WIDE)[~known].mean() < 10
-    assert error[~known].min() > 3 * error[known].max()
+    assert error[~known].min() > error[known].max()
 
 
 def test_no_gap_of_a_large_view_stays_black() -> None:

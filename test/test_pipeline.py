@@ -95,6 +95,8 @@ def test_report_and_scores_hold_pictures_and_rows(tiny_run: TrainingRun) -> None
     assert len(scores['methods'][0]['frames']) == 6
     assert 0 < scores['confidence']['expected_calibration_error'] < 60
     assert 0 < scores['confidence']['sparsification_error'] < 1
+    assert scores['guided_confidence'].keys() == scores['confidence'].keys()
+    assert 'Of the model with its scene memory.' in html
     assert 'Is the confidence true?' in html and 'photos held out' in html
 
 

@@ -83,8 +83,8 @@ class Calibration:
                 'expected_calibration_error': self.calibration_error(),
                 'sparsification_error': self.sparsification_error()}
 
-    def sections(self) -> list[Section]:
-        """Return a report's part on the confidence: figures and both curves."""
+    def sections(self, whose: str) -> list[Section]:
+        """Return a report's part on the confidence, a sentence says whose: figures and curves."""
         summary = self.summary()
         rows = [('Mean absolute error of the ring', f'{summary["mean_error"]:.2f} / 255'),
                 ('Expected calibration error',
@@ -95,8 +95,7 @@ class Calibration:
         model, oracle = self.sparsification()
         dropped = (100 * DROPPED).tolist()
         return [
-            Table(('confidence', 'value'), rows, 'Is the confidence true?',
-                  'Of the network by itself, where no scene memory guides it.'),
+            Table(('confidence', 'value'), rows, 'Is the confidence true?', whose),
             Plot('Error that the confidence promises and error there is, each of 255',
                  'predicted', 'found', [Series('model', predicted.tolist(), actual.tolist()),
                                         Series('perfect', predicted.tolist(),
