@@ -5,6 +5,7 @@ import sys
 
 from neo_ros.cli.bench import bench
 from neo_ros.errors import ConfigError, ModelError
+from neo_ros.evaluation import speed_networks
 from neo_ros.evaluation.speed import BENCHMARKS, run_benchmarks
 from neo_ros.evaluation.speed_host import CACHED_BYTES, core_count, Machine, measure_machine
 from neo_ros.evaluation.speed_model import count_flops, write_stand_in_model
@@ -12,6 +13,7 @@ from neo_ros.evaluation.speed_node import measure_graph
 from neo_ros.evaluation.speed_record import Effort, QUICK, Record, time_calls, Work
 from neo_ros.evaluation.speed_runtime import measure_messages
 from neo_ros.geometry import Intrinsics, ViewExpansion
+from neo_ros.outpaint.networks import NetworkConfig
 from neo_ros.runtime import FovExtrapolator
 import numpy as np
 import onnx
@@ -178,6 +180,16 @@ def test_the_field_is_measured_in_a_room_that_is_closed():
     assert all(record.floor_ms > 0 for record in records)
 
 
+def test_the_network_of_a_training_is_measured_in_float_and_integers():
+    view = ViewExpansion.to_size(Intrinsics.from_hfov(16, 16, 1.5), 32, 32)
+    records = list(speed_networks.measure_networks(
+        MACHINE, Effort(seconds=0.0), view, NetworkConfig(patch=4, width=4, memory=8)))
+    assert [(record.benchmark, record.name) for record in records] == [
+        ('networks', f'neo_fast, {number_format}, 16x16 to 32x32, {threads}')
+        for number_format in ('fp32', 'int8') for threads in ('1 thread', 'all threads')]
+    assert all(record.n >= 3 and record.floor_ms > 0 for record in records)
+
+
 def test_the_field_is_skipped_with_a_reason_where_training_is_not_installed():
     code = ('import sys; sys.modules["torch"] = None\n'
             'from neo_ros.evaluation.speed import measure_field, QUICK\n'
@@ -218,4 +230,5 @@ def test_the_command_shows_a_table_and_writes_the_file(tmp_path):
     records = json.loads(out.read_text())['records']
     assert len(records) == 4
     assert all(f'{record["median_ms"]:.3g}' in result.output for record in records)
-    assert set(BENCHMARKS) == {'expand', 'messages', 'guided', 'replay', 'field', 'node'}
+    assert set(BENCHMARKS) == {
+        'expand', 'messages', 'networks', 'guided', 'replay', 'field', 'node'}

@@ -205,3 +205,13 @@ def test_what_could_not_be_read_is_not_written(
     with pytest.raises(ModelError, match='set memory.distance to more'):
         memory.write(tmp_path / 'box.memory')
     assert not list(tmp_path.iterdir())
+
+
+def test_a_memory_that_is_large_for_a_room_is_written_with_a_warning(
+        memory: SceneMemory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+        caplog: pytest.LogCaptureFixture) -> None:
+    memory.write(tmp_path / 'box.memory')
+    assert not caplog.messages
+    monkeypatch.setattr(scene_memory, 'LARGE_BYTES', 1000)
+    memory.write(tmp_path / 'box.memory')
+    assert 'a larger memory.distance makes it smaller' in caplog.text

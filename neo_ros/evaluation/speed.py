@@ -12,7 +12,7 @@ host            cpu, cores, platform, python, neo_ros, versions of packages, com
                 matmul_gflops, memory_gb_s, cache_gb_s: best rates measured, by threads, see
                 `speed_host.Machine`
 records         a list, one per thing measured:
-  benchmark             expand, messages, guided, replay, field or node
+  benchmark             expand, messages, networks, guided, replay, field or node
   name                  what was measured
   n                     how many times
   mean_ms, median_ms, p95_ms, p99_ms, max_ms
@@ -67,6 +67,16 @@ def measure_field(machine: Machine, effort: Effort) -> Iterator[Record]:
     yield from speed_field.measure_field(machine, effort)
 
 
+def measure_networks(machine: Machine, effort: Effort) -> Iterator[Record]:
+    """Time the network that a training makes, where the train extra is installed."""
+    try:
+        from neo_ros.evaluation import speed_networks
+    except ModuleNotFoundError as error:
+        yield _without('networks', error)
+        return
+    yield from speed_networks.measure_networks(machine, effort)
+
+
 def measure_guided(effort: Effort) -> Iterator[Record]:
     """Time guided extrapolation; the train extra makes what is measured."""
     try:
@@ -87,6 +97,7 @@ def _without(benchmark: str, error: ModuleNotFoundError) -> Record:
 BENCHMARKS: dict[str, Callable[[Path, Machine, Effort], Iterator[Record]]] = {
     'expand': measure_expand,
     'messages': lambda model, machine, effort: measure_messages(machine, effort),
+    'networks': lambda model, machine, effort: measure_networks(machine, effort),
     'guided': lambda model, machine, effort: measure_guided(effort),
     'replay': lambda model, machine, effort: measure_replay(model, effort),
     'field': lambda model, machine, effort: measure_field(machine, effort),

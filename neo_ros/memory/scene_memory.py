@@ -3,6 +3,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 import hashlib
 import io
+import logging
 import math
 from pathlib import Path
 from typing import Any
@@ -16,12 +17,14 @@ from neo_ros.model_bytes import MAX_BYTES, read_model_bytes
 from neo_ros.paths import whole_file
 import numpy as np
 
+logger = logging.getLogger(__name__)
 SCHEMA = 1
 # Inverse depth is stored in so many steps from infinity to CLOSEST metres; finer ones would be
 # noise that does not compress.
 STEPS = 4095
 CLOSEST = 0.25
 JPEG_QUALITY = 86
+LARGE_BYTES = 50 << 20
 # Decoded keyframes that are kept: what fits into so many bytes, but at least all that are drawn.
 CACHED_BYTES = 256 << 20
 LEAST_CACHED = 3
@@ -126,6 +129,10 @@ class SceneMemory:
             raise ModelError(
                 f'{path}: expected a scene memory of at most {MAX_BYTES >> 20} MB, got '
                 f'{len(data) >> 20} MB; set memory.distance to more')
+        if len(data) > LARGE_BYTES:
+            logger.warning('%s: the scene memory has %d MB, a room should not need more than %d; '
+                           'a larger memory.distance makes it smaller', path, len(data) >> 20,
+                           LARGE_BYTES >> 20)
         try:
             with whole_file(path) as partial:
                 partial.write_bytes(data)

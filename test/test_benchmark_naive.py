@@ -1,0 +1,131 @@
+"""B1 is as strong as its idea allows: the best weights, no longer than they get better."""
+from types import SimpleNamespace
+
+from neo_ros.benchmark import naive
+from neo_ros.benchmark.naive import as_wide, PATIENCE, ResizedPhotos, train_naive, ZOOM
+from neo_ros.errors import ConfigError
+from neo_ros.geometry import Intrinsics, ViewExpansion
+from neo_ros.outpaint.fitting import OutpaintConfig
+from neo_ros.outpaint.network import NetworkConfig
+import numpy as np
+import pytest
+import torch
+
+EXPANSION = ViewExpansion.to_size(Intrinsics.from_hfov(16, 16, 1.5), 32, 32)
+
+
+class Photos:
+    """Photos of 20x40 pixels, each of the grey of its number."""
+
+    def __init__(self, count):
+        self.count = count
+
+    def __len__(self):
+        return self.count
+
+    def read_image(self, index):
+        return np.full((20, 40, 3), index, np.uint8)
+
+
+class Trainer:
+    """Stand in for a training: step k leaves the weight k and scores `SCORES[k - 1]`."""
+
+    scores: list[float] = []
+    batch_size = 2
+
+    def __init__(self, expansion, network, config, seed, held_out):
+        self.step, self.seconds, self.validation = 0, 0.0, []
+        self.averaged = torch.nn.Linear(1, 1, bias=False)
+
+    @property
+    def done(self):
+        return self.step, len(self.scores)
+
+    def train_step(self, batch):
+        assert batch.shape == (2, 32, 32, 4)
+        self.step += 1
+        self.seconds += 100.0
+        torch.nn.init.constant_(self.averaged.weight, self.step)
+        self.validation.append([self.step, self.seconds, self.scores[self.step - 1]])
+
+    def note(self):
+        return ''
+
+    def state(self):
+        return {'step': self.step, 'validation': self.validation}
+
+    def restore(self, state):
+        self.step, self.validation = state['step'], state['validation']
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch):
+    monkeypatch.setattr(naive, 'OutpaintTrainer', Trainer)
+    result = SimpleNamespace(
+        held_out=Photos(2), fitted=Photos(5), scene=SimpleNamespace(name='room', train=Photos(7)),
+        expansion=EXPANSION, out=tmp_path, seconds=0.0, exported=[],
+        progress=lambda *told: None,
+        experiment=SimpleNamespace(network=NetworkConfig(), outpaint=OutpaintConfig(), seed=0))
+    monkeypatch.setattr(naive, 'export_step', lambda run, network: result.exported.append(
+        float(network.weight.detach())))
+    return result
+
+
+RISES, FALLS = [10.0, 12, 14], [13.0] * (PATIENCE + 5)
+
+
+def test_the_best_weights_are_exported_soon_after_them(run, monkeypatch):
+    monkeypatch.setattr(Trainer, 'scores', RISES + FALLS)
+    steps = []
+    run.progress = lambda stage, done, total, note: steps.append(done)
+    train_naive(run)
+    assert run.exported == [3.0] and steps[-1] == 3 + PATIENCE
+
+
+def test_a_training_that_still_gets_better_goes_on_to_its_end(run, monkeypatch):
+    monkeypatch.setattr(Trainer, 'scores', list(np.arange(30.0)))
+    train_naive(run)
+    assert run.exported == [30.0]
+
+
+def test_a_broken_training_remembers_its_best(run, monkeypatch):
+    monkeypatch.setattr(Trainer, 'scores', RISES + FALLS)
+
+    def stop(stage, done, total, note):
+        if done == 5:
+            raise KeyboardInterrupt
+
+    told, run.progress = run.progress, stop
+    with pytest.raises(KeyboardInterrupt):
+        train_naive(run)
+    run.progress = told
+    train_naive(run)
+    assert run.exported == [3.0]
+
+
+def test_without_photos_to_validate_on_there_is_no_b1(run):
+    run.held_out = None
+    with pytest.raises(ConfigError, match='expected photos to hold out'):
+        train_naive(run)
+
+
+def test_photos_become_wide_views_of_their_middle():
+    photos = SimpleNamespace(read_image=lambda index: np.dstack(
+        [np.broadcast_to(np.arange(40), (20, 40))] * 3).astype(np.uint8))
+    square = as_wide(photos, 0, 20, 20)
+    assert square.shape == (20, 20, 3) and (square[:, 0, 0] == 10).all()
+    assert (square[:, -1, 0] == 29).all()
+    whole = as_wide(photos, 0, 80, 40)
+    assert whole.shape == (40, 80, 3) and whole[0, 0, 0] == 0 and whole[0, -1, 0] == 39
+
+
+def test_the_stream_is_the_same_again_and_cuts_a_little():
+    ramp = np.dstack([np.broadcast_to(np.linspace(0, 255, 64), (64, 64))] * 3).astype(np.uint8)
+    photos = Photos(1)
+    photos.read_image = lambda index: ramp
+    stream = ResizedPhotos(photos, 64, 64, seed=3)
+    batch = stream.batch(5, 8)
+    assert np.array_equal(batch, stream.batch(5, 8)) and (batch[..., 3] == 255).all()
+    assert not np.array_equal(batch, stream.batch(6, 8))
+    shown = np.ptp(batch[:, 0, :, 0].astype(int), axis=1) / 255
+    assert ZOOM - 0.03 < shown.min() < shown.max() <= 1
