@@ -39,16 +39,15 @@ def fuse(image: np.ndarray, guide: Guide, network_image: np.ndarray | None,
     rows, columns = expansion.observed
     inside = guide.known[rows, columns]
     difference = cv2.subtract(image, guide.image[rows, columns], dtype=cv2.CV_32F)
-    correction, seam = _carried_outward(difference, inside.astype(np.float32), expansion)
+    correction, error = _carried_outward(difference, inside.astype(np.float32), expansion)
     wide = cv2.add(guide.image, correction, dtype=cv2.CV_8U)
     unknown = ~guide.known
     if network_image is not None:
         wide[unknown] = network_image[unknown]
     elif unknown.any():
         wide = _filled(wide, guide.known)
-    error = (SEAM * seam + CONTRADICTED * np.maximum(seam - CONTRADICTION, 0)
-             + SLOPE * _slope(wide) + STRETCHED * guide.stretched).astype(np.float32)
-    np.maximum(error, LEAST_ERROR, out=error)
+    error = cv2.max(cv2.scaleAdd(_slope(wide), SLOPE, error), LEAST_ERROR)
+    error[guide.stretched] += STRETCHED
     error[unknown] = np.nan if network_image is not None else GAP_ERROR
     error /= 255
     wide[rows, columns] = image
@@ -63,7 +62,8 @@ def _carried_outward(difference: np.ndarray, inside: np.ndarray, expansion: View
 
     inside float32 (h, w) weighs them. Returns what is to be added to the guide, float32
     (H, W, 3): the mean of the nearest differences, fading with the distance from the seam; and
-    the mean of the nearest absolute differences, float32 (H, W), which does not fade.
+    the error that the nearest absolute differences let expect, float32 (H, W), which does not
+    fade.
     """
     target = expansion.target
     layers = np.zeros((target.height, target.width, 5), np.float32)
@@ -81,9 +81,11 @@ def _carried_outward(difference: np.ndarray, inside: np.ndarray, expansion: View
     mean = total[..., :-1] / np.maximum(total[..., -1:], 1e-9)
     # Far from the seam nothing is known of the difference: the correction fades, the error stays.
     mean[..., :3] *= np.minimum(2 * spread[..., -1:], 1)
+    seam = mean[..., 3]
+    expected = SEAM * seam + CONTRADICTED * np.maximum(seam - CONTRADICTION, 0)
     full = (target.width, target.height)
     return (cv2.resize(mean[..., :3], full, interpolation=cv2.INTER_LINEAR),
-            cv2.resize(mean[..., 3], full, interpolation=cv2.INTER_LINEAR))
+            cv2.resize(expected, full, interpolation=cv2.INTER_LINEAR))
 
 
 def _slope(image: np.ndarray) -> np.ndarray:
