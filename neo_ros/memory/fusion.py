@@ -46,7 +46,7 @@ def fuse(image: np.ndarray, guide: Guide, network_image: np.ndarray | None,
         wide[unknown] = network_image[unknown]
     elif unknown.any():
         wide = _filled(wide, guide.known)
-    error = cv2.max(cv2.scaleAdd(_slope(wide), SLOPE, error), LEAST_ERROR)
+    error = np.maximum(cv2.scaleAdd(_slope(wide), SLOPE, error), np.float32(LEAST_ERROR))
     error[guide.stretched] += STRETCHED
     error[unknown] = np.nan if network_image is not None else GAP_ERROR
     error /= 255
