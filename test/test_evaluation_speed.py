@@ -192,8 +192,8 @@ def test_the_network_of_a_training_is_measured_in_float_and_integers():
 
 def test_the_field_is_skipped_with_a_reason_where_training_is_not_installed():
     code = ('import sys; sys.modules["torch"] = None\n'
-            'from neo_ros.evaluation.speed import measure_field, QUICK\n'
-            'records = list(measure_field(None, QUICK))\n'
+            'from neo_ros.evaluation.speed import measure_trained, QUICK\n'
+            'records = list(measure_trained("field", None, QUICK))\n'
             'print(len(records), records[0].skipped)')
     result = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
                             cwd=Path(__file__).parent.parent, check=False)

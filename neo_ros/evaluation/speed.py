@@ -40,6 +40,7 @@ The field is synthetic, see `speed_field.box_room`; its steps are those of the l
 the occupancy update after every hundredth. All inputs are drawn from fixed seeds.
 """
 from collections.abc import Callable, Iterator, Sequence
+from importlib import import_module
 import json
 import os
 from pathlib import Path
@@ -57,50 +58,26 @@ SCHEMA_VERSION = 1
 TRAIN_EXTRA = ('onnx', 'scipy', 'torch')
 
 
-def measure_field(machine: Machine, effort: Effort) -> Iterator[Record]:
-    """Time the radiance field, where the train extra is installed."""
+def measure_trained(name: str, *arguments: Any) -> Iterator[Record]:
+    """Call `speed_NAME.measure_NAME`, which needs the train extra; without it say so."""
     try:
-        from neo_ros.evaluation import speed_field
+        module = import_module(f'neo_ros.evaluation.speed_{name}')
     except ModuleNotFoundError as error:
-        yield _without('field', error)
+        if error.name not in TRAIN_EXTRA:
+            raise
+        yield Record(name, name, skipped=(
+            f"{error.name} is not installed: pip install 'neo_ros[train]'"))
         return
-    yield from speed_field.measure_field(machine, effort)
-
-
-def measure_networks(machine: Machine, effort: Effort) -> Iterator[Record]:
-    """Time the network that a training makes, where the train extra is installed."""
-    try:
-        from neo_ros.evaluation import speed_networks
-    except ModuleNotFoundError as error:
-        yield _without('networks', error)
-        return
-    yield from speed_networks.measure_networks(machine, effort)
-
-
-def measure_guided(effort: Effort) -> Iterator[Record]:
-    """Time guided extrapolation; the train extra makes what is measured."""
-    try:
-        from neo_ros.evaluation import speed_guided
-    except ModuleNotFoundError as error:
-        yield _without('guided', error)
-        return
-    yield from speed_guided.measure_guided(effort)
-
-
-def _without(benchmark: str, error: ModuleNotFoundError) -> Record:
-    if error.name not in TRAIN_EXTRA:
-        raise error
-    return Record(benchmark, benchmark, skipped=(
-        f"{error.name} is not installed: pip install 'neo_ros[train]'"))
+    yield from getattr(module, f'measure_{name}')(*arguments)
 
 
 BENCHMARKS: dict[str, Callable[[Path, Machine, Effort], Iterator[Record]]] = {
     'expand': measure_expand,
     'messages': lambda model, machine, effort: measure_messages(machine, effort),
-    'networks': lambda model, machine, effort: measure_networks(machine, effort),
-    'guided': lambda model, machine, effort: measure_guided(effort),
+    'networks': lambda model, machine, effort: measure_trained('networks', machine, effort),
+    'guided': lambda model, machine, effort: measure_trained('guided', effort),
     'replay': lambda model, machine, effort: measure_replay(model, effort),
-    'field': lambda model, machine, effort: measure_field(machine, effort),
+    'field': lambda model, machine, effort: measure_trained('field', machine, effort),
     'node': measure_node,
 }
 NEED_MODEL = {'expand', 'replay', 'node'}
