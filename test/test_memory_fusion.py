@@ -77,6 +77,17 @@ def test_a_difference_in_exposure_is_healed_at_the_seam() -> None:
     assert np.abs(wide.astype(float) - WIDE)[seam].mean() < 0.5 * shift[seam].mean()
 
 
+def test_a_window_may_lie_across_blocks() -> None:
+    odd = ViewExpansion.to_size(Intrinsics.from_hfov(61, 47, np.pi / 2), 123, 99)
+    grey = Guide(np.full((99, 123, 3), 90, np.float32), np.ones((99, 123), bool),
+                 np.zeros((99, 123), bool), POSE, 1.0)
+    wide, _ = fuse(np.full((47, 61, 3), 100, np.uint8), grey, None, odd)
+    rows, columns = odd.observed
+    for beside in (wide[rows.start - 1, columns], wide[rows.stop, columns],
+                   wide[rows, columns.start - 1], wide[rows, columns.stop]):
+        assert np.all(beside >= 95) and np.all(beside <= 100)
+
+
 def test_confidence_falls_where_the_image_contradicts_the_memory() -> None:
     changed = NARROW.copy()
     changed[20:44, 44:] = 255 - changed[20:44, 44:]

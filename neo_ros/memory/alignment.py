@@ -10,7 +10,7 @@ from typing import NamedTuple
 import cv2
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.geometry.camera_pose import rotation_from_vector
-from neo_ros.memory import kernels
+from neo_ros.memory import alignment_kernels as kernels
 from neo_ros.memory.rendering import GuideView, MemoryRenderer
 import numpy as np
 
@@ -138,46 +138,25 @@ def agreement(image: np.ndarray, guide: np.ndarray, known: np.ndarray) -> tuple[
     """
     if known.mean() < LEAST_OVERLAP:
         return -1.0, -1.0
-    a, b = image[known].astype(np.float64), guide[known].astype(np.float64)
-    places = np.c_[np.argwhere(known), np.ones(len(a))]
-    whole, kept = detail_correlation(a, b, places), np.ones(len(a), bool)
+    whole = detail_correlation(image, guide, known)
+    a, b = image[known], guide[known]
+    fits, most = np.ones(len(a), bool), int((1 - OCCLUDED) * (len(a) - 1))
     for _ in range(3):
-        slope, offset = fitted_line(b[kept], a[kept])
-        error = np.abs(a - slope * b - offset)
-        kept = error <= np.quantile(error, 1 - OCCLUDED)
-    return whole, detail_correlation(a[kept], b[kept], places[kept]) if slope > 0 else 0.0
+        slope, errors = kernels.line_errors(a, b, fits)
+        fits = errors <= np.partition(errors, most)[most]
+    kept = known.copy()
+    kept[known] = fits
+    return whole, detail_correlation(image, guide, kept) if slope > 0 else 0.0
 
 
-def detail_correlation(a: np.ndarray, b: np.ndarray, places: np.ndarray) -> float:
-    """Correlate a and b (N,) without the planes through them; places (N, 3): row, column, 1."""
+def detail_correlation(a: np.ndarray, b: np.ndarray, kept: np.ndarray) -> float:
+    """
+    Return the correlation of a and b (h, w) without the planes through them; 0 if one is flat.
+
+    kept bool (h, w): the pixels that count.
+    """
+    places, mixed, values = kernels.plane_moments(a, b, kept)
     # Directions that the places do not span, such as one row of pixels, have no slope.
-    inverse = np.linalg.pinv(np.einsum('ni,nj->ij', places, places), hermitian=True)
-
-    def detail(values: np.ndarray) -> np.ndarray:
-        slope = inverse @ np.einsum('ni,n->i', places, values)
-        return values - np.einsum('ni,i->n', places, slope)
-
-    return correlation(detail(a), detail(b))
-
-
-def correlation(a: np.ndarray, b: np.ndarray) -> float:
-    """Return the correlation coefficient of two float arrays (N,); 0 if one is constant."""
-    a, b = a - a.mean(), b - b.mean()
-    norm = math.sqrt(inner(a, a) * inner(b, b))
-    return inner(a, b) / norm if norm > 1e-6 else 0.0
-
-
-def fitted_line(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    """Return slope and offset of the line through (x, y), least squares."""
-    dx = x - x.mean()
-    slope = inner(dx, y) / max(inner(dx, dx), 1e-9)
-    return slope, float(y.mean() - slope * x.mean())
-
-
-def inner(x: np.ndarray, y: np.ndarray) -> float:
-    """
-    Return the sum of the products of two float arrays (N,).
-
-    As all sums over pixels here not by BLAS, whose threads wait for one another on a busy machine.
-    """
-    return float(np.einsum('i,i->', x, y))
+    detail = values - mixed.T @ np.linalg.pinv(places, hermitian=True) @ mixed
+    norm = math.sqrt(max(detail[0, 0], 0) * max(detail[1, 1], 0))
+    return float(detail[0, 1]) / norm if norm > 1e-6 else 0.0

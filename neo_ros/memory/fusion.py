@@ -39,7 +39,7 @@ def fuse(image: np.ndarray, guide: Guide, network_image: np.ndarray | None,
     rows, columns = expansion.observed
     inside = guide.known[rows, columns]
     difference = cv2.subtract(image, guide.image[rows, columns], dtype=cv2.CV_32F)
-    correction, error = _carried_outward(difference, inside.astype(np.float32), expansion)
+    correction, error = _carried_outward(difference, inside, expansion)
     wide = cv2.add(guide.image, correction, dtype=cv2.CV_8U)
     unknown = ~guide.known
     if network_image is not None:
@@ -60,20 +60,17 @@ def _carried_outward(difference: np.ndarray, inside: np.ndarray, expansion: View
     """
     Spread the differences float32 (h, w, 3) of the observed window smoothly over the wide view.
 
-    inside float32 (h, w) weighs them. Returns what is to be added to the guide, float32
-    (H, W, 3): the mean of the nearest differences, fading with the distance from the seam; and
-    the error that the nearest absolute differences let expect, float32 (H, W), which does not
-    fade.
+    Only those `inside`, bool (h, w), count; the others are set to 0. Returns what is to be added
+    to the guide, float32 (H, W, 3): the mean of the nearest differences, fading with the distance
+    from the seam; and the error that the nearest absolute differences let expect, float32 (H, W),
+    which does not fade.
     """
-    target = expansion.target
-    layers = np.zeros((target.height, target.width, 5), np.float32)
-    window = layers[expansion.observed]
+    difference[~inside] = 0
     magnitude = cv2.transform(np.abs(difference), np.full((1, 3), 1 / 3, np.float32))
-    np.clip(difference, -MOST_HEALED, MOST_HEALED, out=window[..., :3])
-    window[..., 3], window[..., 4] = magnitude, 1
-    window *= inside[..., None]
-    small = (max(target.width // BLOCK, 2), max(target.height // BLOCK, 2))
-    coarse = cv2.resize(layers, small, interpolation=cv2.INTER_AREA)
+    healed = np.clip(difference, -MOST_HEALED, MOST_HEALED)
+    coarse = np.dstack([_on_blocks(layer, expansion)
+                        for layer in (healed, magnitude, inside.astype(np.float32))])
+    small = coarse.shape[1::-1]
     spread = cv2.GaussianBlur(coarse, (0, 0), REACH * small[0] / 2)
     # A second, wide blur gives a value even where the first one gives none.
     everywhere = cv2.GaussianBlur(coarse, (0, 0), small[0] / 4) + coarse.mean((0, 1)) * 1e-3
@@ -83,9 +80,29 @@ def _carried_outward(difference: np.ndarray, inside: np.ndarray, expansion: View
     mean[..., :3] *= np.minimum(2 * spread[..., -1:], 1)
     seam = mean[..., 3]
     expected = SEAM * seam + CONTRADICTED * np.maximum(seam - CONTRADICTION, 0)
-    full = (target.width, target.height)
-    return (cv2.resize(mean[..., :3], full, interpolation=cv2.INTER_LINEAR),
-            cv2.resize(expected, full, interpolation=cv2.INTER_LINEAR))
+    return _from_blocks(mean[..., :3], expansion), _from_blocks(expected, expansion)
+
+
+def _on_blocks(window: np.ndarray, expansion: ViewExpansion) -> np.ndarray:
+    """Average float32 (h, w[, 3]) of the observed window over the wide view's blocks; else 0."""
+    rows, columns = expansion.observed
+    target, channels = expansion.target, window.shape[2:]
+    coarse = np.zeros((-(-target.height // BLOCK), -(-target.width // BLOCK), *channels),
+                      np.float32)
+    # The window need not begin and end where blocks do.
+    padded = cv2.copyMakeBorder(window, rows.start % BLOCK, -rows.stop % BLOCK,
+                                columns.start % BLOCK, -columns.stop % BLOCK, cv2.BORDER_CONSTANT)
+    part = coarse[rows.start // BLOCK:-(-rows.stop // BLOCK),
+                  columns.start // BLOCK:-(-columns.stop // BLOCK)]
+    part[:] = cv2.resize(padded, part.shape[1::-1], interpolation=cv2.INTER_AREA)
+    return coarse
+
+
+def _from_blocks(coarse: np.ndarray, expansion: ViewExpansion) -> np.ndarray:
+    """Interpolate what `_on_blocks` is like in the wide view."""
+    size = (coarse.shape[1] * BLOCK, coarse.shape[0] * BLOCK)
+    fine = cv2.resize(coarse, size, interpolation=cv2.INTER_LINEAR)
+    return fine[:expansion.target.height, :expansion.target.width]
 
 
 def _slope(image: np.ndarray) -> np.ndarray:

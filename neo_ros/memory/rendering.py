@@ -50,16 +50,17 @@ class MemoryRenderer:
                 self._rays = self.memory.band.rays(*keyframe.depth.shape)
             offset = (keyframe.position - pose.position).astype(np.float32)
             vertices = np.empty((3, *keyframe.depth.shape), np.float32)
-            spans = np.empty((len(keyframe.depth), 2), np.float32)
-            kernels.project_vertices(
-                self._rays, keyframe.depth, offset, rotation, view.fx, view.fy, view.cx, view.cy,
-                vertices, spans)
-            meshes.append((vertices, spans, keyframe, view.fx * float(np.linalg.norm(offset))))
+            kinds = np.empty(keyframe.depth.shape, np.uint8)
+            spans = np.empty((len(keyframe.depth), 2, 2), np.float32)
+            kernels.project_vertices(self._rays, keyframe.depth, offset, rotation, view.fx,
+                                     view.fy, view.cx, view.cy, vertices)
+            kernels.sort_quads(
+                vertices, keyframe.depth, self.memory.band.wraps,
+                view.fx * float(np.linalg.norm(offset)), width, height, kinds, spans)
+            meshes.append((vertices, kinds, spans, keyframe.texture))
         # What is whole comes first, what is torn fills the gaps.
         for fill in (False, True):
-            for own, (vertices, spans, keyframe, reach) in enumerate(meshes):
-                kernels.draw_keyframe(
-                    vertices, spans, keyframe.depth, keyframe.texture, self.memory.band.wraps,
-                    reach, own + STRETCHED * fill, fill, image, inverse, rank)
+            for own, mesh in enumerate(meshes):
+                kernels.draw_keyframe(*mesh, own + STRETCHED * fill, fill, image, inverse, rank)
         depth = np.divide(1, inverse, out=np.zeros_like(inverse), where=inverse > 0)
         return GuideView(image, depth, rank >= STRETCHED)

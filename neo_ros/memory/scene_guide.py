@@ -123,8 +123,8 @@ class SceneGuide:
                         if last is not None and best is tracked else np.eye(4))
         self._last = best.pose
         known = best.view.depth > 0
-        return Guide(self._expose(best.view.image, known, image), known, best.view.stretched,
-                     best.pose, best.agreement)
+        self._expose(best.view.image, known, image)
+        return Guide(best.view.image, known, best.view.stretched, best.pose, best.agreement)
 
     def _search_is_due(self, best: Sight | None) -> bool:
         if best is None:
@@ -199,14 +199,17 @@ class SceneGuide:
                     break
         return chosen
 
-    def _expose(self, guide: np.ndarray, known: np.ndarray, image: np.ndarray) -> np.ndarray:
-        """Give the guide the brightness and colour balance of the image."""
+    def _expose(self, guide: np.ndarray, known: np.ndarray, image: np.ndarray) -> None:
+        """Give the guide, float32 RGB (H, W, 3), brightness and colour balance of the image."""
         rows, columns = self.expansion.observed
         every = max(image.shape[1] // SAMPLES, 1)
         some = (slice(None, None, every), slice(None, None, every))
         seen = known[rows, columns][some]
         gain = exposure_gain(guide[rows, columns][some][seen], image[some][seen])
-        return np.minimum(guide * gain, 255)
+        # In place, and a row at a time: three colours alone are too few for a quick loop.
+        line = guide.reshape(len(guide), -1)
+        line *= np.tile(gain, guide.shape[1])
+        np.minimum(line, 255, out=line)
 
 
 @contextmanager
@@ -233,7 +236,7 @@ def exposure_gain(shown: np.ndarray, observed: np.ndarray) -> np.ndarray:
         usable = (x > 0) & (y < CLIPPED)
         if usable.any():
             ratio, weight = y[usable] / x[usable], x[usable]
-            order = np.argsort(ratio, kind='stable')
+            order = np.argsort(ratio)
             below = np.cumsum(weight[order])
             gain[channel] = ratio[order[np.searchsorted(below, below[-1] / 2)]]
     return np.clip(gain, 1 / MOST_GAIN, MOST_GAIN)

@@ -1,0 +1,130 @@
+"""Compiled loops that compare a photo with what the scene memory shows."""
+from neo_ros.memory.compiled import njit
+from neo_ros.memory.kernels import CLOSEST, FAST
+import numpy as np
+
+
+@njit(**FAST)
+def normal_equations(photo, gradient_x, gradient_y, guide, depth, rays, fx, fy, cx, cy,
+                     T, gain, bias, scale, redescending, H, g):
+    """
+    Sum up one Gauss-Newton step of the photometric alignment.
+
+    photo, its gradients, guide (h, w) float32 grey in [0, 1]; depth (h, w) z of the guide's
+    pixels in metres, 0 = unknown; rays (h, w, 3) of the guide's camera, z = 1; T (4, 4) from the
+    guide's camera to the photo's. Residual: gain photo(warped) + bias - guide, with Huber's or,
+    if `redescending`, Geman and McClure's weights of this scale.
+    H (8, 8) and g (8,) are filled for (translation, rotation, gain, bias).
+    Returns the mean robust cost of the residuals and the share of the guide's known pixels that
+    the photo sees.
+    """
+    rows, columns = guide.shape
+    H[:] = 0
+    g[:] = 0
+    J = np.empty(8)
+    error, count, known = 0.0, 0, 0
+    for i in range(rows):
+        for j in range(columns):
+            z0 = depth[i, j]
+            if z0 <= 0:
+                continue
+            known += 1
+            x0, y0 = rays[i, j, 0] * z0, rays[i, j, 1] * z0
+            x = T[0, 0] * x0 + T[0, 1] * y0 + T[0, 2] * z0 + T[0, 3]
+            y = T[1, 0] * x0 + T[1, 1] * y0 + T[1, 2] * z0 + T[1, 3]
+            z = T[2, 0] * x0 + T[2, 1] * y0 + T[2, 2] * z0 + T[2, 3]
+            if z < CLOSEST:
+                continue
+            u, v = fx * x / z + cx - 0.5, fy * y / z + cy - 0.5
+            if not (0 <= u < columns - 1 and 0 <= v < rows - 1):
+                continue
+            u0, v0 = int(u), int(v)
+            a, b = u - u0, v - v0
+            w00, w01, w10, w11 = (1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b
+            value = (w00 * photo[v0, u0] + w01 * photo[v0, u0 + 1]
+                     + w10 * photo[v0 + 1, u0] + w11 * photo[v0 + 1, u0 + 1])
+            du = gain * fx * (w00 * gradient_x[v0, u0] + w01 * gradient_x[v0, u0 + 1]
+                              + w10 * gradient_x[v0 + 1, u0] + w11 * gradient_x[v0 + 1, u0 + 1])
+            dv = gain * fy * (w00 * gradient_y[v0, u0] + w01 * gradient_y[v0, u0 + 1]
+                              + w10 * gradient_y[v0 + 1, u0] + w11 * gradient_y[v0 + 1, u0 + 1])
+            r = gain * value + bias - guide[i, j]
+            if redescending:
+                # Geman-McClure: what differs much, somebody who stands there, has no say.
+                weight = 1 / (1 + (r / scale) ** 2) ** 2
+                error += r * r / (1 + (r / scale) ** 2)
+            elif abs(r) <= scale:
+                weight = 1.0
+                error += r * r
+            else:
+                weight = scale / abs(r)
+                error += scale * (2 * abs(r) - scale)
+            J[0], J[1], J[2] = du / z, dv / z, -(du * x + dv * y) / (z * z)
+            J[3] = y * J[2] - z * J[1]
+            J[4] = z * J[0] - x * J[2]
+            J[5] = x * J[1] - y * J[0]
+            J[6], J[7] = value, 1.0
+            for m in range(8):
+                wj = weight * J[m]
+                g[m] += wj * r
+                for n in range(m, 8):
+                    H[m, n] += wj * J[n]
+            count += 1
+    for m in range(8):
+        for n in range(m):
+            H[m, n] = H[n, m]
+    return error / max(count, 1), count / max(known, 1)
+
+
+@njit(**FAST)
+def plane_moments(a, b, kept):
+    """
+    Return what planes through two images (h, w) follow from, of the `kept` pixels, bool (h, w).
+
+    All about the mean: the sums of products (2, 2) of row and column, (2, 2) of these with a and
+    b, and (2, 2) of a and b.
+    """
+    count, mean = 0, np.zeros(4)
+    for i in range(a.shape[0]):
+        for j in range(a.shape[1]):
+            if kept[i, j]:
+                count += 1
+                mean[0] += i
+                mean[1] += j
+                mean[2] += a[i, j]
+                mean[3] += b[i, j]
+    mean /= max(count, 1)
+    sums, pixel = np.zeros((4, 4)), np.empty(4)
+    for i in range(a.shape[0]):
+        for j in range(a.shape[1]):
+            if kept[i, j]:
+                pixel[0], pixel[1] = i - mean[0], j - mean[1]
+                pixel[2], pixel[3] = a[i, j] - mean[2], b[i, j] - mean[3]
+                for m in range(4):
+                    for n in range(4):
+                        sums[m, n] += pixel[m] * pixel[n]
+    return sums[:2, :2], sums[:2, 2:], sums[2:, 2:]
+
+
+@njit(**FAST)
+def line_errors(a, b, kept):
+    """
+    Fit a = slope b + offset, arrays (N,), to the `kept` ones, bool (N,), by least squares.
+
+    Returns the slope, and the absolute errors of all, float32 (N,).
+    """
+    count, mean_a, mean_b, ab, bb = 0, 0.0, 0.0, 0.0, 0.0
+    for i in range(len(a)):
+        if kept[i]:
+            count += 1
+            mean_a += a[i]
+            mean_b += b[i]
+    mean_a, mean_b = mean_a / max(count, 1), mean_b / max(count, 1)
+    for i in range(len(a)):
+        if kept[i]:
+            ab += (a[i] - mean_a) * (b[i] - mean_b)
+            bb += (b[i] - mean_b) ** 2
+    slope = ab / max(bb, 1e-9)
+    errors = np.empty(len(a), np.float32)
+    for i in range(len(a)):
+        errors[i] = abs(a[i] - mean_a - slope * (b[i] - mean_b))
+    return slope, errors
