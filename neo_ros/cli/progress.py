@@ -33,6 +33,8 @@ def stage_progress() -> Iterator[Show]:
         def show(stage: str, done: int, total: int, note: str = '') -> None:
             if stage not in tasks:
                 tasks[stage] = bar.add_task(stage, total=total, note='')
+            elif done < bar.tasks[tasks[stage]].completed:  # The same for another model.
+                bar.reset(tasks[stage])
             bar.update(tasks[stage], completed=done, total=total, note=note)
 
         yield show
@@ -43,13 +45,17 @@ class _Lines:
 
     def __init__(self, console: Console) -> None:
         self._console = console
-        self._began: dict[str, tuple[float, int]] = {}
+        # When a stage began, with how much done; how much is done now.
+        self._stages: dict[str, tuple[float, int, int]] = {}
         self._last = 0.0
 
     def __call__(self, stage: str, done: int, total: int, note: str = '') -> None:
         now = time.monotonic()
-        new = stage not in self._began
-        began, first = self._began.setdefault(stage, (now, done))
+        began, first, before = self._stages.get(stage, (now, done, -1))
+        new = before < 0 or done < before
+        if done < before:  # The same for another model.
+            began, first = now, done
+        self._stages[stage] = began, first, done
         if not (new or done >= total or now - self._last > LINE_EVERY_S):
             return
         self._last = now
