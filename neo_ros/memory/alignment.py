@@ -30,6 +30,10 @@ ALIGNED_WITH = 2
 LEAST_OVERLAP = 0.3
 # A step that leaves less than this share of the guide's pixels in the image has lost it.
 LOST = 0.05
+# An image may be so many times brighter or darker than the memory; what has this grey level or
+# more may have been clipped, and does not tell by how much.
+MOST_GAIN = 4.0
+CLIPPED = 248
 # Share of an image that somebody may hide.
 OCCLUDED = 0.35
 
@@ -79,7 +83,7 @@ class Aligner:
             greys = self._pyramid(guide.image)
             # From the guide's camera to the photo's; then what maps the photo's grey to the
             # guide's.
-            T, gain, bias = np.eye(4), 1.0, 0.0
+            T, gain, bias = np.eye(4), self._first_gain(photo[-1], greys[-1], guide), 0.0
             for level in range(coarsest, -1, -1):
                 T, gain, bias = self._align_level(
                     level, photo[level], greys[level], self._depth(guide, level), T, gain, bias,
@@ -94,6 +98,13 @@ class Aligner:
         guide = self.renderer.render(pose, self.levels[level], ALIGNED_WITH)
         grey = cv2.cvtColor(guide.image / 255, cv2.COLOR_RGB2GRAY)
         return agreement(photo[level].grey, grey, guide.depth > 0)[0]
+
+    def _first_gain(self, photo: PhotoLevel, guide: np.ndarray, view: GuideView) -> float:
+        """Return what takes the photo to the guide's exposure, if they show the same."""
+        known = self._depth(view, -1) > 0
+        if not known.any():
+            return 1.0
+        return 1 / float(exposure_gain(255 * guide[known, None], 255 * photo.grey[known, None])[0])
 
     def _depth(self, guide: GuideView, level: int) -> np.ndarray:
         size = (self.levels[level].width, self.levels[level].height)
@@ -120,7 +131,8 @@ class Aligner:
             move = np.eye(4)
             move[:3, :3], move[:3, 3] = rotation_from_vector(step[3:6]), step[:3]
             T = move @ T
-            gain, bias = float(np.clip(gain + step[6], 0.3, 3)), bias + float(step[7])
+            gain = float(np.clip(gain + step[6], 0.8 / MOST_GAIN, 1.25 * MOST_GAIN))
+            bias += float(step[7])
             moved = camera.fx * (np.linalg.norm(step[:3]) / away + np.linalg.norm(step[3:6]))
             if moved < STILL:
                 break
@@ -160,3 +172,21 @@ def detail_correlation(a: np.ndarray, b: np.ndarray, kept: np.ndarray) -> float:
     detail = values - mixed.T @ np.linalg.pinv(places, hermitian=True) @ mixed
     norm = math.sqrt(max(detail[0, 0], 0) * max(detail[1, 1], 0))
     return float(detail[0, 1]) / norm if norm > 1e-6 else 0.0
+
+
+def exposure_gain(shown: np.ndarray, observed: np.ndarray) -> np.ndarray:
+    """
+    Return the gains float32 (C,) that take colours `shown` to `observed`, (N, C) in 0 ... 255.
+
+    Of all gains it leaves the least sum of absolute differences, as the median of the ratios does
+    when bright pixels count more: neither an occluder nor misplaced edges move it much.
+    """
+    gain = np.ones(shown.shape[1], np.float32)
+    for channel, (x, y) in enumerate(zip(shown.T, observed.T)):
+        usable = (x > 0) & (y < CLIPPED)
+        if usable.any():
+            ratio, weight = y[usable] / x[usable], x[usable]
+            order = np.argsort(ratio)
+            below = np.cumsum(weight[order])
+            gain[channel] = ratio[order[np.searchsorted(below, below[-1] / 2)]]
+    return np.clip(gain, 1 / MOST_GAIN, MOST_GAIN)

@@ -6,7 +6,7 @@ import threading
 
 import cv2
 from neo_ros.geometry import CameraPose, ViewExpansion
-from neo_ros.memory.alignment import agreement, Aligner, PhotoLevel
+from neo_ros.memory.alignment import agreement, Aligner, exposure_gain, PhotoLevel
 from neo_ros.memory.compiled import ALL_THREADS
 from neo_ros.memory.rendering import GuideView, MemoryRenderer
 from neo_ros.memory.scene_memory import SceneMemory
@@ -35,11 +35,8 @@ SHOWN = 3
 # Places that a lost camera is compared with closely, and how far apart they are at least.
 CANDIDATES = 8
 APART_METRES, APART_COSINE = 0.25, 0.97
-# An image may be so many times brighter or darker than the memory. By how much, at most some 64 by
-# 64 of its pixels tell; not those that a channel of this grey level or more may have clipped.
-MOST_GAIN = 4.0
+# At most some 64 by 64 pixels of an image tell its exposure.
 SAMPLES = 64
-CLIPPED = 248
 # Numba may not run parallel loops of two threads at once: one of its backends ends the process.
 _PARALLEL_LOOPS = threading.Lock()
 
@@ -222,24 +219,6 @@ def _parallel_loops(threads: int) -> Iterator[None]:
             yield
         finally:
             set_num_threads(before)
-
-
-def exposure_gain(shown: np.ndarray, observed: np.ndarray) -> np.ndarray:
-    """
-    Return the gains float32 (3,) that take colours `shown` to `observed`, (N, 3) in 0 ... 255.
-
-    Of all gains it leaves the least sum of absolute differences, as the median of the ratios does
-    when bright pixels count more: neither an occluder nor misplaced edges move it much.
-    """
-    gain = np.ones(3, np.float32)
-    for channel, (x, y) in enumerate(zip(shown.T, observed.T)):
-        usable = (x > 0) & (y < CLIPPED)
-        if usable.any():
-            ratio, weight = y[usable] / x[usable], x[usable]
-            order = np.argsort(ratio)
-            below = np.cumsum(weight[order])
-            gain[channel] = ratio[order[np.searchsorted(below, below[-1] / 2)]]
-    return np.clip(gain, 1 / MOST_GAIN, MOST_GAIN)
 
 
 def better(one: Sight | None, other: Sight | None) -> Sight | None:
