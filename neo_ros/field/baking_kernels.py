@@ -17,6 +17,8 @@ COLOUR = 60.0
 DISTANCE = 0.3
 # A photo looks at a point from at most 60 degrees aside.
 LEAST_COSINE = 0.5
+# For what rounding does to squared cosines.
+SLACK = 1 - 1e-6
 
 
 @njit(**FAST)
@@ -45,6 +47,12 @@ def colour_from_photos(position, rays, depth, coarse, photos, photo_depth, rotat
     uint8.
     """
     high, wide = photos.shape[1], photos.shape[2]
+    offsets, squares = np.empty((len(photos), 3)), np.empty(len(photos))
+    for n in range(len(photos)):
+        squares[n] = 0
+        for c in range(3):
+            offsets[n, c] = position[c] - positions[n, c]
+            squares[n] += offsets[n, c] ** 2
     for i in prange(depth.shape[0]):
         score = np.empty(BLENDED)
         which = np.empty(BLENDED, np.int64)
@@ -58,7 +66,14 @@ def colour_from_photos(position, rays, depth, coarse, photos, photo_depth, rotat
                 continue
             score[:] = 1e9
             which[:] = -1
+            # Most photos are too far aside: the angle alone, squared, tells with few operations.
+            least = SLACK * LEAST_COSINE ** 2
             for n in range(len(photos)):
+                nearer = (offsets[n, 0] * rays[i, j, 0] + offsets[n, 1] * rays[i, j, 1]
+                          + offsets[n, 2] * rays[i, j, 2])
+                along = nearer + d
+                if along <= 0 or along * along < least * (squares[n] + d * (nearer + along)):
+                    continue
                 px = position[0] + rays[i, j, 0] * d - positions[n, 0]
                 py = position[1] + rays[i, j, 1] * d - positions[n, 1]
                 pz = position[2] + rays[i, j, 2] * d - positions[n, 2]
@@ -86,6 +101,8 @@ def colour_from_photos(position, rays, depth, coarse, photos, photo_depth, rotat
                         score[m - 1], which[m - 1], us[m - 1], vs[m - 1])
                     m -= 1
                 score[m], which[m], us[m], vs[m] = cost, n, u - 0.5, v - 0.5
+                if score[-1] < math.pi / 3:
+                    least = SLACK * math.cos(score[-1]) ** 2
             # The field's own colour decides only where no photo agrees with it.
             weights = 1e-3
             for c in range(3):

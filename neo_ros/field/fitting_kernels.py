@@ -36,6 +36,7 @@ def differentiate_rays(rays_o, rays_d, target, gain, jitter, subrays, background
         rgb = np.empty((subrays, limit, 3), np.float32)
         value = np.empty(limit, np.float32)
         basis = np.empty(terms, np.float32)
+        blend = np.empty(3 * terms, np.float32)
         mean = np.empty(3, np.float32)
         slope = np.empty(3, np.float32)
         rest = np.empty(subrays, np.float32)
@@ -58,7 +59,7 @@ def differentiate_rays(rays_o, rays_d, target, gain, jitter, subrays, background
                         rgb[s, i, 0] = -1
                         continue
                     sample_colour(grid, shape, cell[r, i], frac[r, i, 0], frac[r, i, 1],
-                                  frac[r, i, 2], basis, rgb[s, i])
+                                  frac[r, i, 2], basis, blend, rgb[s, i])
                     for channel in range(3):
                         mean[channel] += weight * rgb[s, i, channel]
                 for channel in range(3):
@@ -137,11 +138,15 @@ def scatter_gradients(rays_d, cell, frac, d_density, d_rgb, count, shape, terms,
     sy, sz = shape[1], shape[2]
     for owner in prange(threads):
         basis = np.empty(terms, np.float32)
+        slopes = np.empty(3 * terms, np.float32)
         for r in range(count.shape[0]):
             sh_basis(rays_d[r, 0], rays_d[r, 1], rays_d[r, 2], basis)
             for i in range(count[r]):
                 fx, fy, fz = frac[r, i, 0], frac[r, i, 1], frac[r, i, 2]
                 coloured = d_rgb[r, i, 0] != 0 or d_rgb[r, i, 1] != 0 or d_rgb[r, i, 2] != 0
+                for channel in range(3):
+                    for k in range(terms):
+                        slopes[channel * terms + k] = d_rgb[r, i, channel] * basis[k]
                 for corner in range(8):
                     a, b, c = (corner >> 2) & 1, (corner >> 1) & 1, corner & 1
                     row = cell[r, i] + (a * sy + b) * sz + c
@@ -152,10 +157,8 @@ def scatter_gradients(rays_d, cell, frac, d_density, d_rgb, count, shape, terms,
                     touched[row] = 1
                     gradient[row, 0] += weight * d_density[r, i]
                     if coloured:
-                        for channel in range(3):
-                            slope = weight * d_rgb[r, i, channel]
-                            for k in range(terms):
-                                gradient[row, 1 + channel * terms + k] += slope * basis[k]
+                        for k in range(3 * terms):
+                            gradient[row, 1 + k] += weight * slopes[k]
 
 
 @njit(parallel=True, **FAST)

@@ -17,6 +17,9 @@ MIN_TRANSMITTANCE = 1e-4
 # Samples that contribute less get no colour lookup. All samples of a new field are faint
 # (initial_alpha): without their colour's pull, bright surfaces would fade instead of forming.
 MIN_WEIGHT = 1e-6
+# In a view of a fitted field samples are seen from this weight on. Without the others, of which
+# thin haze has many, views of living_room stay the same but for 61 dB.
+MIN_SHOWN = 1e-3
 FAST: dict[str, Any] = {
     'fastmath': {'nsz', 'arcp', 'contract', 'afn', 'reassoc'},
     'error_model': 'numpy'}
@@ -36,6 +39,15 @@ def sh_basis(dx, dy, dz, basis):
         basis[6] = 0.31539157 * (2 * dz * dz - dx * dx - dy * dy)
         basis[7] = -1.09254843 * dx * dz
         basis[8] = 0.54627421 * (dx * dx - dy * dy)
+
+
+@njit(**FAST)
+def opacity(density, step):
+    """Return the opacity of `step` voxels of this raw density (DirectVoxGO, eq. 4 to 8)."""
+    # 1 - exp(-step softplus(density)), which is a power of 1 + exp(density).
+    if step == 0.5:
+        return 1 - 1 / math.sqrt(1 + math.exp(min(density, 80.0)))
+    return 1 - math.exp(-step * (density if density > 15 else math.log1p(math.exp(density))))
 
 
 @njit(**FAST)
@@ -91,9 +103,7 @@ def march(ox, oy, oz, dx, dy, dz, jitter, grid, shape, skip, box, step, near, sh
             weight = ((fx if a else 1 - fx) * (fy if b else 1 - fy) * (fz if c else 1 - fz))
             value += weight * grid[base + (a * sy + b) * sz + c, 0]
         density = value + shift
-        # softplus, then the opacity of one step (DirectVoxGO, eq. 4 to 8: interpolate first)
-        sigma = density if density > 15 else math.log1p(math.exp(density))
-        a_i = 1 - math.exp(-sigma * step)
+        a_i = opacity(density, step)  # Interpolated first, activated after.
         cell[count] = base
         frac[count, 0] = fx
         frac[count, 1] = fy
@@ -110,21 +120,30 @@ def march(ox, oy, oz, dx, dy, dz, jitter, grid, shape, skip, box, step, near, sh
 
 
 @njit(**FAST)
-def sample_colour(grid, shape, base, fx, fy, fz, basis, rgb):
-    """Interpolate the coefficients of one sample and evaluate its colour in (0, 1)."""
+def sample_colour(grid, shape, base, fx, fy, fz, basis, blend, rgb):
+    """
+    Interpolate the coefficients of one sample and evaluate its colour in (0, 1).
+
+    blend (3 K,) is scratch: rows are added whole, which the compiler does many columns at once.
+    """
     sy, sz = shape[1], shape[2]
     terms = basis.shape[0]
-    for channel in range(3):
-        rgb[channel] = 0
+    blend[:] = 0
     for corner in range(8):
         a, b, c = (corner >> 2) & 1, (corner >> 1) & 1, corner & 1
         weight = (fx if a else 1 - fx) * (fy if b else 1 - fy) * (fz if c else 1 - fz)
         row = base + (a * sy + b) * sz + c
-        for channel in range(3):
-            for k in range(terms):
-                rgb[channel] += weight * basis[k] * grid[row, 1 + channel * terms + k]
+        if terms == 1:  # Too few for that.
+            for k in range(3):
+                blend[k] += weight * grid[row, 1 + k]
+        else:
+            for k in range(3 * terms):
+                blend[k] += weight * grid[row, 1 + k]
     for channel in range(3):
-        rgb[channel] = 1 / (1 + math.exp(-rgb[channel]))
+        value = np.float32(0)
+        for k in range(terms):
+            value += basis[k] * blend[channel * terms + k]
+        rgb[channel] = 1 / (1 + math.exp(-value))
 
 
 @njit(parallel=True, **FAST)
@@ -146,6 +165,7 @@ def render_rays(rays_o, rays_d, grid, shape, skip, seen, box, step, near, shift,
         depth = np.empty(limit, np.float32)
         raw = np.empty(limit, np.float32)
         basis = np.empty(terms, np.float32)
+        blend = np.empty(3 * terms, np.float32)
         rgb = np.empty(3, np.float32)
         for r in range(block * chunk, min((block + 1) * chunk, n)):
             count, light = march(
@@ -161,16 +181,16 @@ def render_rays(rays_o, rays_d, grid, shape, skip, seen, box, step, near, shift,
                 if left > half and left - weight <= half:
                     total[3] = depth[i] + ((left - half) / weight - 0.5) * step * box[7]
                 left -= weight
-                if weight < MIN_WEIGHT:
-                    continue
-                sample_colour(grid, shape, cell[i], frac[i, 0], frac[i, 1], frac[i, 2],
-                              basis, rgb)
-                for channel in range(3):
-                    total[channel] += weight * rgb[channel]
                 total[4] += weight
                 total[5] += weight * (seen[cell[i]] > 0)
+                if weight < MIN_SHOWN:
+                    continue
+                sample_colour(grid, shape, cell[i], frac[i, 0], frac[i, 1], frac[i, 2],
+                              basis, blend, rgb)
+                for channel in range(3):
+                    total[channel] += weight * (rgb[channel] - background)
             for channel in range(3):
-                out[r, channel] = total[channel] + light * background
+                out[r, channel] = background + total[channel]
             out[r, 3] = total[3]
             out[r, 4] = total[4]
             out[r, 5] = total[5]
@@ -212,6 +232,4 @@ def mark_occupied(grid, shape, step, shift, threshold, occupied):
                 for corner in range(1, 8):
                     a, b, c = (corner >> 2) & 1, (corner >> 1) & 1, corner & 1
                     best = max(best, grid[base + (a * sy + b) * sz + c, 0])
-                density = best + shift
-                sigma = density if density > 15 else math.log1p(math.exp(density))
-                occupied[base] = 1 - math.exp(-sigma * step) > threshold
+                occupied[base] = opacity(best + shift, step) > threshold

@@ -7,7 +7,7 @@ CUDA; on a CPU the compiled kernels are several times as fast.
 import math
 from typing import NamedTuple, Optional
 
-from neo_ros.field.kernels import MIN_TRANSMITTANCE, MIN_WEIGHT
+from neo_ros.field.kernels import MIN_SHOWN, MIN_TRANSMITTANCE
 from neo_ros.field.voxel_field import OCCUPIED_ALPHA, RadianceField
 import torch
 from torch.nn.functional import max_pool3d, softplus
@@ -154,15 +154,14 @@ class TorchField:
         across = (samples.before > half) & (samples.before - weight <= half)
         depth = samples.t + ((samples.before - half) / weight - 0.5) * self.step * self.voxel
         out[samples.ray[across], 3] = depth[across]
-        chosen = (weight >= MIN_WEIGHT).nonzero()[:, 0]
-        weight, ray = weight[chosen], samples.ray[chosen]
+        seen = (self.seen[samples.base] > 0).float()
+        out[:, 4:].index_add_(0, samples.ray, torch.stack([weight, weight * seen], 1))
+        chosen = (weight >= MIN_SHOWN).nonzero()[:, 0]
+        ray = samples.ray[chosen]
         values = self.interpolated(samples, chosen)
         shown = colours(values[:, 1:], sh_basis(rays_d[ray], self.terms))
-        seen = (self.seen[samples.base[chosen]] > 0).float()
-        out[:, [0, 1, 2, 4, 5]] = out[:, [0, 1, 2, 4, 5]].index_add(
-            0, ray, torch.cat([shown, torch.ones_like(seen)[:, None], seen[:, None]], 1)
-            * weight[:, None])
-        out[:, :3] += samples.light[:, None] * background
+        out[:, :3] = background
+        out[:, :3].index_add_(0, ray, (shown - background) * weight[chosen, None])
         return out
 
     @torch.no_grad()
