@@ -158,9 +158,9 @@ def _draw_quad(ax, ay, az, bx, by, bz, cx, cy, cz, dx, dy, dz, left, right, top,
             for k in range(3):
                 upper_left = np.float32(texture[t0, s0, k])
                 lower_left = np.float32(texture[t0 + 1, s0, k])
-                above = upper_left + fs * (np.float32(texture[t0, s1, k]) - upper_left)
-                below = lower_left + fs * (np.float32(texture[t0 + 1, s1, k]) - lower_left)
-                image[y, x, k] = above + ft * (below - above)
+                upper_side = upper_left + fs * (np.float32(texture[t0, s1, k]) - upper_left)
+                lower_side = lower_left + fs * (np.float32(texture[t0 + 1, s1, k]) - lower_left)
+                image[y, x, k] = upper_side + ft * (lower_side - upper_side)
 
 
 @njit(**FAST)
