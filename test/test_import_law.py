@@ -11,7 +11,7 @@ import pytest
 
 PACKAGE = Path(neo_ros.__file__).parent
 # Modules beside the rooms that every room may use.
-COMMON = {'errors', 'model_bytes', 'paths'}
+COMMON = {'errors', 'exposure', 'model_bytes', 'paths'}
 # Room: the other rooms and the heavy libraries that it may import.
 LAW: dict[str, set[str]] = {
     'geometry': set(),

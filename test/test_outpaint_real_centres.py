@@ -1,4 +1,6 @@
 """Photos in the middle of rendered views, and the stream that mixes them in."""
+from pathlib import Path
+
 import cv2
 from neo_ros.errors import ConfigError
 from neo_ros.field.rendering import render_view, to_uint8
@@ -44,8 +46,19 @@ def test_the_photo_stands_in_its_rendered_surroundings(
     assert (expansion.crop(wide)[..., 3] == 255).all()
     rendering = render_view(field, expansion.target, photos.poses[3], 1)
     ring = expansion.extrapolated_mask
-    np.testing.assert_array_equal(wide[ring][:, :3], to_uint8(rendering.image)[ring])
     np.testing.assert_array_equal(wide[ring][:, 3], to_uint8(rendering.coverage)[ring])
+
+
+def test_the_surroundings_have_the_exposure_of_the_photo(
+        field: RadianceField, photos: PosedImages, tmp_path: Path) -> None:
+    expansion = ViewExpansion(PHOTO, 4, 8, 0, 2)
+    shown = render_view(field, expansion.target, photos.poses[3], 1).image
+    dim = 255 * shown * [0.5, 0.6, 0.7]
+    cv2.imwrite(str(tmp_path / 'dim.png'),
+                np.rint(expansion.crop(dim))[..., ::-1].astype(np.uint8))
+    photo = PosedImages(PHOTO, (tmp_path / 'dim.png',), photos.poses[3:4], (0,))
+    wide = RealCentres(field, photo, expansion, 1.0).view(0)
+    assert np.abs(wide[..., :3] - dim).max() < 3
 
 
 @pytest.mark.parametrize('expansion, rows, columns', [

@@ -27,6 +27,7 @@ import numpy as np
 SMALL_VIEW = ViewExpansion.to_size(Intrinsics.from_hfov(128, 128, np.pi / 2), 256, 256)
 KEYFRAME_EVERY = 0.5  # metres: no place of the walk is farther than 0.3 from a keyframe
 SIDES = 8             # pinhole views that a panorama is put together from
+CAST = 128.0          # pixels a radian that are cast at most; finer textures lie between these
 
 
 def measure_guided(effort: Effort, views: Sequence[ViewExpansion] = (SMALL_VIEW, PAPER_VIEW),
@@ -80,7 +81,7 @@ def exact_keyframe(flat: DemoFlat, position: np.ndarray, band: Band, focal: floa
     # A little wider than its share of the circle, and as high as the band.
     half = math.tan(math.pi / SIDES) * 1.02
     rise = math.tan(max(abs(band.top), abs(band.bottom))) * 1.02
-    scale = finer * min(focal, height / (band.top - band.bottom))
+    scale = min(finer * height / (band.top - band.bottom), CAST)
     side = Intrinsics(math.ceil(2 * half * scale), math.ceil(2 * rise * scale), scale, scale,
                       half * scale, rise * scale)
     for number in range(SIDES):

@@ -8,6 +8,7 @@ import math
 from typing import NamedTuple
 
 import cv2
+from neo_ros.exposure import exposure_gain, MOST_GAIN
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.geometry.camera_pose import rotation_from_vector
 from neo_ros.memory import alignment_kernels as kernels
@@ -30,10 +31,6 @@ ALIGNED_WITH = 2
 LEAST_OVERLAP = 0.3
 # A step that leaves less than this share of the guide's pixels in the image has lost it.
 LOST = 0.05
-# An image may be so many times brighter or darker than the memory; what has this grey level or
-# more may have been clipped, and does not tell by how much.
-MOST_GAIN = 4.0
-CLIPPED = 248
 # Share of an image that somebody may hide.
 OCCLUDED = 0.35
 
@@ -172,21 +169,3 @@ def detail_correlation(a: np.ndarray, b: np.ndarray, kept: np.ndarray) -> float:
     detail = values - mixed.T @ np.linalg.pinv(places, hermitian=True) @ mixed
     norm = math.sqrt(max(detail[0, 0], 0) * max(detail[1, 1], 0))
     return float(detail[0, 1]) / norm if norm > 1e-6 else 0.0
-
-
-def exposure_gain(shown: np.ndarray, observed: np.ndarray) -> np.ndarray:
-    """
-    Return the gains float32 (C,) that take colours `shown` to `observed`, (N, C) in 0 ... 255.
-
-    Of all gains it leaves the least sum of absolute differences, as the median of the ratios does
-    when bright pixels count more: neither an occluder nor misplaced edges move it much.
-    """
-    gain = np.ones(shown.shape[1], np.float32)
-    for channel, (x, y) in enumerate(zip(shown.T, observed.T)):
-        usable = (x > 0) & (y < CLIPPED)
-        if usable.any():
-            ratio, weight = y[usable] / x[usable], x[usable]
-            order = np.argsort(ratio)
-            below = np.cumsum(weight[order])
-            gain[channel] = ratio[order[np.searchsorted(below, below[-1] / 2)]]
-    return np.clip(gain, 1 / MOST_GAIN, MOST_GAIN)

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 import threading
 
 import cv2
+from neo_ros.exposure import exposure_gain
 from neo_ros.geometry import CameraPose, ViewExpansion
-from neo_ros.memory.alignment import agreement, Aligner, exposure_gain, PhotoLevel
+from neo_ros.memory.alignment import agreement, Aligner, PhotoLevel
 from neo_ros.memory.compiled import ALL_THREADS
 from neo_ros.memory.rendering import GuideView, MemoryRenderer
 from neo_ros.memory.scene_memory import SceneMemory

@@ -5,6 +5,7 @@ At run time a sharp photo comes in; a network that saw renderings alone has neve
 photo shows more than the source view, its own pixels are the truth there.
 """
 from neo_ros.errors import ConfigError
+from neo_ros.exposure import exposure_gain
 from neo_ros.field.rendering import render_view, to_uint8
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import Intrinsics, ViewExpansion
@@ -27,7 +28,7 @@ def check_focal_length(camera: Intrinsics, view: Intrinsics) -> None:
 
 
 class RealCentres:
-    """Wide views at the poses of photos: photo where it reaches, field around it."""
+    """Wide views at the poses of photos: photo where it reaches, field in its exposure around."""
 
     def __init__(self, field: RadianceField, photos: PosedImages, expansion: ViewExpansion,
                  scale: float) -> None:
@@ -53,14 +54,19 @@ class RealCentres:
     def _render(self, index: int) -> np.ndarray:
         target = self.expansion.target
         rendering = render_view(self.field, target, self.photos.poses[index], supersample=1)
-        wide = to_uint8(np.dstack([rendering.image, rendering.coverage]))
+        image, covered = 255 * rendering.image, rendering.coverage > 0.5
         photo = self.photos.read_image(index, self.scale)
         # Where the photo's corner lies in the wide view; both share the optical axis.
         left = round(target.cx - self.camera.cx)
         top = round(target.cy - self.camera.cy)
         rows = slice(max(top, 0), min(top + photo.shape[0], target.height))
         columns = slice(max(left, 0), min(left + photo.shape[1], target.width))
-        wide[rows, columns, :3] = photo[rows.start - top:rows.stop - top,
-                                        columns.start - left:columns.stop - left]
+        inside = photo[rows.start - top:rows.stop - top,
+                       columns.start - left:columns.stop - left]
+        # What lies around a photo is to have the photo's exposure.
+        both = covered[rows, columns]
+        image *= exposure_gain(image[rows, columns][both], inside[both])
+        wide = to_uint8(np.dstack([image / 255, rendering.coverage]))
+        wide[rows, columns, :3] = inside
         wide[rows, columns, 3] = 255
         return wide
