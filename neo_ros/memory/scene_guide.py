@@ -136,7 +136,9 @@ class SceneGuide:
         pose = CameraPose(self._poses[0])
         with _parallel_loops(self._threads):
             view = self.renderer.render(pose, self.expansion.source, SHOWN)
-            self.aligner.align(self.aligner.photo(view.image), pose, rounds=1)
+            photo = self.aligner.photo(view.image)
+            self.aligner.align(photo, pose, rounds=1)
+            self.aligner.agreement(photo, pose)
         self.reset()
 
     def _track(self, photo: list[PhotoLevel], last: CameraPose) -> Sight:
