@@ -51,9 +51,9 @@ class _Lines:
 
     def __call__(self, stage: str, done: int, total: int, note: str = '') -> None:
         now = time.monotonic()
-        began, first, before = self._stages.get(stage, (now, done, -1))
-        new = before < 0 or done < before
-        if done < before:  # The same for another model.
+        began, first, before = self._stages.get(stage, (now, done, done + 1))
+        new = done < before  # For the first time, or the same for another model.
+        if new:
             began, first = now, done
         self._stages[stage] = began, first, done
         if not (new or done >= total or now - self._last > LINE_EVERY_S):

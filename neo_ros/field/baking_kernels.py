@@ -74,9 +74,9 @@ def colour_from_photos(position, rays, depth, coarse, photos, photo_depth, rotat
                 along = nearer + d
                 if along <= 0 or along * along < least * (squares[n] + d * (nearer + along)):
                     continue
-                px = position[0] + rays[i, j, 0] * d - positions[n, 0]
-                py = position[1] + rays[i, j, 1] * d - positions[n, 1]
-                pz = position[2] + rays[i, j, 2] * d - positions[n, 2]
+                px = offsets[n, 0] + rays[i, j, 0] * d
+                py = offsets[n, 1] + rays[i, j, 1] * d
+                pz = offsets[n, 2] + rays[i, j, 2] * d
                 R = rotations[n]
                 z = R[0, 2] * px + R[1, 2] * py + R[2, 2] * pz
                 if z < 0.1:
@@ -101,8 +101,7 @@ def colour_from_photos(position, rays, depth, coarse, photos, photo_depth, rotat
                         score[m - 1], which[m - 1], us[m - 1], vs[m - 1])
                     m -= 1
                 score[m], which[m], us[m], vs[m] = cost, n, u - 0.5, v - 0.5
-                if score[-1] < math.pi / 3:
-                    least = SLACK * math.cos(score[-1]) ** 2
+                least = SLACK * math.cos(min(score[-1], math.acos(LEAST_COSINE))) ** 2
             # The field's own colour decides only where no photo agrees with it.
             weights = 1e-3
             for c in range(3):
