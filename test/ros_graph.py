@@ -10,6 +10,7 @@ from typing import Any
 
 import neo_ros
 import rclpy
+from rclpy.client import Client
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 
@@ -34,6 +35,7 @@ class RosGraph:
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
         self._processes: list[subprocess.Popen] = []
+        self._clients: dict[str, Client] = {}
 
     def start(self, *arguments: str) -> subprocess.Popen:
         """Start Python with these arguments; close() ends it."""
@@ -65,11 +67,14 @@ class RosGraph:
 
     def call(self, kind: type, service: str, request: Any) -> Any:
         """Call a service and return its response."""
-        client = self.node.create_client(kind, service)
-        self.spin_until(client.service_is_ready)
-        future = client.call_async(request)
+        if service not in self._clients:
+            client = self._clients[service] = self.node.create_client(kind, service)
+            self.spin_until(client.service_is_ready)
+            # The server finds our reader of replies a moment later, and drops a reply before that
+            # (ros2/rmw_fastrtps#842).
+            self.spin_for(0.5)
+        future = self._clients[service].call_async(request)
         self.spin_until(future.done)
-        self.node.destroy_client(client)
         return future.result()
 
     def close(self) -> None:
@@ -82,6 +87,8 @@ class RosGraph:
             except subprocess.TimeoutExpired:
                 process.kill()  # Last, because it leaves shared memory behind.
                 process.wait()
+            if process.stdout:
+                print(process.stdout.read())  # pytest shows it where the test failed.
         self.executor.shutdown()
         self.node.destroy_node()
         self.context.try_shutdown()
