@@ -15,7 +15,7 @@ SHIPPED = neo_ros.paths.share_dir() / 'config' / 'experiments'
 ABLATIONS = {
     **{f'interval_{metres}': ('base', {'sampling.interval'})
        for metres in ('0_10', '0_20', '0_50', '1_00')},
-    **{f'steps_{steps}': ('base', {'outpaint.steps'}) for steps in ('0750', '1500', '6000')},
+    **{f'steps_{steps}': ('base', {'outpaint.steps'}) for steps in ('0625', '1250', '5000')},
     'no_augmentation': ('base', {'outpaint.photometric', 'outpaint.occluders'}),
     'no_real_centres': ('base', {'outpaint.real_centre'}),
     'perceptual': ('base', {'outpaint.perceptual'}),
