@@ -9,13 +9,15 @@ CLIPPED = 248
 
 def exposure_gain(shown: np.ndarray, observed: np.ndarray) -> np.ndarray:
     """
-    Return the gains float32 (C,) that take colours `shown` to `observed`, (N, C) in 0 ... 255.
+    Return the gains float32 (C,) that take colours `shown` to `observed`, (..., C) in 0 ... 255.
 
     Of all gains it leaves the least sum of absolute differences, as the median of the ratios does
     when bright pixels count more: neither an occluder nor misplaced edges move it much.
     """
-    gain = np.ones(shown.shape[1], np.float32)
-    for channel, (x, y) in enumerate(zip(shown.T, observed.T)):
+    channels = shown.shape[-1]
+    gain = np.ones(channels, np.float32)
+    for channel, (x, y) in enumerate(zip(shown.reshape(-1, channels).T,
+                                         observed.reshape(-1, channels).T)):
         usable = (x > 0) & (y < CLIPPED)
         if usable.any():
             ratio, weight = y[usable] / x[usable], x[usable]

@@ -1,7 +1,7 @@
 """The rivals on a small room: B2 and B3 find the place, the oracle needs the pose."""
 from neo_ros.errors import SceneError
 from neo_ros.evaluation.evaluate import score_frames, TruthFrames
-from neo_ros.evaluation.field_view import colour_gain, FieldView, Oracle
+from neo_ros.evaluation.field_view import FieldView, Oracle
 from neo_ros.evaluation.image_fill import blend_bands, extend_edges
 from neo_ros.evaluation.local_features import find_features, match_features, read_photo_bank
 from neo_ros.evaluation.relocalized import (
@@ -166,14 +166,6 @@ def test_the_oracle_renders_at_the_true_pose_and_refuses_without():
     assert np.abs(here.astype(int) - there).mean() > 5
     with pytest.raises(SceneError, match='true pose'):
         oracle.expand(narrow_image)
-
-
-def test_the_gain_is_that_of_the_channels_whatever_a_few_pixels_say():
-    shown = np.random.default_rng(0).uniform(40, 120, (20, 20, 3)).astype(np.float32)
-    observed = shown * [1.2, 1.0, 0.8]
-    observed[:4] = 200
-    np.testing.assert_allclose(colour_gain(shown, observed), [1.2, 1.0, 0.8], rtol=1e-3)
-    assert (colour_gain(np.zeros((4, 4, 3)), observed[:4, :4]) == 1).all()
 
 
 def test_mutual_matches_by_ratio():

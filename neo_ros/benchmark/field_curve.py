@@ -16,9 +16,9 @@ from typing import Any
 from neo_ros.benchmark.protocols import SCALES, split_checksums
 from neo_ros.benchmark.scoring import load_scorers
 from neo_ros.evaluation.evaluate import commit, host, Scorer, TruthFrames
-from neo_ros.evaluation.field_view import colour_gain
 from neo_ros.evaluation.output import make_output_folder, write_bytes
 from neo_ros.experiment import Experiment
+from neo_ros.exposure import exposure_gain
 from neo_ros.field.device import chosen_device, field_trainer
 from neo_ros.field.rendering import render_view
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
@@ -149,7 +149,7 @@ def markdown(rows: list[dict[str, Any]]) -> str:
 
 
 def _gained(shown: np.ndarray, window: np.ndarray, observed: np.ndarray) -> np.ndarray:
-    return np.clip(shown * colour_gain(window, observed) + 0.5, 0, 255).astype(np.uint8)
+    return np.clip(shown * exposure_gain(window, observed) + 0.5, 0, 255).astype(np.uint8)
 
 
 def _spread(count: int, most: int) -> list[int]:

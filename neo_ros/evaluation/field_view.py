@@ -1,12 +1,10 @@
 """What the radiance field shows at a pose, as a widened view; the oracle is the true pose's."""
 from neo_ros.errors import SceneError
+from neo_ros.exposure import exposure_gain
 from neo_ros.field.rendering import render_view, to_uint8
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import CameraPose, ViewExpansion
 import numpy as np
-
-# A camera's exposure may differ from the photos' by this factor and not more.
-MOST_GAIN = 1.6
 
 
 class FieldView:
@@ -27,22 +25,8 @@ class FieldView:
         One gain per channel, from the window that both show, takes out differences of exposure.
         """
         view = render_view(self.field, self.expansion.target, pose, self.supersample)
-        gain = colour_gain(self.expansion.crop(view.image) * 255, narrow_image)
+        gain = exposure_gain(255 * self.expansion.crop(view.image), narrow_image)
         return self.expansion.paste(narrow_image, to_uint8(view.image * gain)), view.coverage
-
-
-def colour_gain(shown: np.ndarray, observed: np.ndarray) -> np.ndarray:
-    """
-    Return the gain per channel (3,) that takes `shown` to `observed`, both (h, w, 3) in 0..255.
-
-    The median ratio over well exposed pixels: misplaced edges do not move it.
-    """
-    shown, observed = shown.astype(np.float32), observed.astype(np.float32)
-    usable = ((shown > 16) & (shown < 240) & (observed > 16) & (observed < 240)).all(axis=2)
-    if usable.mean() < 0.05:
-        return np.ones(3, np.float32)
-    ratio = np.median(observed[usable] / shown[usable], axis=0)
-    return np.clip(ratio, 1 / MOST_GAIN, MOST_GAIN).astype(np.float32)
 
 
 class Oracle:

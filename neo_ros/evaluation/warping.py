@@ -9,9 +9,9 @@ photo covers is extended from what is there, and counted.
 from typing import NamedTuple
 
 import cv2
-from neo_ros.evaluation.field_view import colour_gain
 from neo_ros.evaluation.image_fill import blend_bands, extend_edges, sample_pixels
 from neo_ros.evaluation.local_features import find_features, match_features, PhotoBank
+from neo_ros.exposure import exposure_gain
 from neo_ros.geometry import CameraPose, ViewExpansion
 import numpy as np
 
@@ -110,7 +110,7 @@ class Warping:
         if common.mean() < 0.05:
             return None
         shown = self.expansion.crop(image)
-        gain = colour_gain(shown[common][None], narrow_image[common][None])
+        gain = exposure_gain(shown[common], narrow_image[common])
         image = np.clip(image * gain, 0, 255)
         off = np.abs(self.expansion.crop(image)[common] - narrow_image[common]).mean()
         fit = np.exp(-off / OFF_LEVELS) * near_matches(wide, target.width, target.height)
