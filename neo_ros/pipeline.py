@@ -6,11 +6,9 @@ radiance field, render wide views at poses where the robot can be, train the out
 Every step leaves its result in the output folder; a run that was broken off goes on there.
 """
 from dataclasses import dataclass
-import hashlib
 import json
 from pathlib import Path
 import shutil
-import time
 from typing import Callable, Optional
 
 import neo_ros
@@ -22,7 +20,6 @@ from neo_ros.evaluation.output import make_output_folder, write_bytes
 from neo_ros.evaluation.speed_model import count_flops
 from neo_ros.experiment import Experiment
 from neo_ros.field.device import chosen_device, field_trainer
-from neo_ros.field.memory_baking import bake_memory, Photos
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import ViewExpansion
 from neo_ros.outpaint.distributed import process_group, wait_for_all
@@ -38,9 +35,9 @@ from neo_ros.scenes.levelling import read_upright_scene
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.scene import Scene
 from neo_ros.training_checks import check_settings, check_training
+from neo_ros.training_memory import memory_step
 from neo_ros.training_report import write_training_report
-from neo_ros.training_views import (
-    held_out_views, make_sampler, make_stream, note_poses)
+from neo_ros.training_views import held_out_views, make_stream, note_poses
 import numpy as np
 from torch import nn
 
@@ -199,28 +196,6 @@ def fit_outpainter_step(run: TrainingRun, field: RadianceField,
     run.samples = trainer.step * experiment.outpaint.batch
     run.outpaint_seconds = trainer.seconds
     return trainer.averaged.eval().cpu()
-
-
-def memory_step(run: TrainingRun, field: RadianceField) -> Optional[MemoryFile]:
-    """Make the scene memory that guides the network, if it is not there yet."""
-    config = run.experiment.memory
-    if config is None:
-        return None
-    path, notes = run.model_path.with_suffix('.memory'), run.out / 'memory.json'
-    if path.exists() and notes.exists():
-        run.seconds, _ = read_notes(notes, path.name)
-    else:
-        scale, before, started = run.experiment.scale, run.seconds, time.monotonic()
-        photos = Photos(run.fitted.read_images(scale), run.fitted.intrinsics.scaled(scale),
-                        run.fitted.T_world_cam)
-        memory = bake_memory(
-            field, photos, run.expansion, make_sampler(run, field), config, run.experiment.seed,
-            lambda done, total: run.progress('memory', done, total, ''))
-        memory.write(path)
-        run.seconds += time.monotonic() - started
-        # The log says when it began: its minutes are not the network's.
-        write_notes(notes, run.seconds, [[0, before, 0.0]])
-    return MemoryFile(file=path.name, sha256=hashlib.sha256(path.read_bytes()).hexdigest())
 
 
 def export_step(run: TrainingRun, network: nn.Module, held_out: Optional[np.ndarray] = None,

@@ -3,7 +3,7 @@ from neo_ros.errors import SceneError
 from neo_ros.evaluation.evaluate import score_frames, TruthFrames
 from neo_ros.evaluation.field_view import FieldView, Oracle
 from neo_ros.evaluation.image_fill import blend_bands, extend_edges
-from neo_ros.evaluation.local_features import find_features, match_features, read_photo_bank
+from neo_ros.evaluation.photo_bank import read_photo_bank
 from neo_ros.evaluation.relocalized import (
     Localization, pose_error, Relocalized, RelocalizedNeo, Relocalizer)
 from neo_ros.evaluation.sparse_model import epipolar_distance, read_sparse_model
@@ -11,6 +11,7 @@ from neo_ros.evaluation.warping import (
     covering, near_matches, on_plane, smooth_warp, WarpedPhoto, Warping)
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
 from neo_ros.geometry.camera_pose import rotation_from_vector
+from neo_ros.memory.local_features import find_features, match_features
 from neo_ros.scenes.demo_flat import build_demo_flat
 from neo_ros.scenes.posed_images import PosedImages
 import numpy as np

@@ -17,8 +17,8 @@ from neo_ros.benchmark.protocols import (
 from neo_ros.checkpoint import read_notes, write_notes
 from neo_ros.errors import ConfigError
 from neo_ros.evaluation.evaluate import TruthFrames
-from neo_ros.evaluation.local_features import PhotoBank, read_photo_bank
 from neo_ros.evaluation.output import make_output_folder, share_file, write_bytes
+from neo_ros.evaluation.photo_bank import PhotoBank, read_photo_bank
 from neo_ros.evaluation.sparse_model import read_sparse_model, SparseModel
 from neo_ros.experiment import Experiment, experiment_from, read_experiment
 from neo_ros.field.voxel_field import RadianceField

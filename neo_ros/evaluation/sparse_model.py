@@ -9,8 +9,9 @@ from typing import Any, Callable, NamedTuple
 from zipfile import BadZipFile
 
 from neo_ros.errors import SceneError
-from neo_ros.evaluation.local_features import match_features, PhotoBank
+from neo_ros.evaluation.photo_bank import PhotoBank
 from neo_ros.geometry import Intrinsics
+from neo_ros.memory.local_features import match_features
 from neo_ros.paths import whole_file
 import numpy as np
 

@@ -10,9 +10,10 @@ from typing import NamedTuple
 
 import cv2
 from neo_ros.evaluation.image_fill import blend_bands, extend_edges, sample_pixels
-from neo_ros.evaluation.local_features import find_features, match_features, PhotoBank
+from neo_ros.evaluation.photo_bank import PhotoBank
 from neo_ros.exposure import exposure_gain
 from neo_ros.geometry import CameraPose, ViewExpansion
+from neo_ros.memory.local_features import find_features, match_features
 import numpy as np
 
 RETRIEVED = 160     # photos that are looked at

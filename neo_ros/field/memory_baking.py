@@ -11,7 +11,6 @@ from typing import Callable
 
 import cv2
 from neo_ros.errors import ConfigError
-from neo_ros.exposure import exposure_gain
 from neo_ros.field.baking_kernels import colour_from_photos
 from neo_ros.field.panorama import view_band
 from neo_ros.field.rendering import render_rays, to_uint8, world_rays
@@ -69,8 +68,7 @@ def bake_memory(field: RadianceField, photos: Photos, expansion: ViewExpansion,
     for index, (image, T) in enumerate(zip(photos.images, photos.T_world_cam)):
         rendering = render_rays(field, *world_rays(photos.intrinsics, CameraPose(T)))
         seen[index] = np.where(rendering.coverage > LEAST_COVERAGE, rendering.depth, 0)
-        # What takes the photo's colours to the exposure of the field.
-        gains.append(exposure_gain(image[seen[index] > 0], 255 * rendering.image[seen[index] > 0]))
+        gains.append(_gain(rendering.image, image))
         progress(index + 1, total)
     keyframes = []
     for index, position in enumerate(positions):
@@ -102,6 +100,16 @@ def keyframe_positions(sampler: PoseSampler, photos: Photos, distance: float) ->
         chosen.append(int(away.argmax()))
         away = np.minimum(away, np.linalg.norm(places - places[chosen[-1]], axis=1))
     return places[chosen]
+
+
+def _gain(rendered: np.ndarray, photo: np.ndarray) -> np.ndarray:
+    """
+    Return what multiplies a photo's colours, (3,), to the exposure of the field.
+
+    By their means: the field was fitted to this photo, so its errors have no sign.
+    """
+    ratio = 255 * rendered.mean((0, 1)) / np.maximum(photo.mean((0, 1)), 1)
+    return np.clip(ratio, 0.5, 2).astype(np.float32)
 
 
 def keyframe_size(band: Band, focal: float) -> tuple[int, int, int]:

@@ -1,7 +1,7 @@
 """Where is the camera, and what does the memory show around its image: frame after frame."""
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import threading
 
 import cv2
@@ -9,6 +9,7 @@ from neo_ros.exposure import exposure_gain
 from neo_ros.geometry import CameraPose, ViewExpansion
 from neo_ros.memory.alignment import agreement, Aligner, PhotoLevel
 from neo_ros.memory.compiled import ALL_THREADS
+from neo_ros.memory.landmarks import Location, Locator
 from neo_ros.memory.rendering import GuideView, MemoryRenderer
 from neo_ros.memory.scene_memory import SceneMemory
 from numba import get_num_threads, set_num_threads
@@ -31,6 +32,11 @@ EXPECTED_METRES, EXPECTED_COSINE = 0.15, 0.99
 # A search takes as long as several frames: a lost camera is searched for every so many frames, one
 # whose pose is believed, but not sure, now and then.
 SEARCH_EVERY, DOUBT_EVERY = 5, 30
+# Looking for landmarks takes as long as a frame: now and then, while image and memory agree. Where
+# they contradict, they lead for as many images.
+LANDMARKS_EVERY = 10
+# A pose that landmarks give is right, even where the memory shows other colours or another depth.
+LEAST_LOCATED = 0.5
 # Keyframes that are drawn.
 SHOWN = 3
 # Places that a lost camera is compared with closely, and how far apart they are at least.
@@ -88,6 +94,8 @@ class SceneGuide:
         self._threads = min(threads or ALL_THREADS, ALL_THREADS)
         self.renderer = MemoryRenderer(memory)
         self.aligner = Aligner(self.renderer, expansion.source)
+        self._locator = (None if memory.landmarks is None
+                         else Locator(memory.landmarks, expansion.source))
         pictures = memory.glances.pictures
         self._glances = normalized(pictures.reshape(len(pictures), -1))
         self._glance_size = (pictures.shape[2], pictures.shape[1])
@@ -98,7 +106,8 @@ class SceneGuide:
         """Forget the frames so far."""
         self._last: CameraPose | None = None
         self._motion = np.eye(4)
-        self._since_search = SEARCH_EVERY
+        self._since_search, self._since_landmarks = SEARCH_EVERY, LANDMARKS_EVERY
+        self._led = 0  # Images for which landmarks alone still say where the camera is.
 
     def guide(self, image: np.ndarray) -> Guide | None:
         """Find the pose of an image, uint8 RGB (h, w, 3), and draw the wide view; None if lost."""
@@ -109,7 +118,7 @@ class SceneGuide:
         photo = self.aligner.photo(image)
         # Whatever goes wrong with this image, the next one starts anew.
         last, self._last = self._last, None
-        best = tracked = self._track(photo, last) if last is not None else None
+        best = followed = self._follow(image, photo, last) if last is not None else None
         self._since_search += 1
         if self._search_is_due(best):
             self._since_search = 0
@@ -118,7 +127,7 @@ class SceneGuide:
             return None
         # What was searched for has not moved there: it was taken there.
         self._motion = (last.inverse() @ best.pose.T_world_cam
-                        if last is not None and best is tracked else np.eye(4))
+                        if last is not None and best is followed else np.eye(4))
         self._last = best.pose
         known = best.view.depth > 0
         self._expose(best.view.image, known, image)
@@ -141,9 +150,39 @@ class SceneGuide:
             self.aligner.agreement(photo, pose)
         self.reset()
 
-    def _track(self, photo: list[PhotoLevel], last: CameraPose) -> Sight:
-        """Begin where a camera in steady motion would be now; if it is not there, where it was."""
+    def _follow(self, image: np.ndarray, photo: list[PhotoLevel], last: CameraPose) -> Sight:
+        """Track a camera; where landmarks contradict what is found so, they lead for a while."""
         expected = CameraPose(last.T_world_cam @ self._motion)
+        if self._led > 0:
+            self._led -= 1
+            location = self._locate(image, expected)
+            if location is not None:
+                return located(self._look(photo, location.pose))
+        tracked = self._track(photo, last, expected)
+        self._since_landmarks += 1
+        if self._since_landmarks < LANDMARKS_EVERY and tracked.agreement >= SURE:
+            return tracked
+        self._since_landmarks = 0
+        location = self._locate(image, tracked.pose)
+        if location is None:
+            return tracked
+        if location.allows(tracked.pose):
+            return located(tracked)
+        return self._look_from(location, photo)
+
+    def _locate(self, image: np.ndarray, around: CameraPose | None) -> Location | None:
+        return None if self._locator is None else self._locator.locate(image, around)
+
+    def _look_from(self, location: Location, photo: list[PhotoLevel]) -> Sight:
+        """Look from where landmarks say, aligned with the image if they allow that."""
+        pose = self.aligner.align(photo, location.pose, 1, near=True)
+        if not location.allows(pose):
+            pose, self._led = location.pose, LANDMARKS_EVERY
+        self._since_landmarks = LANDMARKS_EVERY  # What is tracked next may be off, too.
+        return located(self._look(photo, pose))
+
+    def _track(self, photo: list[PhotoLevel], last: CameraPose, expected: CameraPose) -> Sight:
+        """Begin where a camera in steady motion would be now; if it is not there, where it was."""
         found = self._look(photo, self.aligner.align(photo, expected, 1, near=True), expected)
         if found.believed:
             return found
@@ -171,7 +210,16 @@ class SceneGuide:
         return Sight(pose, view, whole, believed or bool(there and partial >= LEAST_PARTIAL))
 
     def _search(self, image: np.ndarray, photo: list[PhotoLevel]) -> Sight | None:
-        """Compare with all glances, align with the best ones, take the pose that agrees most."""
+        """
+        Find a camera that may be anywhere: by its landmarks, or else by its looks.
+
+        Compares with all glances, aligns with the best ones, takes the pose that agrees most.
+        """
+        location = self._locate(image, None)
+        if location is not None:
+            found = self._look_from(location, photo)
+            if found.believed:
+                return found
         grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
         small = cv2.resize(grey, self._glance_size, interpolation=cv2.INTER_AREA)
         alike = self._glances @ normalized(small.reshape(1, -1))[0]
@@ -222,6 +270,11 @@ def _parallel_loops(threads: int) -> Iterator[None]:
             yield
         finally:
             set_num_threads(before)
+
+
+def located(sight: Sight) -> Sight:
+    """Return what is seen from a pose that landmarks speak for: believed, unless all differs."""
+    return replace(sight, believed=sight.believed or sight.agreement >= LEAST_LOCATED)
 
 
 def better(one: Sight | None, other: Sight | None) -> Sight | None:

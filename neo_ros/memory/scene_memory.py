@@ -13,6 +13,7 @@ import cv2
 from neo_ros.errors import ModelError
 from neo_ros.geometry import Band
 from neo_ros.geometry.camera_pose import check_transform
+from neo_ros.memory.landmarks import Landmarks
 from neo_ros.model_bytes import MAX_BYTES, read_model_bytes
 from neo_ros.paths import whole_file
 import numpy as np
@@ -61,12 +62,15 @@ class SceneMemory:
     """
     Keyframes of one scene on a sparse grid, compressed; decoded when they are needed.
 
-    positions (K, 3) world metres; band, the part of the sphere that all of them show; glances.
+    positions (K, 3) world metres; band, the part of the sphere that all of them show; glances;
+    landmarks, or None where the photos have none.
     """
 
     def __init__(self, positions: np.ndarray, band: Band, textures: Sequence[bytes],
-                 depths: Sequence[bytes], glances: Glances) -> None:
-        self.positions, self.band, self.glances = positions, band, glances
+                 depths: Sequence[bytes], glances: Glances,
+                 landmarks: Landmarks | None = None) -> None:
+        self.positions, self.band = positions, band
+        self.glances, self.landmarks = glances, landmarks
         self._textures, self._depths = textures, depths
         # The last one used is the last. An lru_cache of a method would keep this object alive.
         self._decoded: dict[int, Keyframe] = {}
@@ -100,7 +104,7 @@ class SceneMemory:
 
     @classmethod
     def from_keyframes(cls, keyframes: Sequence[Keyframe], band: Band,
-                       glances: Glances) -> 'SceneMemory':
+                       glances: Glances, landmarks: Landmarks | None = None) -> 'SceneMemory':
         """Compress keyframes of one band and size."""
         textures, depths = [], []
         for keyframe in keyframes:
@@ -110,12 +114,16 @@ class SceneMemory:
                                     [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]))
             depths.append(_encode('.png', coded.astype(np.uint16), []))
         return cls(np.stack([keyframe.position for keyframe in keyframes]), band, textures,
-                   depths, glances)
+                   depths, glances, landmarks)
 
     def write(self, path: Path) -> str:
         """Write the memory; returns the file's SHA-256, for the model's card."""
         content = io.BytesIO()
         band = self.band
+        landmarks: dict[str, Any] = {}
+        if self.landmarks is not None:
+            landmarks = {'landmarks': self.landmarks.points,
+                         'landmark_descriptors': self.landmarks.descriptors}
         np.savez(
             content, schema=SCHEMA, positions=self.positions,
             band=np.array([band.top, band.bottom, band.low, band.width], np.float64),
@@ -123,7 +131,7 @@ class SceneMemory:
             depths=np.frombuffer(b''.join(self._depths), np.uint8),
             texture_sizes=[len(item) for item in self._textures],
             depth_sizes=[len(item) for item in self._depths],
-            glances=self.glances.pictures, glance_poses=self.glances.T_world_cam)
+            glances=self.glances.pictures, glance_poses=self.glances.T_world_cam, **landmarks)
         data = content.getbuffer()
         if len(data) > MAX_BYTES:
             raise ModelError(
@@ -186,8 +194,13 @@ class SceneMemory:
         poses = _field(data, 'glance_poses', np.float64, (len(pictures), 4, 4))
         for pose in poses:
             check_transform(pose, 'glance_poses')
+        landmarks = None
+        if 'landmarks' in data:
+            points = _field(data, 'landmarks', np.float32, (ANY, 3))
+            landmarks = Landmarks(points, _field(
+                data, 'landmark_descriptors', np.uint8, (len(points), 128)))
         return cls(positions, Band(top, bottom, low, width), textures, depths,
-                   Glances(pictures, poses))
+                   Glances(pictures, poses), landmarks)
 
 
 def _archive(content: bytes) -> Any:

@@ -1,0 +1,176 @@
+"""
+Landmarks: points of the scene whose place is known better than that of any surface of the field.
+
+They are triangulated from the photos. Matched with an image they give its pose, from nothing or
+from about where the camera is (PnP with RANSAC), and they tell whether a pose found in another
+way can be right: photometric alignment follows a surface that is at a wrong depth.
+"""
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import cv2
+from neo_ros.geometry import CameraPose, Intrinsics
+from neo_ros.memory.local_features import Features, find_features, match_features
+import numpy as np
+
+# Images are enlarged twice, or to so many pixels in width if that is less. With 256 poses are no
+# better (demo flat: 0.55 instead of 0.62 cm), and SIFT takes half as long again.
+WORKED_WIDTH = 192
+MOST_FEATURES = 500
+MOST_LANDMARKS = 20_000
+# Photos that have to show a landmark.
+LEAST_PHOTOS = 3
+# RootSIFT has length 1, and hardly a component above a half.
+STEPS = 512
+RATIO = 0.9
+INLIER_PIXELS = 2.0
+RANSAC_ROUNDS = 300
+# On images of other scenes chance makes 11 at most; on held-out photos it is 24 and more.
+LEAST_INLIERS = 20
+# How far outside the image landmarks are tried, in widths of it.
+MARGIN = 0.25
+ALIKE_METRES, ALIKE_COSINE = 0.2, 0.99
+NEAREST = 0.1  # metres
+# How much more the landmarks may be off than at their own best pose, in variances: 6 would be
+# chance. More than so many landmarks are not believed more: they err together. Of the poses that
+# alignment finds for held-out photos, right ones have up to 60 (living_room, demo flat); those
+# half a degree off in a real kitchen have 80 and more.
+MOST_DOUBT, MOST_WITNESSES = 60.0, 90
+# Of the squared distance of a landmark from its pixel: features are not found more exactly.
+LEAST_VARIANCE = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Landmarks:
+    """Points float32 (P, 3), world metres, and how they look, uint8 (P, 128): RootSIFT x 512."""
+
+    points: np.ndarray
+    descriptors: np.ndarray
+
+    @classmethod
+    def from_observations(cls, points: np.ndarray, point_of: np.ndarray,
+                          descriptors: np.ndarray) -> 'Landmarks | None':
+        """
+        Choose the points that most photos show, each with its mean descriptor; None without any.
+
+        points (P, 3) world metres; point_of int (N,), the point that each feature of the photos
+        shows, -1 = none; descriptors float32 (N, 128) of these features, of length 1.
+        """
+        shown = point_of >= 0
+        photos = np.bincount(point_of[shown], minlength=len(points))
+        chosen = np.argsort(-photos, kind='stable')[:MOST_LANDMARKS]
+        chosen = np.sort(chosen[photos[chosen] >= LEAST_PHOTOS])
+        if not len(chosen):
+            return None
+        sums = np.zeros((len(points), descriptors.shape[1]), np.float32)
+        np.add.at(sums, point_of[shown], descriptors[shown])
+        coded = np.rint(STEPS * _unit(sums[chosen]))
+        return cls(points[chosen].astype(np.float32), np.minimum(coded, 255).astype(np.uint8))
+
+
+class Location(NamedTuple):
+    """The pose that landmarks give an image, and what speaks for it: N points and pixels."""
+
+    pose: CameraPose
+    camera: Intrinsics
+    points: np.ndarray
+    pixels: np.ndarray
+
+    def allows(self, pose: CameraPose) -> bool:
+        """Tell whether another pose fits the landmarks as well, but for chance."""
+        own, other = (self._squared_errors(one).mean() for one in (self.pose, pose))
+        witnesses = min(len(self.points), MOST_WITNESSES)
+        return bool(2 * witnesses * (other - own) < MOST_DOUBT * max(own, LEAST_VARIANCE))
+
+    def _squared_errors(self, pose: CameraPose) -> np.ndarray:
+        seen, off = _project(self.points, pose, self.camera)
+        errors = ((off - self.pixels) ** 2).sum(1)
+        return np.minimum(np.where(seen, errors, np.inf), (2 * INLIER_PIXELS) ** 2)
+
+
+class Locator:
+    """Finds images of one camera by the landmarks of one scene."""
+
+    def __init__(self, landmarks: Landmarks, camera: Intrinsics) -> None:
+        self.camera = camera
+        self._points = landmarks.points.astype(np.float64)
+        self._descriptors = _unit(landmarks.descriptors.astype(np.float32))
+
+    def locate(self, image: np.ndarray, around: CameraPose | None = None) -> Location | None:
+        """
+        Find the pose of an image, uint8 RGB (h, w, 3); None if too few landmarks are seen.
+
+        around: about where the camera is; the landmarks that it would see there are tried, or
+        else all. PnP after Gao et al. (2003) in RANSAC, then least squares.
+        """
+        features = find_features(image, magnification(self.camera), MOST_FEATURES)
+        found = self._match(features, around)
+        if found is not None and (around is None or not _alike(found.pose, around)):
+            # Other landmarks are in view there, and of all of them many look alike.
+            found = self._match(features, found.pose) or found
+        return found
+
+    def _match(self, features: Features, around: CameraPose | None) -> Location | None:
+        tried = np.arange(len(self._points)) if around is None else self._visible(around)
+        matches = match_features(features.descriptors, self._descriptors[tried], RATIO)
+        if len(matches) < LEAST_INLIERS:
+            return None
+        return self._pose(self._points[tried[matches[:, 1]]],
+                          features.points[matches[:, 0]].astype(np.float64))
+
+    def _visible(self, pose: CameraPose) -> np.ndarray:
+        """Return the indices of the landmarks in view of a pose, or near to it."""
+        seen, pixels = _project(self._points, pose, self.camera)
+        size = np.array([self.camera.width, self.camera.height])
+        margin = MARGIN * self.camera.width
+        return np.flatnonzero(seen & ((pixels > -margin) & (pixels < size + margin)).all(1))
+
+    def _pose(self, points: np.ndarray, pixels: np.ndarray) -> Location | None:
+        matrix = self.camera.matrix
+        found, turn, shift, inliers = cv2.solvePnPRansac(
+            points, pixels, matrix, None, iterationsCount=RANSAC_ROUNDS,
+            reprojectionError=INLIER_PIXELS, confidence=0.9999, flags=cv2.SOLVEPNP_AP3P)
+        if not found or inliers is None:
+            return None
+        fits = inliers[:, 0]
+        for _ in range(2):
+            if len(fits) < LEAST_INLIERS:
+                return None
+            turn, shift = cv2.solvePnPRefineLM(points[fits], pixels[fits], matrix, None, turn,
+                                               shift)
+            T = np.eye(4)
+            T[:3, :3], T[:3, 3] = cv2.Rodrigues(turn)[0], shift[:, 0]
+            if not np.isfinite(T).all():
+                return None
+            pose = CameraPose.nearest(np.linalg.inv(T))
+            seen, off = _project(points, pose, self.camera)
+            fits = np.flatnonzero(
+                seen & (((off - pixels) ** 2).sum(1) < INLIER_PIXELS ** 2))
+        if len(fits) < LEAST_INLIERS:
+            return None
+        return Location(pose, self.camera, points[fits], pixels[fits])
+
+
+def magnification(camera: Intrinsics) -> float:
+    """Return how many times an image is enlarged before features are looked for."""
+    return min(2.0, WORKED_WIDTH / camera.width)
+
+
+def _alike(one: CameraPose, other: CameraPose) -> bool:
+    """Tell whether nearly the same landmarks are in view of two poses."""
+    return bool(np.linalg.norm(one.position - other.position) < ALIKE_METRES
+                and one.forward @ other.forward > ALIKE_COSINE)
+
+
+def _project(points: np.ndarray, pose: CameraPose, camera: Intrinsics
+             ) -> tuple[np.ndarray, np.ndarray]:
+    """Return which points (N, 3) lie before the camera, and their pixels (N, 2)."""
+    x, y, z = ((points - pose.position) @ pose.T_world_cam[:3, :3]).T
+    seen = z > NEAREST
+    z = np.where(seen, z, 1)
+    return seen, np.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], 1)
+
+
+def _unit(rows: np.ndarray) -> np.ndarray:
+    """Return rows of length 1."""
+    return rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-6)

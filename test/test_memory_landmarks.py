@@ -1,0 +1,146 @@
+"""Poses from landmarks, in the demo flat, whose depth is known exactly."""
+import hashlib
+import io
+from pathlib import Path
+
+from box_room import apart, box_memory
+from neo_ros.errors import ModelError
+from neo_ros.geometry import CameraPose, Intrinsics
+from neo_ros.memory.landmarks import Landmarks, LEAST_PHOTOS, Locator, magnification
+from neo_ros.memory.local_features import find_features
+from neo_ros.memory.scene_guide import SceneGuide
+from neo_ros.memory.scene_memory import SceneMemory
+from neo_ros.paths import share_dir
+from neo_ros.runtime import FovExtrapolator
+from neo_ros.scenes.demo_flat import build_demo_flat, walking_paths
+import numpy as np
+import pytest
+
+FLAT = build_demo_flat()
+CAMERA = Intrinsics.from_hfov(96, 96, np.pi / 2)
+WALK = walking_paths(FLAT, 1, 12, 5)[0]
+# The one in the middle is not among the photos.
+PHOTOS, NEW = [WALK[0], WALK[2], WALK[4], WALK[6]], WALK[3]
+
+
+def landmarks_of(poses: list[CameraPose]) -> Landmarks:
+    """Take every feature of some views for a landmark; its depth is exact."""
+    points, descriptors = [], []
+    for pose in poses:
+        image, depth = FLAT.render(CAMERA, pose)
+        features = find_features(image, magnification(CAMERA))
+        column, row = features.points.astype(int).T
+        z = depth[row, column].astype(float)
+        local = np.stack([(features.points[:, 0] - CAMERA.cx) / CAMERA.fx * z,
+                          (features.points[:, 1] - CAMERA.cy) / CAMERA.fy * z, z], 1)
+        points.append(local @ pose.T_world_cam[:3, :3].T + pose.position)
+        descriptors.append(features.descriptors)
+    count = sum(map(len, points))
+    found = Landmarks.from_observations(
+        np.concatenate(points), np.tile(np.arange(count), LEAST_PHOTOS),
+        np.tile(np.concatenate(descriptors), (LEAST_PHOTOS, 1)))
+    assert found is not None and len(found.points) == count
+    return found
+
+
+@pytest.fixture(scope='module')
+def landmarks() -> Landmarks:
+    return landmarks_of(PHOTOS)
+
+
+def moved(pose: CameraPose, metres: float) -> CameraPose:
+    T = pose.T_world_cam.copy()
+    T[:3, 3] += [metres, 0, 0]
+    return CameraPose(T)
+
+
+@pytest.mark.parametrize('off', [None, 0.0, 0.3], ids=['anywhere', 'here', 'off by a step'])
+def test_an_image_is_found(landmarks: Landmarks, off: float | None) -> None:
+    image, _ = FLAT.render(CAMERA, NEW)
+    found = Locator(landmarks, CAMERA).locate(image, None if off is None else moved(NEW, off))
+    assert found is not None
+    metres, degrees = apart(found.pose, NEW)
+    assert metres < 0.03 and degrees < 0.5
+    assert len(found.points) == len(found.pixels) > 50
+
+
+def test_other_poses_are_allowed_as_far_as_landmarks_can_tell(landmarks: Landmarks) -> None:
+    found = Locator(landmarks, CAMERA).locate(FLAT.render(CAMERA, NEW)[0])
+    assert found is not None
+    assert found.allows(found.pose) and found.allows(NEW)
+    assert not found.allows(moved(NEW, 0.1))
+    # Landmarks behind a camera are not seen by it.
+    about = NEW.T_world_cam @ np.diag([-1.0, 1, -1, 1])
+    assert not found.allows(CameraPose(about))
+
+
+def test_what_shows_something_else_is_not_found(landmarks: Landmarks) -> None:
+    locator = Locator(landmarks, CAMERA)
+    noise = np.random.default_rng(0).integers(0, 256, (96, 96, 3), np.uint8)
+    assert locator.locate(noise) is None
+    assert locator.locate(np.full((96, 96, 3), 90, np.uint8)) is None
+    image, _ = FLAT.render(CAMERA, NEW)
+    behind = NEW.T_world_cam @ np.diag([-1.0, 1, -1, 1])
+    assert locator.locate(image, CameraPose(behind)) is None
+
+
+def test_landmarks_are_what_several_photos_show() -> None:
+    points = np.arange(12.0).reshape(4, 3)
+    descriptors = np.eye(128, dtype=np.float32)[:8]
+    point_of = np.array([2, 2, 2, 0, 0, -1, 3, 3])
+    found = Landmarks.from_observations(points, point_of, descriptors)
+    assert found is not None and np.array_equal(found.points, points[[2]])
+    # The mean of three descriptors, of length 1, x 512, in a byte.
+    assert found.descriptors[0].tolist() == [255] * 3 + [0] * 125
+    assert Landmarks.from_observations(points, point_of[3:], descriptors[3:]) is None
+
+
+def test_landmarks_are_kept_in_the_file(landmarks: Landmarks, tmp_path: Path) -> None:
+    memory, path = box_memory(), tmp_path / 'box.memory'
+    assert memory.landmarks is None
+    memory.landmarks = landmarks
+    again = SceneMemory.read(path, memory.write(path)).landmarks
+    assert again is not None
+    assert np.array_equal(again.points, landmarks.points)
+    assert np.array_equal(again.descriptors, landmarks.descriptors)
+
+
+@pytest.mark.parametrize(('field', 'change', 'message'), [
+    ('landmarks', lambda value: value.astype(float), 'landmarks: expected float32'),
+    ('landmarks', lambda value: value * np.float32(np.nan), 'landmarks: expected finite'),
+    ('landmarks', lambda value: value[:0], 'landmarks: expected'),
+    ('landmark_descriptors', lambda value: value[1:], 'landmark_descriptors: expected'),
+    ('landmark_descriptors', lambda value: value[:, 1:], 'landmark_descriptors: expected'),
+])
+def test_landmarks_that_no_training_writes_are_refused(
+        landmarks: Landmarks, tmp_path: Path, field, change, message) -> None:
+    memory, path = box_memory(), tmp_path / 'box.memory'
+    memory.landmarks = landmarks
+    memory.write(path)
+    with np.load(path) as data:
+        fields = dict(data)
+    fields[field] = change(fields[field])
+    content = io.BytesIO()
+    np.savez(content, **fields)
+    path.write_bytes(content.getvalue())
+    with pytest.raises(ModelError, match=message):
+        SceneMemory.read(path, hashlib.sha256(content.getvalue()).hexdigest())
+
+
+def test_landmarks_lead_where_alignment_is_drawn_aside(monkeypatch: pytest.MonkeyPatch) -> None:
+    card = FovExtrapolator.load(share_dir() / 'models/demo_flat.onnx', guided=False).card
+    assert card.memory is not None
+    memory = SceneMemory.read(share_dir() / 'models' / card.memory.file, card.memory.sha256)
+    source = card.expansion.source
+    walk = walking_paths(FLAT, 1, 40, 5)[0][:6]
+    poses = []
+    for known in (memory.landmarks, None):
+        memory.landmarks = known
+        guide = SceneGuide(memory, card.expansion)
+        align = guide.aligner.align
+        monkeypatch.setattr(guide.aligner, 'align', lambda *a, **o: moved(align(*a, **o), 0.06))
+        found = [guide.guide(FLAT.render(source, pose)[0]) for pose in walk]
+        poses.append([one.pose for one in found if one is not None])
+    led, drawn = ([apart(*pair)[0] for pair in zip(found, walk)] for found in poses)
+    assert len(led) == 6 and max(led) < 0.03
+    assert not drawn or max(drawn) > 0.05
