@@ -1,6 +1,7 @@
 """The rivals on a small room: B2 and B3 find the place, the oracle needs the pose."""
+from corner_photos import CAMERA, EXPANSION, write_corner
 from neo_ros.errors import SceneError
-from neo_ros.evaluation.evaluate import score_frames, TruthFrames
+from neo_ros.evaluation.evaluate import score_frames
 from neo_ros.evaluation.field_view import FieldView, Oracle
 from neo_ros.evaluation.image_fill import blend_bands, extend_edges
 from neo_ros.evaluation.photo_bank import read_photo_bank
@@ -9,40 +10,20 @@ from neo_ros.evaluation.relocalized import (
 from neo_ros.evaluation.sparse_model import epipolar_distance, read_sparse_model
 from neo_ros.evaluation.warping import (
     covering, near_matches, on_plane, smooth_warp, WarpedPhoto, Warping)
-from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
+from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.geometry.camera_pose import rotation_from_vector
 from neo_ros.memory.local_features import find_features, match_features
 from neo_ros.scenes.demo_flat import build_demo_flat
-from neo_ros.scenes.posed_images import PosedImages
 import numpy as np
 from plain_field import room_field, standing
 import pytest
-from scene_files import write_picture
-
-CAMERA = Intrinsics.from_hfov(96, 96, np.pi / 2)
-EXPANSION = ViewExpansion.to_size(CAMERA, 192, 192)
 
 
 @pytest.fixture(scope='module')
 def corner(tmp_path_factory):
-    """Write photos around one place of the demo flat, and one wide view from between them."""
+    """Return a folder, photos around one place of the demo flat, and a wide view between them."""
     folder = tmp_path_factory.mktemp('corner')
-    flat = build_demo_flat()
-    centre = flat.walkable().centres().mean(0)
-    nearest = flat.walkable().centres()
-    centre = nearest[np.argmin(((nearest - centre) ** 2).sum(1))]
-    poses = [CameraPose.from_planar(centre[0] + dx, centre[1] + dy, 1.5, yaw)
-             for yaw in (-0.9, -0.45, 0.0, 0.45, 0.9)
-             for dx, dy in ((0.0, 0.08), (0.08, -0.08), (-0.1, 0.0))]
-    paths = [folder / f'train/{index:02d}.png' for index in range(len(poses))]
-    for path, pose in zip(paths, poses):
-        write_picture(path, flat.render(CAMERA, pose)[0])
-    photos = PosedImages(CAMERA, tuple(paths), tuple(poses), (0,) * len(poses))
-    pose = CameraPose.from_planar(centre[0] + 0.03, centre[1] + 0.02, 1.5, 0.1)
-    path = folder / 'test.png'
-    write_picture(path, flat.render(EXPANSION.target, pose)[0])
-    frames = TruthFrames(PosedImages(EXPANSION.target, (path,), (pose,), (0,)), EXPANSION)
-    return folder, photos, frames
+    return folder, *write_corner(folder)
 
 
 @pytest.fixture(scope='module')
