@@ -45,8 +45,9 @@ def inspect(
 
         path = memory_path(model, extrapolator.card.memory)
         memory = SceneMemory.read(path, extrapolator.card.memory.sha256)
+        landmarks = 0 if memory.landmarks is None else len(memory.landmarks.points)
         table.add_row('scene memory', f'{escape(path.name)}: {len(memory.positions)} keyframes, '
-                      f'{path.stat().st_size / 1e6:.2f} MB')
+                      f'{landmarks} landmarks, {path.stat().st_size / 1e6:.2f} MB')
     table.add_row('time per image', f'{statistics.median(milliseconds):.2f} ms '
                   f'(network alone, median of {TIMED_RUNS}, CPU, {threads or "all"} threads)')
     rich.print(table)
