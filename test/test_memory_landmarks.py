@@ -5,9 +5,9 @@ from pathlib import Path
 
 from box_room import apart, box_memory
 from neo_ros.errors import ModelError
+from neo_ros.evaluation.speed_guided import exact_landmarks
 from neo_ros.geometry import CameraPose, Intrinsics
-from neo_ros.memory.landmarks import Landmarks, LEAST_PHOTOS, Locator, magnification
-from neo_ros.memory.local_features import find_features
+from neo_ros.memory.landmarks import Landmarks, Locator
 from neo_ros.memory.scene_guide import SceneGuide
 from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.paths import share_dir
@@ -23,29 +23,11 @@ WALK = walking_paths(FLAT, 1, 12, 5)[0]
 PHOTOS, NEW = [WALK[0], WALK[2], WALK[4], WALK[6]], WALK[3]
 
 
-def landmarks_of(poses: list[CameraPose]) -> Landmarks:
-    """Take every feature of some views for a landmark; its depth is exact."""
-    points, descriptors = [], []
-    for pose in poses:
-        image, depth = FLAT.render(CAMERA, pose)
-        features = find_features(image, magnification(CAMERA))
-        column, row = features.points.astype(int).T
-        z = depth[row, column].astype(float)
-        local = np.stack([(features.points[:, 0] - CAMERA.cx) / CAMERA.fx * z,
-                          (features.points[:, 1] - CAMERA.cy) / CAMERA.fy * z, z], 1)
-        points.append(local @ pose.T_world_cam[:3, :3].T + pose.position)
-        descriptors.append(features.descriptors)
-    count = sum(map(len, points))
-    found = Landmarks.from_observations(
-        np.concatenate(points), np.tile(np.arange(count), LEAST_PHOTOS),
-        np.tile(np.concatenate(descriptors), (LEAST_PHOTOS, 1)))
-    assert found is not None and len(found.points) == count
-    return found
-
-
 @pytest.fixture(scope='module')
 def landmarks() -> Landmarks:
-    return landmarks_of(PHOTOS)
+    found = exact_landmarks(FLAT, CAMERA, PHOTOS)
+    assert found is not None
+    return found
 
 
 def moved(pose: CameraPose, metres: float) -> CameraPose:

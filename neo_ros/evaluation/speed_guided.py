@@ -18,6 +18,8 @@ from neo_ros.evaluation.speed_runtime import size_name
 from neo_ros.field.memory_baking import keyframe_glances, keyframe_size, mesh_depth
 from neo_ros.field.panorama import view_band
 from neo_ros.geometry import Band, CameraPose, Intrinsics, ViewExpansion
+from neo_ros.memory.landmarks import Landmarks, LEAST_PHOTOS, magnification
+from neo_ros.memory.local_features import find_features
 from neo_ros.memory.scene_memory import Keyframe, SceneMemory
 from neo_ros.runtime import FovExtrapolator, read_model_card
 from neo_ros.runtime.model_card import MemoryFile, write_model_card
@@ -63,8 +65,11 @@ def write_guided_stand_in(folder: Path, view: ViewExpansion, poses: Sequence[Cam
             keyframes.append(exact_keyframe(flat, pose.position, band, view.target.fx))
     headings = [level_pose(np.zeros(3), yaw).T_world_cam[:3, :3]
                 for yaw in np.arange(24) * np.pi / 12]
+    looks = [level_pose(keyframe.position, 2 * math.pi * number / SIDES)
+             for keyframe in keyframes for number in range(SIDES)]
     memory = SceneMemory.from_keyframes(
-        keyframes, band, keyframe_glances(keyframes, band, view.source, headings))
+        keyframes, band, keyframe_glances(keyframes, band, view.source, headings),
+        exact_landmarks(flat, view.source, looks))
     model = write_stand_in_model(folder / 'stand_in.onnx', view)
     file = MemoryFile(file='stand_in.memory', sha256=memory.write(folder / 'stand_in.memory'))
     write_model_card(model, read_model_card(model).model_copy(
@@ -95,6 +100,24 @@ def exact_keyframe(flat: DemoFlat, position: np.ndarray, band: Band, focal: floa
         texture[mine] = cv2.remap(image, columns, rows, cv2.INTER_LINEAR)[mine]
         depth[mine] = (cv2.remap(z, columns, rows, cv2.INTER_NEAREST) / ahead)[mine]
     return Keyframe(position, mesh_depth(depth, finer), texture)
+
+
+def exact_landmarks(flat: DemoFlat, camera: Intrinsics, poses: Sequence[CameraPose]
+                    ) -> Landmarks | None:
+    """Take the features of views for landmarks, as if several photos had shown each."""
+    points, descriptors = [], []
+    to_rays = np.linalg.inv(camera.matrix)
+    for pose in poses:
+        image, z = flat.render(camera, pose)
+        features = find_features(image, magnification(camera))
+        columns, rows = features.points.astype(int).T
+        rays = np.column_stack([features.points, np.ones(len(rows))]) @ to_rays.T
+        points.append(z[rows, columns, None] * rays @ pose.T_world_cam[:3, :3].T + pose.position)
+        descriptors.append(features.descriptors)
+    every = np.arange(sum(map(len, points)))
+    return Landmarks.from_observations(
+        np.concatenate(points), np.tile(every, LEAST_PHOTOS),
+        np.tile(np.concatenate(descriptors), (LEAST_PHOTOS, 1)))
 
 
 def _follow(extrapolator: FovExtrapolator, images: Sequence[np.ndarray]
