@@ -144,8 +144,10 @@ def test_the_threshold_allows_for_a_soft_field(field: RadianceField, tmp_path: P
     room = pool(field)
     room.require_sharpness(photos(field, tmp_path), 1.0)
     room.fill(6)
-    at_photo = room.panoramas[0].cut_view(VIEW, standing(yaw=1.5).T_world_cam[:3, :3])
-    assert relative_sharpness(at_photo[..., :3]) > room.least_sharpness
+    views = [room.panoramas[0].cut_view(VIEW, standing(yaw=yaw).T_world_cam[:3, :3])
+             for yaw in np.arange(0, 4.5, 0.5)]
+    sharp = [relative_sharpness(view[..., :3]) > room.least_sharpness for view in views]
+    assert np.mean(sharp) > 0.8
 
 
 def test_counts_and_map_come_back_from_the_folder(

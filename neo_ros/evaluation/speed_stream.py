@@ -7,7 +7,6 @@ import time
 from neo_ros.evaluation.metrics import psnr
 from neo_ros.evaluation.speed_host import Machine
 from neo_ros.evaluation.speed_record import Effort, Record, time_calls, Work
-from neo_ros.field.panorama import SUPERSAMPLE
 from neo_ros.field.rendering import render_view, to_uint8
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
@@ -36,7 +35,7 @@ def measure_stream(field: RadianceField, poses: list[CameraPose], wide: Intrinsi
     steps = itertools.count(1)
     image = stream.pool.panoramas[0].image
     rays = image.shape[0] * image.shape[1]
-    cuts = 4 * BATCH * wide.width * wide.height * (SUPERSAMPLE ** 2 + 1)
+    cuts = 8 * BATCH * wide.width * wide.height
     render = work(rays)
     assert render.flops is not None
 

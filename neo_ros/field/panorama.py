@@ -14,7 +14,6 @@ import numpy as np
 
 # A view's pixels are coarsest in its middle; up to so many panorama pixels are spent on one there.
 MOST_DENSE = 2.0
-SUPERSAMPLE = 2
 # Radians around the sampled headings, which are not quite the extreme ones.
 MARGIN = 0.05
 # A surface within so many voxels of where rays begin is one that the camera stands in.
@@ -42,14 +41,15 @@ class Panorama:
 
         Outside the band nothing is covered: A is 0 there.
         """
-        fine = view.scaled(SUPERSAMPLE)
-        rays = fine.pixel_rays() @ R_world_cam.T.astype(np.float32)
+        # One point a pixel: four of them averaged take three times as long, and are no nearer to
+        # what the field shows (living_room: 46.0 instead of 46.6 dB).
+        rays = view.pixel_rays() @ R_world_cam.T.astype(np.float32)
         height, width = self.image.shape[:2]
         columns, rows = np.moveaxis(self.band.pixels(rays, height, width), -1, 0)
         cut = cv2.remap(self.image, columns, np.clip(rows, 0, height - 1), cv2.INTER_LINEAR,
                         borderMode=cv2.BORDER_WRAP)
         cut[(rows < -1) | (rows > height) | (columns < -1), 3] = 0
-        return cv2.resize(cut, (view.width, view.height), interpolation=cv2.INTER_AREA)
+        return cut
 
 
 def render_panorama(field: RadianceField, position: np.ndarray, view: Intrinsics,
