@@ -6,7 +6,8 @@ from pathlib import Path
 from box_room import apart, box_memory
 from neo_ros.errors import ModelError
 from neo_ros.evaluation.speed_guided import exact_landmarks
-from neo_ros.geometry import CameraPose, Intrinsics
+from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
+from neo_ros.memory import scene_guide
 from neo_ros.memory.landmarks import Landmarks, Locator
 from neo_ros.memory.scene_guide import SceneGuide
 from neo_ros.memory.scene_memory import SceneMemory
@@ -109,20 +110,51 @@ def test_landmarks_that_no_training_writes_are_refused(
         SceneMemory.read(path, hashlib.sha256(content.getvalue()).hexdigest())
 
 
-def test_landmarks_lead_where_alignment_is_drawn_aside(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture(scope='module')
+def shipped() -> tuple[SceneMemory, ViewExpansion]:
     card = FovExtrapolator.load(share_dir() / 'models/demo_flat.onnx', guided=False).card
     assert card.memory is not None
-    memory = SceneMemory.read(share_dir() / 'models' / card.memory.file, card.memory.sha256)
-    source = card.expansion.source
+    path = share_dir() / 'models' / card.memory.file
+    return SceneMemory.read(path, card.memory.sha256), card.expansion
+
+
+def test_landmarks_lead_where_alignment_is_drawn_aside(
+        shipped: tuple[SceneMemory, ViewExpansion], monkeypatch: pytest.MonkeyPatch) -> None:
+    memory, expansion = shipped
     walk = walking_paths(FLAT, 1, 40, 5)[0][:6]
     poses = []
     for known in (memory.landmarks, None):
-        memory.landmarks = known
-        guide = SceneGuide(memory, card.expansion)
+        monkeypatch.setattr(memory, 'landmarks', known)
+        guide = SceneGuide(memory, expansion)
         align = guide.aligner.align
         monkeypatch.setattr(guide.aligner, 'align', lambda *a, **o: moved(align(*a, **o), 0.06))
-        found = [guide.guide(FLAT.render(source, pose)[0]) for pose in walk]
+        found = [guide.guide(FLAT.render(expansion.source, pose)[0]) for pose in walk]
         poses.append([one.pose for one in found if one is not None])
     led, drawn = ([apart(*pair)[0] for pair in zip(found, walk)] for found in poses)
     assert len(led) == 6 and max(led) < 0.03
     assert not drawn or max(drawn) > 0.05
+
+
+def test_landmarks_follow_a_camera_that_is_partly_hidden(
+        shipped: tuple[SceneMemory, ViewExpansion]) -> None:
+    guide = SceneGuide(*shipped)
+    pattern = np.random.default_rng(0).integers(0, 256, (8, 4, 3), np.uint8)
+    for step, pose in enumerate(walking_paths(FLAT, 1, 40, 5)[0][:6]):
+        image = FLAT.render(shipped[1].source, pose)[0]
+        if step >= 2:
+            left = 8 * step
+            image[:, left:left + 48] = pattern.repeat(16, 0).repeat(12, 1)
+        found = guide.guide(image)
+        assert found is not None and apart(found.pose, pose)[0] < 0.03, step
+
+
+@pytest.mark.parametrize(('whole', 'partial', 'believed'), [
+    (0.6, 0.9, True), (0.4, 0.98, True), (0.4, 0.9, False)])
+def test_what_landmarks_say_is_believed_unless_all_differs(
+        shipped: tuple[SceneMemory, ViewExpansion], monkeypatch: pytest.MonkeyPatch,
+        whole: float, partial: float, believed: bool) -> None:
+    guide = SceneGuide(*shipped)
+    monkeypatch.setattr(scene_guide, 'agreement', lambda *images: (whole, partial))
+    for pose in walking_paths(FLAT, 1, 40, 5)[0][:2]:
+        found = guide.guide(FLAT.render(shipped[1].source, pose)[0])
+        assert (found is not None) == believed

@@ -157,7 +157,7 @@ class SceneGuide:
             self._led -= 1
             location = self._locate(image, expected)
             if location is not None:
-                return located(self._look(photo, location.pose))
+                return located(self._look(photo, location.pose, location.pose))
         tracked = self._track(photo, last, expected)
         self._since_landmarks += 1
         if self._since_landmarks < LANDMARKS_EVERY and tracked.agreement >= SURE:
@@ -179,7 +179,7 @@ class SceneGuide:
         if not location.allows(pose):
             pose, self._led = location.pose, LANDMARKS_EVERY
         self._since_landmarks = LANDMARKS_EVERY  # What is tracked next may be off, too.
-        return located(self._look(photo, pose))
+        return located(self._look(photo, pose, pose))
 
     def _track(self, photo: list[PhotoLevel], last: CameraPose, expected: CameraPose) -> Sight:
         """Begin where a camera in steady motion would be now; if it is not there, where it was."""
