@@ -87,7 +87,7 @@ class RosGraph:
             except subprocess.TimeoutExpired:
                 process.kill()  # Last, because it leaves shared memory behind.
                 process.wait()
-            if process.stdout:
+            if process.stdout and not process.stdout.closed:
                 print(process.stdout.read())  # pytest shows it where the test failed.
         self.executor.shutdown()
         self.node.destroy_node()
