@@ -158,17 +158,20 @@ class SceneGuide:
             location = self._locate(image, expected)
             if location is not None:
                 return located(self._look(photo, location.pose, location.pose))
-        tracked = self._track(photo, last, expected)
+        # A camera in steady motion would be there now.
+        tracked = self._look(photo, self.aligner.align(photo, expected, 1, near=True), expected)
         self._since_landmarks += 1
-        if self._since_landmarks < LANDMARKS_EVERY and tracked.agreement >= SURE:
+        if self._since_landmarks >= LANDMARKS_EVERY or tracked.agreement < SURE:
+            self._since_landmarks = 0
+            location = self._locate(image, tracked.pose)
+            if location is not None:
+                tracked = (located(tracked) if location.allows(tracked.pose)
+                           else self._look_from(location, photo))
+        if tracked.believed:
             return tracked
-        self._since_landmarks = 0
-        location = self._locate(image, tracked.pose)
-        if location is None:
-            return tracked
-        if location.allows(tracked.pose):
-            return located(tracked)
-        return self._look_from(location, photo)
+        # It may have stopped while somebody stands in the image.
+        again = self._look(photo, self.aligner.align(photo, last, 3, near=True), last)
+        return max(tracked, again, key=Sight.rank)
 
     def _locate(self, image: np.ndarray, around: CameraPose | None) -> Location | None:
         return None if self._locator is None else self._locator.locate(image, around)
@@ -180,15 +183,6 @@ class SceneGuide:
             pose, self._led = location.pose, LANDMARKS_EVERY
         self._since_landmarks = LANDMARKS_EVERY  # What is tracked next may be off, too.
         return located(self._look(photo, pose, pose))
-
-    def _track(self, photo: list[PhotoLevel], last: CameraPose, expected: CameraPose) -> Sight:
-        """Begin where a camera in steady motion would be now; if it is not there, where it was."""
-        found = self._look(photo, self.aligner.align(photo, expected, 1, near=True), expected)
-        if found.believed:
-            return found
-        # It may have stopped while somebody stands in the image.
-        again = self._look(photo, self.aligner.align(photo, last, 3, near=True), last)
-        return max(found, again, key=Sight.rank)
 
     def _look(self, photo: list[PhotoLevel], pose: CameraPose,
               expected: CameraPose | None = None, searched: bool = False) -> Sight:
