@@ -11,6 +11,7 @@ from box_room import BAND, box_memory, keyframe
 import cv2
 from neo_ros.errors import ModelError
 from neo_ros.memory import scene_memory
+from neo_ros.memory.landmarks import Landmarks
 from neo_ros.memory.scene_memory import CLOSEST, Glances, Keyframe, SceneMemory
 from neo_ros.model_bytes import MAX_BYTES
 import numpy as np
@@ -19,7 +20,11 @@ import pytest
 
 @pytest.fixture(scope='module')
 def memory() -> SceneMemory:
-    return box_memory()
+    memory = box_memory()
+    random = np.random.default_rng(0)
+    memory.landmarks = Landmarks(random.random((5, 3), np.float32),
+                                 random.integers(0, 256, (5, 128), np.uint8))
+    return memory
 
 
 def test_a_memory_comes_back(memory: SceneMemory, tmp_path: Path) -> None:
@@ -28,10 +33,18 @@ def test_a_memory_comes_back(memory: SceneMemory, tmp_path: Path) -> None:
     assert again.band == memory.band
     assert np.array_equal(again.positions, memory.positions)
     assert np.array_equal(again.glances.pictures, memory.glances.pictures)
+    assert memory.landmarks is not None and again.landmarks is not None
+    assert np.array_equal(again.landmarks.points, memory.landmarks.points)
+    assert np.array_equal(again.landmarks.descriptors, memory.landmarks.descriptors)
     for index in range(len(memory.positions)):
         one, other = memory.keyframe(index), again.keyframe(index)
         assert np.array_equal(one.texture, other.texture)
         assert np.array_equal(one.depth, other.depth)
+
+
+def test_a_memory_without_landmarks_comes_back(tmp_path: Path) -> None:
+    path = tmp_path / 'box.memory'
+    assert SceneMemory.read(path, box_memory().write(path)).landmarks is None
 
 
 def test_few_keyframes_stay_decoded_and_none_outlives_the_memory(
@@ -140,6 +153,11 @@ def test_a_newer_schema_and_other_archives_are_refused(tmp_path: Path) -> None:
     ('glances', lambda value: value[:0], 'glances: expected'),
     ('glances', lambda value: value[1:], 'glance_poses: expected'),
     ('glance_poses', lambda value: 2 * value, 'glance_poses: expected a rotation'),
+    ('landmarks', lambda value: value.astype(float), 'landmarks: expected float32'),
+    ('landmarks', lambda value: value * np.float32(np.nan), 'landmarks: expected finite'),
+    ('landmarks', lambda value: value[:0], 'landmarks: expected'),
+    ('landmark_descriptors', lambda value: value[1:], 'landmark_descriptors: expected'),
+    ('landmark_descriptors', lambda value: value[:, 1:], 'landmark_descriptors: expected'),
 ])
 def test_fields_that_no_training_writes_are_refused(memory: SceneMemory, tmp_path: Path, field,
                                                     change, message) -> None:
