@@ -68,8 +68,8 @@ def write_guided_stand_in(folder: Path, view: ViewExpansion, poses: Sequence[Cam
     looks = [level_pose(keyframe.position, 2 * math.pi * number / SIDES)
              for keyframe in keyframes for number in range(SIDES)]
     memory = SceneMemory.from_keyframes(
-        keyframes, band, keyframe_glances(keyframes, band, view.source, headings),
-        exact_landmarks(flat, view.source, looks))
+        keyframes, band, keyframe_glances(keyframes, band, view.source, headings))
+    memory.landmarks = exact_landmarks(flat, view.source, looks)
     model = write_stand_in_model(folder / 'stand_in.onnx', view)
     file = MemoryFile(file='stand_in.memory', sha256=memory.write(folder / 'stand_in.memory'))
     write_model_card(model, read_model_card(model).model_copy(

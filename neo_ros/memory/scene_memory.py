@@ -104,7 +104,7 @@ class SceneMemory:
 
     @classmethod
     def from_keyframes(cls, keyframes: Sequence[Keyframe], band: Band,
-                       glances: Glances, landmarks: Landmarks | None = None) -> 'SceneMemory':
+                       glances: Glances) -> 'SceneMemory':
         """Compress keyframes of one band and size."""
         textures, depths = [], []
         for keyframe in keyframes:
@@ -114,7 +114,7 @@ class SceneMemory:
                                     [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]))
             depths.append(_encode('.png', coded.astype(np.uint16), []))
         return cls(np.stack([keyframe.position for keyframe in keyframes]), band, textures,
-                   depths, glances, landmarks)
+                   depths, glances)
 
     def write(self, path: Path) -> str:
         """Write the memory; returns the file's SHA-256, for the model's card."""
