@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import json
 from pathlib import Path
 import shutil
+import time
 from typing import Callable, Optional
 
 import neo_ros
@@ -173,10 +174,11 @@ def fit_outpainter_step(run: TrainingRun, field: RadianceField,
 
     rank is the number of this process where several train together; each has its own stream.
     """
-    experiment = run.experiment
+    experiment, started = run.experiment, time.monotonic()
     trainer = OutpaintTrainer(run.expansion, experiment.network, experiment.outpaint,
                               experiment.seed, held_out)
     stream = make_stream(run, field, experiment.seed + 1_000_000 * rank)
+    run.seconds += time.monotonic() - started  # A checkpoint's time takes its place, where one is.
     log = (TrainingLog(run.out / 'tensorboard')
            if experiment.outpaint.tensorboard and rank == 0 else None)
 

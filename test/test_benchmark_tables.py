@@ -31,6 +31,15 @@ def test_the_first_is_a_method_that_a_robot_could_run():
     assert best_practical(RESULTS, 'warping_error') is None
 
 
+def test_each_table_has_its_own_best_in_bold():
+    seam = [scores('warping', [21] * 4, seam_psnr=[30] * 4),
+            scores('guided', [25] * 4, seam_psnr=[28] * 4),
+            scores('oracle', [40] * 4, seam_psnr=[40] * 4)]
+    bold = [line.split('|')[1].strip() for line in markdown([seam]).splitlines()
+            if line.startswith('| **')]
+    assert bold == ['**guided**', '**warping**']
+
+
 def test_the_first_is_compared_with_the_second_frame_by_frame():
     table = markdown([RESULTS])
     # The walks differ by 10 dB, the methods by 1 to 3: an unpaired interval would hold 0.

@@ -34,7 +34,8 @@ def test_the_memory_helps_or_stays_out_of_it(walks, tmp_path: Path) -> None:
     assert away.elsewhere_known == 0 and away.known > 0.9
     assert hidden.known > 0.7
     for row in rows.values():
-        assert row.worst_walk > -0.1, row
+        assert -0.1 < row.worst_walk <= row.ring_psnr - row.network_psnr, row
+    assert carried.worst_walk < carried.ring_psnr - carried.network_psnr - 0.01
     assert plain.ring_psnr > plain.network_psnr + 5
     assert markdown([away]).splitlines()[-1].startswith('| out of the scene and back | 24 | ')
 
@@ -47,6 +48,9 @@ def test_cases_are_what_they_are_called(walks) -> None:
     away = found['out of the scene and back'][0]
     assert [shot.truth is None for shot in away] == [False] * 6 + [True] * 10 + [False] * 6
     assert away[16].arrived and not away[17].arrived
+    # Those of a walk are told apart from the others', however they are mixed.
+    assert [shot.walk for shot in carried] == [*[0] * 5, *[1] * 5] * 2 + [0, 0, 1, 1]
+    assert {shot.walk for walk in found['a quarter of the light'][1:] for shot in walk} == {1}
     hidden = found['30 % of the image hidden'][0]
     assert np.array_equal(hidden[1].image, walks[0][1].image)
     share = (hidden[4].image != walks[0][4].image).any(-1).mean()

@@ -179,6 +179,17 @@ def test_scores_that_a_walks_first_frame_lacks_are_averaged_over_the_others():
     assert (estimate.low, estimate.high) == (pytest.approx(0.2), pytest.approx(0.8))
 
 
+def test_a_walk_without_a_score_says_nothing_about_it():
+    frames = frames_of([[10], [20], [30]])
+    for frame, error in zip(frames, (0.4, 0.6, None)):
+        if error is not None:
+            frame['warping_error'] = error
+    estimate = summarise(frames)['warping_error']
+    assert (estimate.mean, estimate.low, estimate.high) == (pytest.approx(0.5), 0.4, 0.6)
+    del frames[1]['warping_error']
+    assert summarise(frames)['warping_error'] == (0.4, None, None)
+
+
 def test_no_frames_is_an_error():
     with pytest.raises(ValueError, match='at least one'):
         summarise([])

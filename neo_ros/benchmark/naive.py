@@ -54,14 +54,16 @@ def train_naive(run: TrainingRun) -> None:
     if run.held_out is None:
         raise ConfigError(f'naive: expected photos to hold out, {run.scene.name} has only '
                           f'{len(run.scene.train)}')
-    target, experiment = run.expansion.target, run.experiment
+    target, experiment, started = run.expansion.target, run.experiment, time.monotonic()
     held_out = np.stack([opaque(as_wide(run.held_out, index, target.width, target.height))
                          for index in range(len(run.held_out))])
-    stream = ResizedPhotos(run.fitted, target.width, target.height, experiment.seed)
     trainer = OutpaintTrainer(
         run.expansion, experiment.network,
         replace(experiment.outpaint, validations=VALIDATIONS, real_centre=0.0),
         experiment.seed, held_out)
+    # The trainer's clock runs: what comes before the first step is part of its time, as NEO's is.
+    stream = ResizedPhotos(run.fitted, target.width, target.height, experiment.seed)
+    run.seconds += time.monotonic() - started
     checkpoint = run.out / 'naive.ckpt'
 
     def save() -> None:

@@ -22,6 +22,7 @@ from neo_ros.evaluation.photo_bank import PhotoBank, read_photo_bank
 from neo_ros.evaluation.sparse_model import read_sparse_model, SparseModel
 from neo_ros.experiment import Experiment, experiment_from, read_experiment
 from neo_ros.field.voxel_field import RadianceField
+from neo_ros.outpaint.network import NETWORKS
 from neo_ros.paths import share_dir
 from neo_ros.pipeline import claim, fit_field_step, Progress, train, TrainingRun
 from neo_ros.scenes.capture import listed
@@ -103,23 +104,15 @@ class Workbench:
 
     def model(self, network: str) -> Path:
         """Return the model file of NEO with a network (neo_fast, mat, lama)."""
-        out = self.folder / network
-        path = out / f'{self.scene.name}.onnx'
-        if not (out / 'done').exists():
+        run = self._run(self._experiment_of(network), self.folder / network)
+        if not (run.out / 'done').exists():
             self.field()
-            experiment = self.experiment
-            if network != 'neo_fast':
-                # Sizes mean something else in each network; and one scene has one memory.
-                experiment = replace(experiment, memory=None, network=read_experiment(
-                    share_dir() / 'config' / 'experiments' / 'networks' / f'{network}.yaml'
-                ).network)
-            run = self._run(experiment, out)
             for name in ('field.npz', 'field.json'):
-                if not (out / name).exists():
-                    share_file(self.folder / 'field' / name, out / name)
+                if not (run.out / name).exists():
+                    share_file(self.folder / 'field' / name, run.out / name)
             train(Path(self.job.scene), run.experiment, run.out, self.progress)
-            (out / 'done').touch()
-        return path
+            (run.out / 'done').touch()
+        return run.model_path
 
     def memory_minutes(self, network: str) -> float:
         """Return what of the minutes on a model's card went into its scene memory."""
@@ -151,6 +144,13 @@ class Workbench:
         return _timed(folder / 'points.npz', lambda: read_sparse_model(
             bank, folder, lambda done, total: self.progress('matches', done, total, '')))
 
+    def _experiment_of(self, network: str) -> Experiment:
+        if network == 'neo_fast':
+            return self.experiment
+        # Sizes mean something else in each network; and one scene has one memory.
+        path = share_dir() / 'config' / 'experiments' / 'networks' / f'{network}.yaml'
+        return replace(self.experiment, memory=None, network=read_experiment(path).network)
+
     def _run(self, experiment: Experiment, out: Path) -> TrainingRun:
         run = TrainingRun(self.scene, experiment, out, self.progress)
         make_output_folder(out)
@@ -163,7 +163,9 @@ class Workbench:
         # A different number of test frames or folder changes no artefact.
         kept = {'protocol': self.job.protocol, 'scale': self.job.scale,
                 'minutes': self.job.minutes, 'settings': self.job.settings or {},
-                'checksums': self.checksums}
+                'checksums': self.checksums,
+                'experiments': {network: self._experiment_of(network).config_hash
+                                for network in NETWORKS}}
         text = json.dumps({'job': asdict(self.job), **kept}, indent=1)
         if note.exists():
             found = json.loads(note.read_text())

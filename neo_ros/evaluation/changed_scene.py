@@ -3,7 +3,7 @@ What happens where the camera contradicts what the model remembers: the flat wit
 
     python -m neo_ros.evaluation.changed_scene models/demo_flat.onnx
 
-Renders the test walks before and after somebody moved four chairs and widens both. Prints, over
+Renders walks before and after somebody moved four chairs and widens both. Prints, over
 the frames in which a change crosses the border of the camera's view: whether the pose holds, and
 whether the confidence falls where the wide image is now wrong.
 """
@@ -23,6 +23,8 @@ CHANGED = 25.0      # grey levels, mean of the channels: more is another thing, 
 NEAR_SEAM = 0.125   # of the camera's width: how far from the seam the ring is looked at
 LEAST_PIXELS = 8    # that a change has at either side of the seam
 NEAREST = 0.8       # metres that the camera keeps off a moved chair
+# Of the walks: others than the test walks (0), on which settings of the memory were looked at.
+WALK_SEED = 1
 
 
 @dataclass(frozen=True)
@@ -102,7 +104,7 @@ def main() -> None:
     if len(sys.argv) != 2:
         sys.exit('usage: python -m neo_ros.evaluation.changed_scene MODEL.onnx')
     extrapolator = FovExtrapolator.load(Path(sys.argv[1]))
-    scores = score_change(extrapolator, walking_paths(build_demo_flat(), 8, 25, 0))
+    scores = score_change(extrapolator, walking_paths(build_demo_flat(), 8, 25, WALK_SEED))
     print(json.dumps(asdict(scores), indent=1))
 
 

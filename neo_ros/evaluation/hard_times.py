@@ -33,12 +33,13 @@ class Shot(NamedTuple):
     """
     A camera image, RGB uint8 (h, w, 3), and the wide truth (H, W, 3), None of elsewhere.
 
-    arrived: the first image in the scene after a jump.
+    arrived: the first image in the scene after a jump; walk: the number of its walk.
     """
 
     image: np.ndarray
     truth: np.ndarray | None
     arrived: bool = False
+    walk: int = 0
 
 
 # The shots of one walk after the other.
@@ -77,6 +78,7 @@ def score_cases(model: Path, walks: Walks, elsewhere: Sequence[np.ndarray]) -> l
 
 def cases(walks: Walks, elsewhere: Sequence[np.ndarray]) -> dict[str, Walks]:
     """Return the shots of every case by its name."""
+    walks = [[shot._replace(walk=number) for shot in walk] for number, walk in enumerate(walks)]
     return {
         'as they are': walks,
         f'carried elsewhere every {CARRIED_EVERY} images': [_carried(walks)],
@@ -84,7 +86,8 @@ def cases(walks: Walks, elsewhere: Sequence[np.ndarray]) -> dict[str, Walks]:
         '30 % of the image hidden': _spoilt(walks, lambda at, image: _hidden(at, image, 0.3)),
         '40 % of the image hidden': _spoilt(walks, lambda at, image: _hidden(at, image, 0.4)),
         'a quarter of the light': [
-            [Shot(lit(shot.image, 0.25), None if shot.truth is None else lit(shot.truth, 0.25))
+            [shot._replace(image=lit(shot.image, 0.25),
+                           truth=None if shot.truth is None else lit(shot.truth, 0.25))
              for shot in walk] for walk in walks],
         'blur, sigma 1.5 pixels': _spoilt(
             walks, lambda at, image: cv2.GaussianBlur(image, (0, 0), 1.5)),
@@ -129,11 +132,11 @@ def _hidden(at: int, image: np.ndarray, share: float) -> np.ndarray:
 def _score(case: str, guided: FovExtrapolator, network: FovExtrapolator, walks: Walks
            ) -> CaseScores:
     ring = guided.expansion.extrapolated_mask
-    known, away, searched, scores = [], [], [], []
+    known, away, searched = [], [], []
+    scores: dict[int, list[tuple[float, float]]] = {}
     for walk in walks:
         guided.reset()
         waiting: int | None = None
-        pairs = []
         for shot in walk:
             wide = guided.expand(shot.image)
             if shot.truth is None:
@@ -146,10 +149,11 @@ def _score(case: str, guided: FovExtrapolator, network: FovExtrapolator, walks: 
             known.append(wide.guided)
             alone = network.expand(shot.image).wide_image
             truth = shot.truth[ring]
-            pairs.append((psnr(truth, wide.wide_image[ring]), psnr(truth, alone[ring])))
-        scores.append(np.array(pairs))
-    ours, alone = np.concatenate(scores).mean(0).tolist()
-    worst = min(float((walk[:, 0] - walk[:, 1]).mean()) for walk in scores)
+            scores.setdefault(shot.walk, []).append(
+                (psnr(truth, wide.wide_image[ring]), psnr(truth, alone[ring])))
+    ours, alone = np.concatenate(list(scores.values())).mean(0).tolist()
+    worst = min(float(np.mean([ahead - behind for ahead, behind in walk]))
+                for walk in scores.values())
     return CaseScores(case, len(known), float(np.mean(known)), ours, alone, worst,
                       max(searched, default=None), float(np.mean(away)) if away else None)
 

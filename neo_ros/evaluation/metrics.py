@@ -115,7 +115,8 @@ def summarise(frames: Iterable[Mapping[str, object]], seed: int = 0) -> dict[str
     has none before it) is averaged over the others. Neighbouring frames of a walk show nearly
     the same, so whole paths are drawn again, not frames. With a single path the interval is
     None: one walk says nothing about the next. With two or three it is the range over the
-    paths, not 95 %: more than 2.5 % of the draws hold one path alone.
+    paths, not 95 %: more than 2.5 % of the draws hold one path alone. Paths count that have the
+    score.
     """
     frames = list(frames)
     if not frames:
@@ -130,11 +131,14 @@ def summarise(frames: Iterable[Mapping[str, object]], seed: int = 0) -> dict[str
     np.add.at(sums, path_of_frame, np.where(there, scores, 0))
     np.add.at(counts, path_of_frame, there)
     draws = np.random.default_rng(seed).integers(len(ids), size=(_BOOTSTRAP_DRAWS, len(ids)))
-    means = sums[draws].sum(axis=1) / np.maximum(counts[draws].sum(axis=1), 1)
-    low, high = np.quantile(means, [0.025, 0.975], axis=0)
-    known = len(ids) > 1
+    drawn = counts[draws].sum(axis=1)
+    # A draw of paths that all lack a score says nothing about it.
+    means = sums[draws].sum(axis=1) / np.where(drawn > 0, drawn, np.nan)
+    low, high = np.nanquantile(means, [0.025, 0.975], axis=0)
+    known = (counts > 0).sum(axis=0) > 1
     return {name: Estimate(float(sums[:, i].sum() / counts[:, i].sum()),
-                           float(low[i]) if known else None, float(high[i]) if known else None)
+                           float(low[i]) if known[i] else None,
+                           float(high[i]) if known[i] else None)
             for i, name in enumerate(names)}
 
 

@@ -13,6 +13,8 @@ import torch
 from torch import nn
 import torch.nn.functional as F
 
+NETWORKS = ('neo_fast', 'mat', 'lama')
+
 
 @dataclass(frozen=True)
 class NetworkConfig:
@@ -34,9 +36,9 @@ class NetworkConfig:
     window: int = 8         # mat: cells a side of an attention window
 
     def __post_init__(self) -> None:
-        if self.name not in ('neo_fast', 'mat', 'lama'):
+        if self.name not in NETWORKS:
             raise ConfigError(
-                f'network.name: expected neo_fast, mat or lama, got {self.name!r}')
+                f'network.name: expected {" or ".join(NETWORKS)}, got {self.name!r}')
         if min(self.patch, self.width, self.depth, self.memory, self.blocks, self.window) < 1:
             raise ConfigError(f'network: expected sizes >= 1, got {self}')
         if self.recall < 0:
