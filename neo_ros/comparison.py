@@ -1,6 +1,7 @@
 """Several experiments on one scene, side by side: networks at equal time, ablations."""
 from dataclasses import asdict, dataclass, replace
 import json
+import math
 from pathlib import Path
 import statistics
 import time
@@ -13,6 +14,7 @@ from neo_ros.evaluation.speed_runtime import noise_image
 from neo_ros.experiment import Experiment, read_experiment
 from neo_ros.pipeline import claim, Progress, train
 from neo_ros.runtime import FovExtrapolator
+from neo_ros.scenes.digests import list_digest
 from neo_ros.scenes.levelling import read_upright_scene
 
 # What of an experiment decides its field: those that agree in it share one.
@@ -65,13 +67,19 @@ def compare(scene_folder: Path, configs: Sequence[Path], out: Path,
         for path in configs for length in minutes or (None,)}
     make_output_folder(out)
     scene = read_upright_scene(scene_folder)
+    # A finished row counts as long as its test frames are these.
+    frames = '' if scene.test is None else list_digest(scene.test, scene.expansion)
     rows: list[Row] = []
     fields: dict[str, Path] = {}
     for name, experiment in experiments.items():
         folder = make_output_folder(out / name)
         claim(folder, scene, experiment)
-        rows.append(_finished_row(folder) or _trained_row(
-            scene_folder, name, experiment, folder, fields, progress))
+        row = _finished_row(folder, frames)
+        if row is None:
+            row = _trained_row(scene_folder, name, experiment, folder, fields, progress)
+            write_bytes(folder / 'row.json', json.dumps(
+                {'frames': frames, 'row': asdict(row)}).encode())
+        rows.append(row)
         fields.setdefault(_field_key(experiment), folder)
         written = marked_front(rows)
         write_bytes(out / 'comparison.json', json.dumps(
@@ -82,13 +90,19 @@ def compare(scene_folder: Path, configs: Sequence[Path], out: Path,
 
 
 def marked_front(rows: Sequence[Row]) -> list[Row]:
-    """Mark the rows that no other beats in quality and arithmetic at once."""
+    """
+    Mark the rows that no other beats in quality and arithmetic at once.
+
+    Quality is that of held-out photos, so that the test frames stay unseen: rows without any are
+    not marked.
+    """
     def beaten(row: Row) -> bool:
         return any(_quality(other) >= _quality(row) and other.gflop <= row.gflop
                    and (_quality(other), other.gflop) != (_quality(row), row.gflop)
                    for other in rows)
 
-    return [replace(row, on_front=not beaten(row)) for row in rows]
+    return [replace(row, on_front=row.validation_psnr is not None and not beaten(row))
+            for row in rows]
 
 
 def _prepared(experiment: Experiment, minutes: Optional[float],
@@ -114,19 +128,18 @@ def _trained_row(scene_folder: Path, name: str, experiment: Experiment, folder: 
                 lambda stage, *rest: progress(f'{name}: {stage}', *rest))
     model = FovExtrapolator.load(run.model_path, guided=False)
     validation = run.log['validation']
-    row = Row(name, experiment.network.name, model.card.gflop or 0.0,
-              run.model_path.stat().st_size / 1e6, _milliseconds(model), run.samples,
-              run.outpaint_seconds / 60, validation[-1][2] if validation else None,
-              run.figures.get('ring_psnr'))
-    write_bytes(folder / 'row.json', json.dumps(asdict(row)).encode())
-    return row
+    return Row(name, experiment.network.name, model.card.gflop or 0.0,
+               run.model_path.stat().st_size / 1e6, _milliseconds(model), run.samples,
+               run.outpaint_seconds / 60, validation[-1][2] if validation else None,
+               run.figures.get('ring_psnr'))
 
 
-def _finished_row(folder: Path) -> Optional[Row]:
+def _finished_row(folder: Path, frames: str) -> Optional[Row]:
     try:
-        return Row(**json.loads((folder / 'row.json').read_text()))
+        stored = json.loads((folder / 'row.json').read_text())
     except FileNotFoundError:
         return None
+    return Row(**stored['row']) if stored.get('frames') == frames else None
 
 
 def _milliseconds(model: FovExtrapolator) -> float:
@@ -144,11 +157,7 @@ def _field_key(experiment: Experiment) -> str:
 
 
 def _quality(row: Row) -> float:
-    """Return the score to choose by: held-out photos, so that the test frames stay unseen."""
-    for score in (row.validation_psnr, row.ring_psnr):
-        if score is not None:
-            return score
-    return 0.0
+    return -math.inf if row.validation_psnr is None else row.validation_psnr
 
 
 def _sections(rows: Sequence[Row], timed: bool) -> list[Section]:
@@ -162,11 +171,15 @@ def _sections(rows: Sequence[Row], timed: bool) -> list[Section]:
           f'{row.milliseconds:.1f}', str(row.samples), f'{row.minutes:.1f}',
           decibels(row.validation_psnr), decibels(row.ring_psnr),
           'yes' if row.on_front else '') for row in rows])
+    intro = Text('Front: no other experiment is better and cheaper at once. Around photos held '
+                 'out the truth is what the field of the experiment shows: compare those that '
+                 'share one. Time is the median of one image on all cores of this machine.')
+    drawn = [row for row in rows if row.validation_psnr is not None]
+    if not drawn:
+        return [intro, table]
     plot = Plot('Arithmetic and quality', 'GFLOP per image', 'ring PSNR, held-out photos, dB',
-                [Series(row.name, [row.gflop], [_quality(row)]) for row in rows], 'points')
-    return [Text('Front: no other experiment is better and cheaper at once. Time is the median '
-                 'of one image on all cores of this machine.'), table, plot,
-            *([_time_plot(rows)] if timed else [])]
+                [Series(row.name, [row.gflop], [_quality(row)]) for row in drawn], 'points')
+    return [intro, table, plot, *([_time_plot(drawn)] if timed else [])]
 
 
 def _time_plot(rows: Sequence[Row]) -> Plot:

@@ -8,6 +8,7 @@ from neo_ros.evaluation.output import write_bytes
 from neo_ros.evaluation.pose_map import pose_sections
 from neo_ros.evaluation.report import Plot, Section, Series, Strip, Table, Text, write_report
 from neo_ros.evaluation.strips import error_label, error_map
+from neo_ros.exposure import exposure_gain
 from neo_ros.field.rendering import render_view, to_uint8
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.runtime import FovExtrapolator
@@ -20,8 +21,6 @@ if TYPE_CHECKING:
 STRIPS = 4
 # The oracle renders every so many test frames; all of them would take longer than they tell.
 ORACLE_EVERY = 8
-# Frames on which the confidence is judged, at most.
-CALIBRATION_FRAMES = 100
 
 
 def write_training_report(run: 'TrainingRun', field: RadianceField, scoring: 'Scoring | None',
@@ -31,7 +30,7 @@ def write_training_report(run: 'TrainingRun', field: RadianceField, scoring: 'Sc
 
     Returns the figures at its top: on held-out photos field_psnr, and the ring PSNR of the
     network from_photo_psnr and from_rendering_psnr; with test frames oracle_ring_psnr (the field
-    at the true pose) and the model's ring_psnr.
+    at the true pose) and the model's ring_psnr. The field is shown at each photo's exposure.
     """
     figures: dict[str, float] = {}
     sections: list[Section] = [
@@ -42,13 +41,14 @@ def write_training_report(run: 'TrainingRun', field: RadianceField, scoring: 'Sc
         figures['oracle_whole_psnr'], figures['oracle_ring_psnr'] = _oracle(field, scoring)
         figures['ring_psnr'] = scoring.results[0].estimates['ring_psnr'].mean
         sections += evaluation_sections(run.scene.name, scoring.frames, scoring.results)
+        judged = f'in the ring of {len(scoring.frames)} test frames.'
         calibration = _calibration(run, scoring, guided=False)
         sections += calibration.sections(
-            'Of the network by itself, where no scene memory guides it.')
+            f'Of the network by itself, where no scene memory guides it; {judged}')
         confidence['confidence'] = calibration.summary()
         if run.experiment.memory is not None:
             calibration = _calibration(run, scoring, guided=True)
-            sections += calibration.sections('Of the model with its scene memory.')
+            sections += calibration.sections(f'Of the model with its scene memory; {judged}')
             confidence['guided_confidence'] = calibration.summary()
     source, target = run.expansion.source, run.expansion.target
     intro = (f'{len(run.fitted)} photos of {run.scene.name}, {source.width}x{source.height} '
@@ -67,9 +67,10 @@ _TITLES = {
     'field_psnr': 'Field against photos it was not shown, PSNR',
     'from_photo_psnr': 'The network on these photos: ring, against the field around them',
     'from_rendering_psnr': 'The network on renderings in their place',
-    'oracle_whole_psnr': 'Field at the true pose of test frames, whole image',
-    'oracle_ring_psnr': 'Field at the true pose of test frames, ring alone',
-    'ring_psnr': 'The model on test frames, ring alone'}
+    'oracle_whole_psnr': f'Field at the true pose of every {ORACLE_EVERY}th test frame, whole '
+                         'image (the field in the middle, too)',
+    'oracle_ring_psnr': f'Field at the true pose of every {ORACLE_EVERY}th test frame, ring alone',
+    'ring_psnr': 'The model on all test frames, ring alone'}
 
 
 def _curves(run: 'TrainingRun') -> list[Section]:
@@ -88,12 +89,7 @@ def _curve(run: 'TrainingRun', stage: str, title: str) -> Plot:
 
 
 def _calibration(run: 'TrainingRun', scoring: 'Scoring', guided: bool) -> Calibration:
-    """Judge the confidence on test frames, spread evenly."""
-    frames = scoring.frames
-    chosen = np.unique(np.linspace(0, len(frames) - 1, CALIBRATION_FRAMES).astype(int))
-    model = FovExtrapolator.load(run.model_path, guided=guided)
-    return calibrate(model.expand, frames.expansion,
-                     (frames.read(int(index)) for index in chosen))
+    return calibrate(FovExtrapolator.load(run.model_path, guided=guided), scoring.frames)
 
 
 def _held_out_strips(run: 'TrainingRun', field: RadianceField,
@@ -107,7 +103,8 @@ def _held_out_strips(run: 'TrainingRun', field: RadianceField,
     scores, strips = [], []
     for index, pose in enumerate(photos.poses):
         photo = photos.read_image(index, scale)
-        rendered = to_uint8(render_view(field, camera, pose).image)
+        rendered = render_view(field, camera, pose).image
+        rendered = _exposed(rendered, rendered, photo)
         scores.append(psnr(photo, rendered))
         if index < STRIPS:
             strips.append(Strip(
@@ -133,8 +130,9 @@ def _compare_inputs(run: 'TrainingRun', field: RadianceField, figures: dict[str,
     scores = []
     for view, pose in zip(views, held_out_poses(run)):
         ring = expansion.extrapolated_mask & (view[..., 3] > 127)
-        rendered = to_uint8(render_view(field, expansion.source, pose).image)
         photo = np.ascontiguousarray(expansion.crop(view[..., :3]))
+        rendered = render_view(field, expansion.source, pose).image
+        rendered = _exposed(rendered, rendered, photo)
         if ring.any():
             scores.append([psnr(view[ring][:, :3], network.expand(image).wide_image[ring])
                            for image in (photo, rendered)])
@@ -148,9 +146,14 @@ def _oracle(field: RadianceField, scoring: 'Scoring') -> tuple[float, float]:
     ring = expansion.extrapolated_mask
     whole_scores, ring_scores = [], []
     for index in range(0, len(frames), ORACLE_EVERY):
-        _, truth = frames.read(index)
-        rendered = to_uint8(
-            render_view(field, expansion.target, frames.images.poses[index]).image)
+        photo, truth = frames.read(index)
+        rendered = render_view(field, expansion.target, frames.images.poses[index]).image
+        rendered = _exposed(rendered, expansion.crop(rendered), photo)
         whole_scores.append(psnr(truth, rendered))
         ring_scores.append(psnr(truth[ring], rendered[ring]))
     return float(np.mean(whole_scores)), float(np.mean(ring_scores))
+
+
+def _exposed(rendered: np.ndarray, shown: np.ndarray, photo: np.ndarray) -> np.ndarray:
+    """Bring a rendering (0 to 1) to the exposure of a photo (uint8) of its part `shown`: uint8."""
+    return to_uint8(rendered * exposure_gain(255 * shown, photo))

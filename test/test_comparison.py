@@ -37,6 +37,13 @@ def test_the_front_holds_what_nothing_beats() -> None:
     assert marked == {'cheap', 'twin', 'good', 'mid'}
 
 
+def test_test_frames_put_nothing_on_the_front() -> None:
+    unseen = replace(row('unseen', 0.5, 0), validation_psnr=None, ring_psnr=40.0)
+    assert [found.on_front for found in marked_front([unseen, row('seen', 1, 18)])] == [
+        False, True]
+    assert not any(found.on_front for found in marked_front([unseen]))
+
+
 def test_experiments_share_a_field_and_are_not_trained_twice(
         tiny_run: TrainingRun, flat_scene: Path, tmp_path: Path) -> None:
     scene, configs = tiny_run.out.parent / 'scene', tmp_path / 'configs'
@@ -61,6 +68,13 @@ def test_experiments_share_a_field_and_are_not_trained_twice(
     again = compare(scene, [configs / 'fast.yaml', configs / 'lama.yaml'], tmp_path / 'out',
                     steps=2, progress=lambda stage, *rest: stages.append(stage))
     assert not stages and [found.name for found in again] == ['fast', 'lama']
+    # Scores of other test frames are not taken for those of these.
+    note = tmp_path / 'out' / 'fast' / 'row.json'
+    note.write_text(json.dumps({**json.loads(note.read_text()), 'frames': 'of another list'}))
+    once_more = compare(scene, [configs / 'fast.yaml', configs / 'lama.yaml'], tmp_path / 'out',
+                        steps=2, progress=lambda stage, *rest: stages.append(stage))
+    assert set(stages) == {'fast: scoring'}
+    assert once_more[0].ring_psnr == again[0].ring_psnr
     for other_scene, steps in ((scene, 3), (flat_scene, 2)):
         with pytest.raises(ConfigError, match='choose another folder'):
             compare(other_scene, [configs / 'fast.yaml'], tmp_path / 'out', steps=steps)

@@ -1,10 +1,15 @@
 """Whether a confidence is true, on errors that are known."""
+from pathlib import Path
+
+import cv2
 from hypothesis import given, settings, strategies as st
 from neo_ros.evaluation.calibration import calibrate, Calibration, DROPPED
+from neo_ros.evaluation.evaluate import TruthFrames
 from neo_ros.evaluation.report import Plot, Table
-from neo_ros.geometry import Intrinsics, ViewExpansion
+from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
 from neo_ros.runtime import WideView
 from neo_ros.runtime.confidence import DECAY, expected_error
+from neo_ros.scenes.posed_images import PosedImages
 import numpy as np
 import pytest
 
@@ -84,17 +89,40 @@ def test_the_curve_is_the_mean_of_what_is_kept() -> None:
     assert oracle[at] == pytest.approx(np.sort(error)[:len(error) // 2].mean(), rel=0.02)
 
 
-def test_observed_pixels_count_for_nothing_and_frames_add_up() -> None:
+def test_observed_pixels_count_for_nothing() -> None:
     truth, prediction, confidence = frame()
     worse, one, two = prediction.copy(), Calibration(), Calibration()
     worse[EXPANSION.observed] = 0
     one.add(truth, prediction, confidence, EXPANSION)
     two.add(truth, worse, confidence, EXPANSION)
     np.testing.assert_array_equal(one.counts, two.counts)
-    frames = iter([(truth[EXPANSION.observed], truth)] * 3)
-    three = calibrate(lambda image: WideView(prediction, confidence), EXPANSION, frames)
-    np.testing.assert_array_equal(three.counts, 3 * one.counts)
-    assert three.summary() == pytest.approx(one.summary())
+
+
+def test_a_model_begins_anew_where_another_path_does(tmp_path: Path) -> None:
+    truth, prediction, confidence = frame()
+    calls: list[str] = []
+
+    class Model:
+
+        def reset(self) -> None:
+            calls.append('reset')
+
+        def expand(self, image: np.ndarray) -> WideView:
+            np.testing.assert_array_equal(image, truth[EXPANSION.observed])
+            calls.append('image')
+            return WideView(prediction, confidence)
+
+    path = tmp_path / 'wide.png'
+    cv2.imwrite(str(path), truth[..., ::-1])
+    pose = CameraPose(np.eye(4))
+    frames = TruthFrames(PosedImages(EXPANSION.target, (path,) * 3, (pose,) * 3, (0, 0, 1)),
+                         EXPANSION)
+    found = calibrate(Model(), frames)  # type: ignore[arg-type]
+    assert calls == ['reset', 'image', 'image', 'reset', 'image']
+    one = Calibration()
+    one.add(truth, prediction, confidence, EXPANSION)
+    np.testing.assert_array_equal(found.counts, 3 * one.counts)
+    assert found.summary() == pytest.approx(one.summary())
 
 
 def test_a_report_shows_figures_and_both_curves() -> None:

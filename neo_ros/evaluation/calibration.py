@@ -7,12 +7,12 @@ are dropped, against an oracle that drops the worst ones; the area between the t
 al., Uncertainty Estimates and Multi-Hypotheses Networks for Optical Flow, 2018) is 0 at best.
 """
 from dataclasses import dataclass, field
-from typing import Callable, Iterable
 
+from neo_ros.evaluation.evaluate import TruthFrames
 from neo_ros.evaluation.metrics import check_pair
 from neo_ros.evaluation.report import Plot, Section, Series, Table
 from neo_ros.geometry import ViewExpansion
-from neo_ros.runtime import WideView
+from neo_ros.runtime import FovExtrapolator
 from neo_ros.runtime.confidence import expected_error
 import numpy as np
 
@@ -105,13 +105,16 @@ class Calibration:
                                 Series('by the true error', dropped, oracle.tolist())])]
 
 
-def calibrate(expand: Callable[[np.ndarray], WideView], expansion: ViewExpansion,
-              frames: Iterable[tuple[np.ndarray, np.ndarray]]) -> Calibration:
-    """Run a model on pairs of narrow image (h, w, 3) and wide truth (H, W, 3), RGB uint8."""
+def calibrate(model: FovExtrapolator, frames: TruthFrames) -> Calibration:
+    """Run a model over the test frames as they are scored: anew where another path begins."""
     result = Calibration()
-    for narrow_image, truth in frames:
-        view = expand(narrow_image)
-        result.add(truth, view.wide_image, view.confidence, expansion)
+    path_id = None
+    for index, (narrow_image, truth) in enumerate(frames):
+        if frames.images.path_ids[index] != path_id:
+            model.reset()
+        path_id = frames.images.path_ids[index]
+        view = model.expand(narrow_image)
+        result.add(truth, view.wide_image, view.confidence, frames.expansion)
     return result
 
 
