@@ -49,6 +49,17 @@ def write_image(path: Path, image: np.ndarray) -> Path:
     return path
 
 
+def write_turned_jpeg(path: Path, image: np.ndarray, orientation: int) -> Path:
+    """Write RGB uint8 as it is, with a tag (EXIF) that tells viewers to turn it."""
+    jpeg = cv2.imencode('.jpg', image[..., ::-1])[1].tobytes()
+    segment = b'Exif\0\0' + struct.pack('<2sHIHHHIHHI', b'II', 42, 8, 1, 0x112, 3, 1, orientation,
+                                        0, 0)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(jpeg[:2] + b'\xff\xe1' + struct.pack('>H', len(segment) + 2) + segment
+                     + jpeg[2:])
+    return path
+
+
 def write_matrix(path: Path, matrix: np.ndarray) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     np.savetxt(path, matrix, fmt='%.17g')

@@ -2,16 +2,17 @@
 from dataclasses import astuple
 import json
 from pathlib import Path
+import shutil
 from typing import Callable
 
 from capture_files import (
     CAMERA, demo_photos, START_NS, STEP_NS, write_bag, write_colmap_binary, write_colmap_text,
     write_image, write_matrix, write_scannet, write_seven_scenes, write_trajectory,
-    write_transforms_capture)
+    write_transforms_capture, write_turned_jpeg)
 from neo_ros.bags.capture import read_bag_capture
 from neo_ros.errors import SceneError
-from neo_ros.scenes.capture import Capture
-from neo_ros.scenes.capture_writing import write_capture
+from neo_ros.scenes.capture import Capture, read_photo
+from neo_ros.scenes.capture_writing import write_capture, write_images
 from neo_ros.scenes.colmap import read_colmap
 from neo_ros.scenes.formats import CaptureFormat, detect_format, FOLDER_READERS
 from neo_ros.scenes.importing import import_transforms
@@ -95,6 +96,25 @@ def test_a_plain_folder_of_images_is_taken_for_photos(tmp_path: Path) -> None:
     assert not capture.posed
 
 
+@pytest.mark.parametrize('orientation, turn', [(6, -1), (3, 2)], ids=['portrait', 'upside down'])
+def test_photos_that_a_camera_stored_turned_are_written_upright(
+        tmp_path: Path, orientation: int, turn: int) -> None:
+    upright = demo_photos().images[0]
+    for name in ('a.jpg', 'b.jpg'):
+        write_turned_jpeg(tmp_path / 'in' / name, np.rot90(upright, -turn), orientation)
+    capture = read_photos(tmp_path / 'in')
+    assert '2 photos are stored turned' in capture.notes[0]
+    names, camera = write_images(capture, tmp_path / 'out')
+    assert names == ['images/a.jpg.png', 'images/b.jpg.png']
+    assert (camera.width, camera.height) == (64, 48)
+    found = read_photo(tmp_path / 'out/images/b.jpg.png')
+    assert found is not None and np.abs(found.astype(int) - upright).mean() < 8  # JPEG's
+    # Upright ones beside them stay as they are, and sizes are told as they are shown.
+    write_image(tmp_path / 'in/c.png', np.rot90(upright))
+    with pytest.raises(SceneError, match='64x48: a.jpg, b.jpg; 48x64: c.png'):
+        read_photos(tmp_path / 'in')
+
+
 def test_habitat_poses_look_along_minus_z(tmp_path: Path) -> None:
     photos = demo_photos()
     capture = read_trajectory(write_trajectory(tmp_path / 's', photos, axes='opengl'))
@@ -109,6 +129,47 @@ def test_a_camera_of_habitat_is_given_by_its_field_of_view(tmp_path: Path) -> No
     lens = read_trajectory(source).frames[0].lens
     assert lens is not None and lens.intrinsics.fx == pytest.approx(32)
     assert (lens.intrinsics.cx, lens.intrinsics.cy) == (32, 24)
+
+
+def test_a_centre_that_counts_from_the_first_pixels_middle_is_the_images(tmp_path: Path) -> None:
+    source = write_trajectory(tmp_path / 's', demo_photos())
+    for centre, expected in (((31.5, 23.5), (32, 24)), ((31.5, 24.5), (31.5, 24.5))):
+        (source / 'camera.json').write_text(json.dumps(
+            {'w': 64, 'h': 48, 'fx': 58.5, 'cx': centre[0], 'cy': centre[1]}))
+        lens = read_trajectory(source).frames[0].lens
+        assert lens is not None and (lens.intrinsics.cx, lens.intrinsics.cy) == expected
+
+
+def test_frames_of_a_transforms_file_come_in_the_order_of_their_names(tmp_path: Path) -> None:
+    source = write_transforms_capture(tmp_path / 's', demo_photos(12))
+    document = json.loads((source / 'transforms.json').read_text())
+    np.random.default_rng(0).shuffle(document['frames'])
+    (source / 'transforms.json').write_text(json.dumps(document))
+    capture = read_transforms_capture(source)
+    assert [frame.name for frame in capture.frames] == [f'images/{i}.png' for i in range(12)]
+    for frame, pose in zip(capture.frames, demo_photos(12).poses):
+        assert frame.pose is not None
+        np.testing.assert_allclose(frame.pose.T_world_cam, pose.T_world_cam, atol=1e-12)
+
+
+def test_blank_lines_do_not_shift_the_pairs_of_lines_of_colmap(tmp_path: Path) -> None:
+    source = write_colmap_text(tmp_path / 's', demo_photos())
+    path = source / 'sparse/0/images.txt'
+    lines = path.read_text().splitlines()
+    first = next(number for number, line in enumerate(lines) if not line.startswith('#'))
+    path.write_text('\n'.join([*lines[:first], '', *lines[first:first + 2], '',
+                               *lines[first + 2:]]) + '\n')
+    capture = read_colmap(source)
+    assert [frame.name for frame in capture.frames] == [f'images/{i}.png' for i in range(5)]
+
+
+def test_other_parts_of_a_colmap_scene_are_told(tmp_path: Path) -> None:
+    source = write_colmap_text(tmp_path / 's', demo_photos())
+    assert not read_colmap(source).notes
+    shutil.copytree(source / 'sparse/0', source / 'sparse/1')
+    note, = read_colmap(source).notes
+    assert 'only 0 is read' in note and note.endswith(f'neo import {source / "sparse/1"}')
+    assert len(read_colmap(source / 'sparse/1')) == 5
 
 
 def test_instant_ngp_states_an_angle_and_leaves_the_ending_out(tmp_path: Path) -> None:

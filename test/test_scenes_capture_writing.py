@@ -6,7 +6,7 @@ from pathlib import Path
 import shutil
 
 from capture_files import (
-    CAMERA, demo_photos, write_bag, write_image, write_transforms_capture)
+    CAMERA, demo_photos, write_bag, write_image, write_transforms_capture, write_turned_jpeg)
 import cv2
 from neo_ros.bags.capture import read_bag_capture
 from neo_ros.errors import SceneError
@@ -56,15 +56,10 @@ def test_other_pixels_become_8_bit_rgb(tmp_path: Path, source: Path, convert: ob
 
 
 def test_exif_orientation_does_not_turn_the_pixels(tmp_path: Path) -> None:
-    image = demo_photos().images[0]
-    jpeg = cv2.imencode('.jpg', image[..., ::-1])[1].tobytes()
-    tiff = b'MM\x00*\x00\x00\x00\x08\x00\x01\x01\x12\x00\x03\x00\x00\x00\x01\x00\x06\x00\x00' + (
-        b'\x00\x00\x00\x00')
-    exif = b'\xff\xe1' + (8 + len(tiff)).to_bytes(2, 'big') + b'Exif\x00\x00' + tiff
-    (tmp_path / 'a.jpg').write_bytes(jpeg[:2] + exif + jpeg[2:])
-    turned = cv2.imread(str(tmp_path / 'a.jpg'))
+    path = write_turned_jpeg(tmp_path / 'a.jpg', demo_photos().images[0], 6)
+    turned = cv2.imread(str(path))
     assert turned is not None and turned.shape == (64, 48, 3)  # so the tag is there
-    found = read_photo(tmp_path / 'a.jpg')
+    found = read_photo(path)
     assert found is not None and found.shape == (48, 64, 3)
 
 

@@ -1,3 +1,4 @@
+from dataclasses import replace
 import math
 from pathlib import Path
 from typing import Any
@@ -6,8 +7,10 @@ import cv2
 from hypothesis import given, strategies as st
 from neo_ros.cli.floor import floor
 from neo_ros.errors import NeoError, SceneError
+from neo_ros.geometry import CameraPose
 from neo_ros.scenes.floor_map import place_floor, read_floor_mask, read_map_server
 from neo_ros.scenes.scene import read_scene
+from neo_ros.scenes.transforms_json import write_transforms
 from neo_ros.scenes.walkable import WalkableMap
 import numpy as np
 import pytest
@@ -156,3 +159,15 @@ def test_the_resolution_is_said_once(
     name, *rest = arguments
     result = CliRunner().invoke(APP, [str(tmp_path / 'scene'), str(tmp_path / name), *rest])
     assert isinstance(result.exception, NeoError) and message in str(result.exception)
+
+
+def test_a_world_on_its_side_gets_no_floor(tmp_path: Path) -> None:
+    scene, path = tmp_path / 'scene', write_map(tmp_path / 'map')
+    photos = write_capture(scene)
+    turn = np.eye(4)
+    turn[:3, :3] = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]  # z to y
+    write_transforms(scene / 'transforms_train.json', replace(photos, poses=tuple(
+        CameraPose(turn @ pose.T_world_cam) for pose in photos.poses)))
+    result = CliRunner().invoke(APP, [str(scene), str(path)])
+    assert isinstance(result.exception, NeoError) and '--level' in str(result.exception)
+    assert not (scene / 'walkable.json').exists()

@@ -179,6 +179,19 @@ def test_hand_held_cameras_stay_near_the_photos() -> None:
     assert (distance < 0.36).sum(0).min() > 120
 
 
+def test_the_places_around_photos_are_the_grid_points_near_one() -> None:
+    random = np.random.default_rng(0)
+    photos = photos_with([(*random.uniform(-1, 3, 2), 1.5, 0, 0, 0) for _ in range(20)])
+    config = SamplingConfig(interval=0.13, radius=0.3)
+    sampler = PoseSampler.around_photos(photos, config)
+    places = photos.T_world_cam[:, :2, 3]
+    low, high = places.min(0) - 0.3, places.max(0) + 0.3
+    grid = np.array([(x, y) for y in np.arange(low[1], high[1] + 0.13, 0.13)
+                     for x in np.arange(low[0], high[0] + 0.13, 0.13)])
+    near = np.linalg.norm(grid[:, None] - places, axis=-1).min(1) <= 0.3
+    np.testing.assert_allclose(sampler.positions_xy, grid[near], atol=1e-12)
+
+
 def test_a_seed_fixes_the_poses() -> None:
     sampler = PoseSampler.for_walkable(FLOOR, SamplingConfig())
     first, second = (np.random.default_rng(5) for _ in range(2))

@@ -1,6 +1,6 @@
 from pathlib import Path
-import struct
 
+from capture_files import write_turned_jpeg
 import cv2
 from neo_ros.errors import SceneError
 from neo_ros.geometry import CameraPose, Intrinsics
@@ -45,15 +45,9 @@ def test_grey_and_deep_images_become_rgb_of_eight_bits(tmp_path: Path) -> None:
 
 
 def test_exif_does_not_turn_an_image_away_from_its_pose(tmp_path: Path) -> None:
-    path = tmp_path / 'phone.jpg'
     image = np.zeros((12, 16, 3), np.uint8)
     image[:6] = 255
-    assert cv2.imwrite(str(path), image)
-    upside_down = struct.pack('<2sHIHHHIHHI', b'II', 42, 8, 1, 0x112, 3, 1, 3, 0, 0)
-    segment = b'Exif\0\0' + upside_down
-    jpeg = path.read_bytes()
-    path.write_bytes(jpeg[:2] + b'\xff\xe1' + struct.pack('>H', len(segment) + 2) + segment
-                     + jpeg[2:])
+    path = write_turned_jpeg(tmp_path / 'phone.jpg', image, 3)  # upside down
     turned = cv2.imread(str(path))
     assert turned is not None and turned[0].mean() < 50, 'OpenCV alone turns it'
     assert read_rgb_image(path, CAMERA)[0].mean() > 200

@@ -96,14 +96,14 @@ def origin_of(source: Path) -> str:
                  for path in files])
 
 
-def read_photo(path: Path) -> Optional[np.ndarray]:
+def read_photo(path: Path, upright: bool = False) -> Optional[np.ndarray]:
     """
     Read an image file as RGB uint8 (H, W, 3), None if it cannot be read.
 
     16-bit photos are scaled to 8 bit (full scale stays full scale), grayscale becomes three
-    equal channels, transparency is dropped, EXIF rotation is not applied.
+    equal channels, transparency is dropped; upright: turned as a viewer shows it (EXIF).
     """
-    image = cv2.imread(str(path), READ_FLAGS)
+    image = cv2.imread(str(path), cv2.IMREAD_COLOR if upright else READ_FLAGS)
     return None if image is None else cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
 
 

@@ -4,7 +4,7 @@ COLMAP models, binary and text: cameras.* and images.*; points are not needed.
 COLMAP's cameras have OpenCV axes and pixel centres at +0.5, as here; its poses are world to
 camera. Its world is neither in metres nor level unless someone aligned it.
 """
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 import struct
 from typing import BinaryIO, Iterator, Optional, Sequence
@@ -53,7 +53,14 @@ def read_colmap(source: Path) -> Capture:
                          'sparse/ or in sparse/0/')
     places = [folder / name for folder in (source, *model.parents[:2]) for name in IMAGE_FOLDERS]
     images = next((place for place in places if place.is_dir()), source)
-    return read_colmap_model(model, images)
+    capture = read_colmap_model(model, images)
+    others = sorted(folder.name for folder in model.parent.iterdir()
+                    if model.name.isdigit() and folder.name.isdigit() and folder != model)
+    if not others:
+        return capture
+    return replace(capture, notes=capture.notes + (
+        f'{model.parent} holds other parts of the scene, too: {listed(others)}; only {model.name} '
+        f'is read. Another one is imported by its name: neo import {model.parent / others[0]}',))
 
 
 def read_colmap_model(model: Path, image_folder: Path) -> Capture:
@@ -125,10 +132,11 @@ def _read_text(model: Path) -> tuple[dict[int, Lens], list[_ModelImage]]:
         except ValueError as error:
             raise SceneError(f'{where}: expected ID MODEL WIDTH HEIGHT PARAMS: {error}') from error
     images = []
-    # Every image has a second line with its points, which may be empty.
-    for number, line in list(_lines(model / 'images.txt', keep_empty=True))[::2]:
+    lines = _lines(model / 'images.txt', keep_empty=True)
+    for number, line in lines:
         if not line:
             continue
+        next(lines, None)  # Every image has a second line with its points, which may be empty.
         words = line.split(maxsplit=9)
         try:
             numbers = tuple(float(word) for word in words[1:8])

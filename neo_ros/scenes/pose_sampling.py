@@ -91,13 +91,19 @@ class PoseSampler:
         xy = T[:, :2, 3]
         low, high = xy.min(0) - config.radius, xy.max(0) + config.radius
         axes = [np.arange(a, b + config.interval, config.interval) for a, b in zip(low, high)]
-        grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
-        distance = np.array([np.linalg.norm(xy - point, axis=1).min() for point in grid])
+        near = np.zeros((len(axes[1]), len(axes[0])), bool)
+        for photo in xy:  # each looks at the part of the grid around it
+            across, along = (slice(max(int((at - start - config.radius) / config.interval), 0),
+                                   int((at - start + config.radius) / config.interval) + 2)
+                             for at, start in zip(photo, low))
+            around = np.stack(np.meshgrid(axes[0][across], axes[1][along]), axis=-1)
+            near[along, across] |= np.linalg.norm(photo - around, axis=-1) <= config.radius
+        rows, columns = np.nonzero(near)
         angles = np.array([yaw_pitch_roll(matrix[:3, :3]) for matrix in T])
         # Of angles on the circle: a camera mounted upside down has rolls around +-pi.
         tilt_mean = np.angle(np.exp(1j * angles[:, 1:]).mean(0))
         tilt_std = np.angle(np.exp(1j * (angles[:, 1:] - tilt_mean))).std(0)
-        return cls(grid[distance <= config.radius], _yaw_bounds(angles[:, 0]),
+        return cls(np.column_stack([axes[0][columns], axes[1][rows]]), _yaw_bounds(angles[:, 0]),
                    (tuple(tilt_mean), tuple(tilt_std)),
                    (float(T[:, 2, 3].mean()), float(T[:, 2, 3].std())))
 

@@ -6,6 +6,7 @@ from typing import Callable, Sequence
 import cv2
 from neo_ros.errors import SceneError
 from neo_ros.geometry import CameraPose, Intrinsics
+from neo_ros.scenes.capture import read_photo
 import numpy as np
 
 
@@ -73,15 +74,14 @@ def read_rgb_image(path: Path, intrinsics: Intrinsics) -> np.ndarray:
 
     Raises SceneError for files that are no image or not of the size of `intrinsics`.
     """
-    # Poses and intrinsics describe the stored pixels, whatever EXIF says of their orientation.
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    image = read_photo(path)
     if image is None:
         raise SceneError(f'{path}: expected a readable image file; is it missing or truncated?')
     if image.shape[:2] != (intrinsics.height, intrinsics.width):
         raise SceneError(
             f'{path}: expected {intrinsics.width}x{intrinsics.height} pixels as the intrinsics '
             f'say, got {image.shape[1]}x{image.shape[0]}')
-    return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+    return image
 
 
 def _resized(image: np.ndarray, size: Intrinsics) -> np.ndarray:

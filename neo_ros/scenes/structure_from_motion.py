@@ -3,6 +3,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 import json
 from pathlib import Path
+import re
 import shutil
 from typing import Any, Callable, Iterator, Optional, Sequence
 
@@ -56,6 +57,7 @@ def reconstruct(capture: Capture, work: Path,
     comes about.
     """
     import pycolmap
+    capture = _without_blanks(capture)
     names, pinhole = write_images(
         capture, work, lambda done, total: progress('images', done, total))
     chosen = [name for name in names if name is not None]
@@ -96,6 +98,15 @@ def photo_pairs(names: Sequence[str]) -> list[tuple[str, str]]:
     anchors = np.unique(np.linspace(0, count - 1, ANCHORS).round().astype(int)).tolist()
     pairs.update(combinations(anchors, 2))
     return [(names[i], names[j]) for i, j in sorted(pairs)]
+
+
+def _without_blanks(capture: Capture) -> Capture:
+    """Rename frames where any name has a blank, at which a line of COLMAP's pairs would end."""
+    if not any(re.search(r'\s', frame.name) for frame in capture.frames):
+        return capture
+    return replace(capture, frames=tuple(
+        replace(frame, name=f'images/{index:06d}_' + re.sub(r'[\s/]', '_', frame.name))
+        for index, frame in enumerate(capture.frames)))
 
 
 def _claim(work: Path, names: list[str], pinhole: Optional[Intrinsics]) -> None:

@@ -4,7 +4,9 @@ Posed renders as Habitat and Replica tools write them: a folder of images and on
 rgb/, results/, color/ or images/ with one image per line of traj.txt (16 numbers, 4x4 camera to
 world, row by row, metres; image names in natural order, names with 'depth' left out), and one
 JSON file with the camera: cam_params.json, camera.json or intrinsics.json, here or one folder
-above: w, h, fx, fy, cx, cy, or w, h, hfov (degrees), at the top or below "camera". Its key
+above: w, h, fx, fy, cx, cy, or w, h, hfov (degrees), at the top or below "camera". The corner of
+the image is at 0, as COLMAP has it; a centre at (w - 1) / 2, (h - 1) / 2 counts from the middle of
+the first pixel (NICE-SLAM's Replica) and is taken for the image's. Its key
 "axes" says whether the camera looks along +z ("opencv", the default; NICE-SLAM's Replica) or
 along -z ("opengl"; agent and sensor states of Habitat).
 
@@ -75,8 +77,11 @@ def _camera(source: Path) -> tuple[Intrinsics, bool]:
         values = {**document, **document.get('camera', {})}
         width, height = int(values['w']), int(values['h'])
         if 'fx' in values:
+            centre = values.get('cx', width / 2), values.get('cy', height / 2)
+            if centre == ((width - 1) / 2, (height - 1) / 2):
+                centre = width / 2, height / 2
             intrinsics = Intrinsics(width, height, values['fx'], values.get('fy', values['fx']),
-                                    values.get('cx', width / 2), values.get('cy', height / 2))
+                                    *centre)
         else:
             intrinsics = Intrinsics.from_hfov(width, height, math.radians(values['hfov']))
         axes = values.get('axes', 'opencv')

@@ -3,7 +3,8 @@ Captures as nerfstudio and instant-ngp describe them: one transforms.json.
 
 Read are OPENCV and OPENCV_FISHEYE cameras with distortion, cameras per frame, focal lengths as
 `camera_angle_x`, and image names without their ending. `applied_transform` is not undone: it
-says how the world was turned, and the poses fit one another as they are.
+says how the world was turned, and the poses fit one another as they are. Frames come in the
+natural order of their names: the file's is often that in which they were registered.
 """
 import json
 import math
@@ -14,7 +15,7 @@ from typing import Any, Optional
 from neo_ros.errors import GeometryError, SceneError
 from neo_ros.geometry import Intrinsics
 from neo_ros.scenes.capture import (
-    Capture, CapturedFrame, first_photo_size, listed, PHOTO_SUFFIXES)
+    Capture, CapturedFrame, first_photo_size, listed, natural_key, PHOTO_SUFFIXES)
 from neo_ros.scenes.lens import Lens
 from neo_ros.scenes.pose_files import pose_or_lost
 from neo_ros.scenes.transforms_json import STRAIGHT_MODELS
@@ -48,7 +49,9 @@ def read_transforms_capture(source: Path) -> Capture:
     if not present:
         raise SceneError(f'{path}: none of the {len(entries)} listed images exists')
     size: Optional[tuple[int, int]] = None
-    for index, (entry, file) in enumerate(zip(entries, files)):
+    order = sorted(range(len(entries)), key=lambda index: natural_key(entries[index]['file_path']))
+    for index in order:
+        entry, file = entries[index], files[index]
         where = f'{path}: frames[{index}]'
         if file is None:
             missing.append(entry['file_path'])
