@@ -44,8 +44,8 @@ constraints:  ## newest versions of all packages into constraints.txt (takes min
 	mv $(VENV)-newest/constraints.txt constraints.txt
 	rm -rf $(VENV)-newest
 
-clean:  ## remove .venv and all that was built
-	rm -rf $(VENV) $(VENV)-newest build install log out *.egg-info .hypothesis .mypy_cache \
+clean:  ## remove .venv and all that was built; scenes and models in out/ stay
+	rm -rf $(VENV) $(VENV)-newest build install log *.egg-info .hypothesis .mypy_cache \
 		.pytest_cache
 	find neo_ros test launch -name __pycache__ -prune -exec rm -r {} +
 

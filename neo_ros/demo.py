@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, ExitStack
 from dataclasses import dataclass
 import functools
+import hashlib
 from importlib.util import find_spec
 import json
 import os
@@ -30,7 +31,7 @@ from neo_ros.evaluation.strips import frame_strip, Strip, write_strip_png
 from neo_ros.geometry import ViewExpansion
 from neo_ros.messages import read_image
 from neo_ros.runtime import read_model_card
-from neo_ros.scenes.demo_captures import render_demo_views
+from neo_ros.scenes.demo_captures import fingerprint, render_demo_views
 from neo_ros.scenes.demo_flat import build_demo_flat, walking_paths
 import numpy as np
 
@@ -89,8 +90,10 @@ def run_demo(model: Path, out: Path, frames: int, rate: float,
         raise ModelError(f'{model}: expected a model of {SCENE}, got one of {card.scene_id}; '
                          'use neo replay for a bag of your own')
     make_output_folder(out)
-    # The walk is the same every time; only a finished bag gets its name.
-    bag = out / f'walk_{frames}_{rate:g}hz_{card.expansion.target.width}'
+    # The walk of a model's view is the same every time; only a finished bag gets its name.
+    shown = fingerprint(build_demo_flat(), []) + repr(card.expansion)
+    bag = out / (f'walk_{frames}_{rate:g}hz_'
+                 + hashlib.sha256(shown.encode()).hexdigest()[:8])
     if not bag.exists():
         partial = out / 'walk.partial'
         shutil.rmtree(partial, ignore_errors=True)

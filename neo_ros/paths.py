@@ -19,7 +19,7 @@ def share_dir() -> Path:
     """
     here = Path(__file__).resolve()
     listed = os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)
-    prefixes = [*here.parents[2:], *(Path(prefix) for prefix in listed if prefix)]
+    prefixes = [*here.parents[1:], *(Path(prefix) for prefix in listed if prefix)]
     for share in (here.parents[1], *(prefix / 'share' / PACKAGE for prefix in prefixes)):
         if (share / 'package.xml').is_file():
             return share

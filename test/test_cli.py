@@ -113,7 +113,7 @@ def test_wrong_usage_is_exit_code_2(
 
 @pytest.mark.parametrize('module, message', [
     ('torch', "torch is not installed; this command needs: pip install 'neo_ros[train]'"),
-    ('numba.core', "pip install 'neo_ros[train]'"),
+    ('rclpy', 'this command needs ROS 2 Jazzy: source it'),
 ], ids=str)
 def test_a_missing_extra_is_named(
         monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], module: str,

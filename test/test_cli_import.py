@@ -34,6 +34,19 @@ def test_a_bag_becomes_a_scene_with_a_report(tmp_path: Path) -> None:
     assert len(read_scene(tmp_path / 'scene').train) == 5
 
 
+def test_the_next_command_is_on_one_line_and_trains_elsewhere(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    source, app = write_seven_scenes(tmp_path / 'source', demo_photos()), typer.Typer()
+    app.command()(import_scene)
+    for scene, command in (('out/hall', 'neo train out/hall --out out/hall_model'),
+                           ('a long way to/the scene of a corridor with many doors', (
+                               "neo train 'a long way to/the scene of a corridor with many doors' "
+                               "--out 'out/the scene of a corridor with many doors'"))):
+        result = CliRunner().invoke(app, [str(source), scene])
+        assert result.output.splitlines()[-1] == f'Next: {command}'
+
+
 def test_keyframes_are_chosen_on_the_way(tmp_path: Path) -> None:
     output = run(write_bag(tmp_path / 'bag', demo_photos()), tmp_path / 'scene',
                  '--keyframe-distance', '0.25', '--keyframe-angle', '90')

@@ -1,10 +1,15 @@
 import os
+import shutil
 
 from neo_ros.errors import SceneError
-from neo_ros.scenes.demo_captures import write_demo_scene
+from neo_ros.evaluation.true_depth import is_demo_flat
+from neo_ros.scenes.demo_captures import fingerprint, write_demo_scene
+from neo_ros.scenes.demo_flat import build_demo_flat, with_chairs_moved
+from neo_ros.scenes.importing import import_transforms
 from neo_ros.scenes.scene import read_scene
 import numpy as np
 import pytest
+from scene_files import write_capture
 
 SIZES = {'image_size': 16, 'n_train': 5, 'n_paths': 2, 'frames_per_path': 3}
 
@@ -64,6 +69,29 @@ def test_processes_write_the_same_files(scene_folder, tmp_path):
 def test_another_scene_is_not_mixed_in(scene_folder):
     with pytest.raises(SceneError, match='choose another folder'):
         write_demo_scene(scene_folder, **SIZES, seed=5, workers=1)
+
+
+def test_a_capture_is_not_overwritten_by_the_demo(tmp_path):
+    write_capture(tmp_path / 'scene')
+    before = (tmp_path / 'scene/transforms_train.json').read_bytes()
+    with pytest.raises(SceneError, match='it holds another scene'):
+        write_demo_scene(tmp_path / 'scene', **SIZES, workers=1)
+    assert (tmp_path / 'scene/transforms_train.json').read_bytes() == before
+
+
+def test_a_capture_in_the_demos_place_is_no_demo(scene_folder, tmp_path):
+    shutil.copytree(scene_folder, tmp_path / 'scene')
+    write_capture(tmp_path / 'source')
+    import_transforms(tmp_path / 'source', tmp_path / 'scene')
+    assert is_demo_flat(scene_folder) and not is_demo_flat(tmp_path / 'scene')
+
+
+def test_the_fingerprint_is_that_of_what_is_seen():
+    flat = build_demo_flat()
+    pose = np.eye(4)
+    same = fingerprint(flat, [pose])
+    assert fingerprint(flat, [pose + 1e-9]) == same != fingerprint(flat, [pose + 1e-4])
+    assert fingerprint(with_chairs_moved(flat), [pose]) != same
 
 
 def test_an_unwritable_folder_is_named(tmp_path):

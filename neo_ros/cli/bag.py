@@ -18,6 +18,7 @@ def bag(
     Play it on a ROS graph with neo play, or run neo replay over it.
     """
     from neo_ros.bags.demo_bag import TRUTH_TOPIC, write_demo_bag
+    from neo_ros.cli.options import tell_next
     from neo_ros.evaluation.evaluate import TruthFrames
     from neo_ros.runtime import read_model_card
     from neo_ros.scenes.scene import read_scene
@@ -35,5 +36,5 @@ def bag(
               for index in track(range(len(frames)), description='frames', transient=True)),
         frames.expansion, height)
     rich.print(f'{escape(str(out))}: {count} frames')
-    rich.print(f'Next: neo replay {escape(str(out))} --model {escape(str(model))} '
-               f'--truth-topic {TRUTH_TOPIC} --out {escape(str(out))}_wide')
+    tell_next('neo', 'replay', out, '--model', model, '--truth-topic', TRUTH_TOPIC,
+              '--out', f'{out}_wide')

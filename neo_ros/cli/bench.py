@@ -9,7 +9,7 @@ def bench(
     out: Annotated[Path, typer.Option(help='JSON file of the results.')] = Path(
         'results/bench.json'),
     only: Annotated[Optional[list[str]], typer.Option(
-        help='expand, messages, guided, replay, field or node; may be repeated. '
+        help='expand, messages, guided, replay, field, networks or node; may be repeated. '
         'Default: all.')] = None,
     model: Annotated[Optional[Path], typer.Option(
         help='Model file (.onnx); default: the shipped demo_flat.onnx.')] = None,
@@ -42,6 +42,7 @@ def bench(
 def _print_table(results: dict[str, Any]) -> None:
     """Show the figures, a line each."""
     import rich
+    from rich.markup import escape
     from rich.table import Table
 
     host = results['host']
@@ -58,7 +59,7 @@ def _print_table(results: dict[str, Any]) -> None:
         figures = (record[key] for key in (
             'median_ms', 'p95_ms', 'p99_ms', 'max_ms', 'rate_hz', 'floor_ms',
             'measured_over_floor'))
-        table.add_row(f'{record["benchmark"]}: {record["name"]}', _note(record),
+        table.add_row(escape(f'{record["benchmark"]}: {record["name"]}'), escape(_note(record)),
                       *('' if figure is None else f'{figure:.3g}' for figure in figures))
     rich.print(table)
 

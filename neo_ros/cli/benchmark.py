@@ -94,13 +94,12 @@ def benchmark(
             make_output_folder(kept.parent)
         with bundled(bundle, rows_file, work) if bundle else nullcontext():
             table = run_jobs(jobs, names, work, rows_file, name, show, frozen=scene is None)
-    rich.print(escape(table))
-    if whole:
+    print(table)  # As it is: rich would break its lines.
+    if whole and out is None:
         publish(name, table)
-        if out is None:
-            write_bytes(kept, rows_file.read_bytes())
-            rows_file = kept
-    elif scene is None:
+        write_bytes(kept, rows_file.read_bytes())
+        rows_file = kept
+    elif scene is None and not whole:
         missing = ', '.join(method for method in plan.methods if method not in names)
         rich.print(f'Not run: {escape(missing)}. What is kept of the whole suite '
                    f'({escape(str(kept))}, docs/benchmarks.md) stays as it was.')

@@ -43,7 +43,7 @@ def import_scene(
     The report on the capture is SCENE/capture.html. Run again after an interruption, the import
     goes on where it stopped.
     """
-    from neo_ros.cli.options import refuse
+    from neo_ros.cli.options import refuse, tell_next
     from neo_ros.cli.progress import stage_progress
     from neo_ros.evaluation.capture_report import REPORT_FILE, write_capture_report
     from neo_ros.scenes.demo_captures import write_demo_scene
@@ -94,7 +94,10 @@ def import_scene(
     rich.print(f'{escape(str(scene))}: {len(found.train)} photos of '
                f'{camera.width}x{camera.height} pixels, {tests}')
     rich.print(f'Report on the capture: {escape(str(scene / REPORT_FILE))}')
-    rich.print(f'Next: neo train {escape(str(scene))} --out out/{escape(found.name)}')
+    model = Path('out', found.name)
+    if model.resolve() == scene.resolve():  # A training wants a folder of its own.
+        model = Path('out', f'{found.name}_model')
+    tell_next('neo', 'train', scene, '--out', model)
 
 
 def _named_format(name: str) -> Any:

@@ -63,7 +63,10 @@ def main() -> None:
     except NeoError as error:
         sys.exit(_fail(str(error)))
     except ModuleNotFoundError as error:
-        extra = {'torch': 'train', 'numba': 'train', 'scipy': 'train', 'onnx': 'train',
+        if error.name == 'rclpy':
+            sys.exit(_fail('rclpy is not installed; this command needs ROS 2 Jazzy: source it, or '
+                           'make setup in a checkout'))
+        extra = {'torch': 'train', 'scipy': 'train', 'onnx': 'train',
                  'pycolmap': 'train', 'aiohttp': 'viewer', 'av': 'video'}.get(
             (error.name or '').split('.')[0])
         if extra is None:

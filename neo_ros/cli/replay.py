@@ -38,6 +38,7 @@ def replay(
     With --score also scores.csv, scores.json and report.html in the new folder.
     """
     from neo_ros.bags import replay as replay_bag, Section
+    from neo_ros.cli.options import tell_next
     from neo_ros.cli.progress import stage_progress
     from neo_ros.paths import share_dir
     from neo_ros.runtime import FovExtrapolator
@@ -91,7 +92,7 @@ def replay(
     for written in (out, side_by_side):
         if written is not None and written.exists():
             rich.print(f'Written: {escape(str(written))}')
-    rich.print(f'Next: neo view --bag {escape(str(out))}')
+    tell_next('neo', 'view', '--bag', out)
 
 
 def _prepare_scores(bag: Path, model: Path, extrapolator: Any, image_topic: Optional[str],

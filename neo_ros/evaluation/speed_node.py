@@ -92,7 +92,7 @@ def run_graph(model: Path, images: np.ndarray, seconds: float,
               rate: float = RATE_HZ) -> dict[str, Any]:
     """Run node and camera probe for a while; return what the probe prints."""
     # Never within reach of a robot on the same network.
-    environment = os.environ | {'ROS_DOMAIN_ID': str(1 + os.getpid() % 230),
+    environment = os.environ | {'ROS_DOMAIN_ID': str(1 + os.getpid() % 100),
                                 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
     with tempfile.TemporaryFile('w+') as log, tempfile.TemporaryDirectory() as folder:
         np.save(Path(folder) / 'images.npy', images)

@@ -6,15 +6,15 @@ from neo_ros.evaluation.evaluate import TruthFrames
 from neo_ros.evaluation.stability import DepthOf
 from neo_ros.field.rendering import render_view
 from neo_ros.field.voxel_field import RadianceField
-from neo_ros.scenes.demo_captures import SETTINGS_FILE
 from neo_ros.scenes.demo_flat import build_demo_flat
+from neo_ros.scenes.scene import DEMO_NOTE
 import numpy as np
 
 
 def is_demo_flat(scene_folder: Path) -> bool:
     """Tell whether a scene folder was rendered from the built-in flat."""
     try:
-        return 'fingerprint' in json.loads((scene_folder / SETTINGS_FILE).read_text())
+        return 'fingerprint' in json.loads((scene_folder / DEMO_NOTE).read_text())
     except (OSError, ValueError):
         return False
 

@@ -13,11 +13,11 @@ from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
 from neo_ros.scenes.demo_flat import (
     build_demo_flat, DemoFlat, sample_training_poses, walking_paths)
 from neo_ros.scenes.posed_images import PosedImages
+from neo_ros.scenes.scene import DEMO_NOTE
 from neo_ros.scenes.transforms_json import write_transforms
 from neo_ros.scenes.walkable import write_walkable
 import numpy as np
 
-SETTINGS_FILE = 'demo_scene.json'
 Job = tuple[str, Intrinsics, np.ndarray]
 Result = TypeVar('Result')
 
@@ -50,10 +50,10 @@ def write_demo_scene(folder: Path, *, image_size: int = 128, n_train: int = 1000
     jobs += [(str(folder / name), expansion.target, pose.T_world_cam) for name, pose, _ in test]
     _claim(folder, {'image_size': image_size, 'n_train': n_train, 'n_paths': n_paths,
                     'frames_per_path': frames_per_path, 'seed': seed,
-                    'fingerprint': _fingerprint(flat, jobs)})
+                    'fingerprint': fingerprint(flat, [pose for _, _, pose in jobs])})
     missing = [job for job in jobs if not os.path.exists(job[0])]
     progress(len(jobs) - len(missing), len(jobs))
-    written = _map(_render_to_file, missing, workers or os.cpu_count() or 1)
+    written = _map(_render_to_file, missing, workers or len(os.sched_getaffinity(0)))
     for done, _ in enumerate(written, start=1):
         progress(len(jobs) - len(missing) + done, len(jobs))
     write_walkable(folder / 'walkable.json', flat.walkable())
@@ -68,7 +68,10 @@ def write_demo_scene(folder: Path, *, image_size: int = 128, n_train: int = 1000
 
 def _claim(folder: Path, settings: dict[str, int | str]) -> None:
     """Make the folders and note what they are for, so that two scenes are never mixed."""
-    note = folder / SETTINGS_FILE
+    note = folder / DEMO_NOTE
+    if not note.exists() and (folder / 'transforms_train.json').exists():
+        raise SceneError(f'{folder}: expected an empty folder or a demo scene, it holds another '
+                         'scene; choose another folder')
     try:
         for part in ('train', 'test'):
             (folder / part).mkdir(parents=True, exist_ok=True)
@@ -82,12 +85,16 @@ def _claim(folder: Path, settings: dict[str, int | str]) -> None:
                          f'got one of {found}; choose another folder')
 
 
-def _fingerprint(flat: DemoFlat, jobs: list[Job]) -> str:
-    """Hash what the images show, so that images of an older flat are not taken for done."""
-    sha = hashlib.sha256(repr(flat.solids.materials).encode())
-    for array in (flat.solids.centre, flat.solids.half, flat.light.values,
-                  *(pose for _, _, pose in jobs)):
-        sha.update(np.ascontiguousarray(array).tobytes())
+def fingerprint(flat: DemoFlat, poses: Sequence[np.ndarray]) -> str:
+    """
+    Hash what images at poses (4, 4) show, so that those of an older flat are not taken for done.
+
+    To a micrometre: sines of another processor may differ in the last bit.
+    """
+    solids = flat.solids
+    sha = hashlib.sha256(repr(solids.materials).encode())
+    for array in (solids.kind, solids.centre, solids.half, solids.yaw, flat.light.values, *poses):
+        sha.update((np.round(np.asarray(array, np.float64), 6) + 0.0).tobytes())
     return sha.hexdigest()[:16]
 
 
@@ -97,7 +104,7 @@ def render_demo_views(intrinsics: Intrinsics, poses: Sequence[CameraPose],
     """Render RGB uint8 (H, W, 3) views of the demo flat, one per pose."""
     jobs = [(intrinsics, pose.T_world_cam) for pose in poses]
     images = []
-    for image in _map(_render, jobs, workers or os.cpu_count() or 1):
+    for image in _map(_render, jobs, workers or len(os.sched_getaffinity(0))):
         images.append(image)
         progress(len(images), len(jobs))
     return images

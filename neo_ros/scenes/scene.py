@@ -12,6 +12,8 @@ from neo_ros.scenes.transforms_json import read_input_crop, read_transforms
 from neo_ros.scenes.walkable import read_walkable, WalkableMap
 
 logger = logging.getLogger(__name__)
+# What a scene of the demo flat was rendered with; no other scene has this file.
+DEMO_NOTE = 'demo_scene.json'
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,10 @@ def clear_earlier_import(folder: Path, has_floor: bool = False) -> None:
     Raises SceneError where the folder cannot be changed.
     """
     test_file, floor = folder / 'transforms_test.json', folder / 'walkable.json'
+    demo = folder / DEMO_NOTE
     try:
+        if demo.exists():
+            demo.unlink()
         if test_file.exists():
             test_file.unlink()
             logger.warning('%s of an earlier import is deleted', test_file)
