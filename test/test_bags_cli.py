@@ -5,6 +5,7 @@ from pathlib import Path
 
 from bag_files import walk_frames, write_walk_bag
 from neo_ros.bags import BagReader, BagWriter
+from neo_ros.bags.camera_topics import find_image_topic
 from neo_ros.cli.inspect import inspect
 from neo_ros.cli.replay import replay
 from neo_ros.errors import ModelError
@@ -69,7 +70,7 @@ def test_score_finds_the_truth_or_takes_the_camera_itself(
     assert result.exit_code == 0, result.output
     assert 'Scored against the wide images of /camera/wide/image_raw' in result.output
     with BagReader(bag) as reader, BagWriter(tmp_path / 'narrow') as writer:
-        topic = reader.find_topic('/camera/image_raw', 'sensor_msgs/msg/Image')
+        topic = find_image_topic(reader, '/camera/image_raw')
         writer.copy_topic(topic)
         for message in reader.messages([topic.name]):
             writer.write_cdr(topic, message.stamp_ns, message.cdr)

@@ -95,8 +95,9 @@ def test_odometry_agrees_with_the_transforms_and_the_walk(walk) -> None:
 
 def test_static_transforms_are_for_late_subscribers_too(tmp_path: Path) -> None:
     with BagReader(write_walk_bag(tmp_path / 'bag', EXPANSION, 1)) as bag:
-        qos, = bag.find_topic('/tf_static', 'tf2_msgs/msg/TFMessage').qos
-        assert qos.durability.name == 'TRANSIENT_LOCAL'
+        latched, = (topic for topic in bag.topics if topic.latched)
+        assert latched.name == '/tf_static'
+        assert [qos.durability.name for qos in latched.qos] == ['TRANSIENT_LOCAL']
 
 
 def test_stamps_must_rise_and_there_must_be_frames(tmp_path: Path) -> None:

@@ -9,8 +9,9 @@ from bag_files import START_NS, walk_frames, write_walk_bag
 import box_room
 from camera_bags import CameraBag
 from neo_ros.bags import BagReader, replay, Section
-from neo_ros.bags.camera_topics import find_camera, find_truth_topic
+from neo_ros.bags.camera_topics import CAMERA_INFO, find_camera, find_truth_topic
 from neo_ros.bags.demo_bag import write_demo_bag
+from neo_ros.bags.writing import LATCHED
 from neo_ros.cli.main import app
 from neo_ros.errors import BagError, NeoError
 from neo_ros.evaluation.side_by_side import SideBySide
@@ -69,6 +70,18 @@ def test_the_calibration_before_a_section_still_holds(tmp_path, extrapolator) ->
             bag.image(IMAGE, stamp, np.zeros((24, 32, 3), np.uint8))
     result = replay(tmp_path / 'bag', extrapolator, tmp_path / 'out', section=Section(1.5))
     assert (result.frames, result.rejected) == (0, {'camera': 2})
+
+
+def test_a_latched_calibration_before_a_section_comes_once(tmp_path, extrapolator) -> None:
+    with CameraBag(tmp_path / 'bag') as bag:
+        topic = bag.add_topic('/camera/camera_info', CAMERA_INFO, (LATCHED,))
+        for stamp in range(2):
+            bag.info(topic.name, stamp, Intrinsics.from_hfov(32, 24, 1.0))
+        bag.log_ns = 2_000_000_000
+        bag.image(IMAGE, 2, np.zeros((24, 32, 3), np.uint8))
+    result = replay(tmp_path / 'bag', extrapolator, tmp_path / 'out', section=Section(1.5))
+    assert result.rejected == {'camera': 1}
+    assert _counts(tmp_path / 'out')['/camera/camera_info'] == 1
 
 
 def test_every_nth_image_is_widened_and_all_are_copied(tmp_path, walk_bag, extrapolator) -> None:

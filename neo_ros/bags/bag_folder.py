@@ -25,14 +25,12 @@ class BagFolder:
 
     counts          messages by file name, as metadata.yaml says
     missing         files that metadata.yaml lists and that are not there, with their messages
-    message_packed  every message is compressed by itself
     topics          the entries of metadata.yaml by topic: QoS, hash of the type
     """
 
     files: tuple[Path, ...]
     counts: dict[str, int]
     missing: dict[str, int | None]
-    message_packed: bool
     topics: dict[str, dict[str, Any]]
 
 
@@ -56,11 +54,10 @@ def read_bag_folder(path: Path) -> BagFolder:
     if not counts and len(names) == 1 and isinstance(total, int):
         counts = {names[0]: total}
     missing = {name: counts.get(name) for name in names if name not in present}
-    mode = str(metadata.get('compression_mode', '')).lower()
-    topics = {str(entry.get('name')): entry for entry in (
-        item.get('topic_metadata') or {} for item in _dicts(
-            metadata.get('topics_with_message_count')))}
-    return BagFolder(tuple(files), counts, missing, mode == 'message', topics)
+    topics = {str(entry.get('name')): entry for entry in _dicts([
+        item.get('topic_metadata') for item in _dicts(
+            metadata.get('topics_with_message_count'))])}
+    return BagFolder(tuple(files), counts, missing, topics)
 
 
 def _read_metadata(path: Path) -> dict[str, Any]:
@@ -68,7 +65,7 @@ def _read_metadata(path: Path) -> dict[str, Any]:
         content = yaml.safe_load(path.read_text(encoding='utf-8'))
         found = content['rosbag2_bagfile_information']
         return found if isinstance(found, dict) else {}
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError):
+    except (OSError, ValueError, yaml.YAMLError, KeyError, TypeError):
         return {}
 
 

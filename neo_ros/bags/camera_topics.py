@@ -8,13 +8,12 @@ from neo_ros.errors import BagError, ImageRejected
 from neo_ros.geometry import Intrinsics
 from neo_ros.messages import (
     camera_info_of, image_fields, read_camera_info, read_compressed_image)
+from neo_ros.messages.camera_info import read_distortion
 from neo_ros.messages.compressed_image import compressed_size
 from neo_ros.scenes.lens import Lens
-import numpy as np
 
 IMAGE, COMPRESSED = 'sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage'
 CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
-_BROWN, _FISHEYE = ('', 'plumb_bob', 'rational_polynomial'), ('equidistant', 'fisheye')
 
 
 def find_image_topic(reader: BagReader, name: Optional[str]) -> BagTopic:
@@ -32,9 +31,7 @@ def find_image_topic(reader: BagReader, name: Optional[str]) -> BagTopic:
                        f'bag has {describe_topics(reader.topics)}')
     calibrated = [topic for topic in topics if find_info_topic(reader, topic) is not None]
     choice = calibrated or topics
-    raw = {topic.name for topic in choice if topic.msgtype == IMAGE}
-    choice = [topic for topic in choice if topic.msgtype == IMAGE
-              or topic.name.rpartition('/')[0] not in raw]
+    choice = _without_copies(choice)
     if len(choice) > 1:
         raise BagError(f'{reader.path}: the bag has {len(choice)} cameras, choose one with '
                        f'--image-topic: {describe_topics(choice)}')
@@ -67,9 +64,7 @@ def find_camera(reader: BagReader, source: Intrinsics, name: Optional[str]) -> C
     sizes = {topic: first_size(reader, topic) for topic in image_topics(reader, name)}
     fitting = [topic for topic, size in sizes.items() if size == wanted or name is not None]
     fitting = fitting or [topic for topic in sizes if find_info_topic(reader, topic) is not None]
-    raw = {_base(topic) for topic in fitting if topic.msgtype == IMAGE}
-    fitting = [topic for topic in fitting
-               if topic.msgtype == IMAGE or _base(topic) not in raw]
+    fitting = _without_copies(fitting)
     if len(fitting) != 1:
         found = ', '.join(f'{topic.name} ({size[0]}x{size[1]})' if size else topic.name
                           for topic, size in sizes.items())
@@ -150,20 +145,22 @@ def read_lens(message: Any, image: BagTopic, where: str) -> Lens:
     Raises BagError for cameras without calibration and for distortion models that are not known.
     """
     info = camera_info_of(message, image.name)
-    distortion = np.array(info.d, np.float64).reshape(-1)
-    model = info.distortion_model
     try:
         intrinsics = read_camera_info(info, distorted=True)
     except ImageRejected as error:
         raise BagError(f'{where}: {error}') from error
-    if model in _FISHEYE:
-        return Lens(intrinsics, tuple(map(float, distortion[:4])), fisheye=True)
-    if distortion.any() and (model not in _BROWN or len(distortion) not in (4, 5, 8)):
-        raise BagError(
-            f'{where}: distortion_model: expected plumb_bob, rational_polynomial or equidistant, '
-            f'got {model!r} with {len(distortion)} coefficients; rectify the images first '
-            '(image_proc) and record image_rect')
-    return Lens(intrinsics, tuple(map(float, distortion)) if distortion.any() else ())
+    try:
+        coefficients, fisheye = read_distortion(info)
+    except ImageRejected as error:
+        raise BagError(f'{where}: {error}; rectify the images first (image_proc) and record '
+                       'image_rect') from error
+    return Lens(intrinsics, tuple(coefficients.tolist()) if coefficients.any() else (), fisheye)
+
+
+def _without_copies(topics: list[BagTopic]) -> list[BagTopic]:
+    """Leave out the compressed images that are there raw, too."""
+    raw = {topic.name for topic in topics if topic.msgtype == IMAGE}
+    return [topic for topic in topics if topic.msgtype == IMAGE or _base(topic) not in raw]
 
 
 def _base(image: BagTopic) -> str:

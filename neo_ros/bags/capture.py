@@ -9,11 +9,11 @@ from typing import Any, Optional
 from neo_ros.bags.camera_topics import (
     COMPRESSED, find_image_topic, find_info_topic, read_lens)
 from neo_ros.bags.reading import BagReader, BagTopic, describe_topics
-from neo_ros.bags.transforms import (
-    frame_name, PoseTrack, read_transform, stamp_of, TransformTree)
+from neo_ros.bags.transforms import frame_name, PoseTrack, read_transform, TransformTree
 from neo_ros.errors import BagError, ImageRejected
 from neo_ros.geometry import CameraPose
 from neo_ros.messages import read_compressed_image, read_image
+from neo_ros.messages.stamps import stamp_of
 from neo_ros.scenes.capture import (
     Capture, CapturedFrame, ImageStream, no_progress, origin_of, Progress)
 import numpy as np

@@ -10,13 +10,13 @@ from neo_ros.geometry import CameraPose, ViewExpansion
 from neo_ros.geometry.camera_pose import (
     quaternion_from_rotation, rotation_vector, T_BODY_OPTICAL)
 from neo_ros.messages import camera_info_fields, image_fields
+from neo_ros.messages.stamps import NS_PER_S
 import numpy as np
 
 IMAGE_TOPIC = '/camera/image_raw'
 CAMERA_INFO_TOPIC = '/camera/camera_info'
 TRUTH_TOPIC = '/camera/wide/image_raw'
 OPTICAL_FRAME = 'camera_optical_frame'
-NS_PER_S = 1_000_000_000
 
 
 def write_demo_bag(path: Path | str, frames: Iterable[tuple[int, np.ndarray, CameraPose]],

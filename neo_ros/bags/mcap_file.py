@@ -158,7 +158,10 @@ class McapFile:
             yield channel, stamp_ns, cdr
 
     def _read(self, offset: int, count: int) -> bytes:
-        return os.pread(self._descriptor, count, offset)
+        try:
+            return os.pread(self._descriptor, count, offset)
+        except OSError as error:  # of a bad sector, at any time
+            raise BagError(f'{self.path}: cannot read the bag: {error.strerror}') from error
 
     def _read_summary(self) -> bool:
         """Take schemas, channels and counts from the file's end; return whether it has chunks."""

@@ -1,4 +1,5 @@
 """Read rosbag2 bags (MCAP or sqlite3), also those that were cut off or damaged."""
+from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
@@ -12,7 +13,7 @@ from neo_ros.bags.mcap_file import McapFile
 from neo_ros.bags.mcap_records import MAX_CHUNK_BYTES
 from neo_ros.bags.sqlite_file import SqliteFile
 from neo_ros.errors import BagError
-from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat, Qos
+from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat, Qos, QosDurability
 from rosbags.rosbag2.metadata import parse_qos
 from rosbags.typesys import get_types_from_msg, get_typestore, Stores
 from rosbags.typesys.store import Typestore
@@ -34,6 +35,12 @@ class BagTopic:
         default=MessageDefinition(MessageDefinitionFormat.NONE, ''), compare=False, repr=False)
     digest: str = field(default='', compare=False, repr=False)
     qos: tuple[Qos, ...] = field(default=(), compare=False, repr=False)
+
+    @property
+    def latched(self) -> bool:
+        """Whether late subscribers get what was sent before."""
+        return self.name == '/tf_static' or any(
+            qos.durability is QosDurability.TRANSIENT_LOCAL for qos in self.qos)
 
 
 @dataclass(frozen=True)
@@ -73,6 +80,7 @@ class BagReader:
         self._typestore = get_typestore(Stores.ROS2_JAZZY)
         self._stack = ExitStack()
         self._files: list[tuple[McapFile | SqliteFile, dict[int, BagTopic]]] = []
+        self._packed: set[tuple[str, int, int]] = set()  # file, topic and stamp: stay packed
         try:
             self._open()
         except BaseException:
@@ -98,7 +106,10 @@ class BagReader:
     @property
     def damages(self) -> list[Damage]:
         """What was lost, a line per damaged file, as far as the bag was read."""
-        return [file.damage for file, _ in self._files if file.damage is not None] + self._lost
+        packed = Counter(name for name, _, _ in self._packed)
+        return [*(file.damage for file, _ in self._files if file.damage is not None), *self._lost,
+                *(Damage(f'{name} (cannot be unpacked)', 0, count, '')
+                  for name, count in packed.items())]
 
     @property
     def recovered(self) -> str:
@@ -113,14 +124,6 @@ class BagReader:
             raise BagError(f'{self.path}: expected messages, the bag has none')
         return min(first for first, _ in spans), max(last for _, last in spans)
 
-    def find_topic(self, name: str, msgtype: str) -> BagTopic:
-        """Return a topic; raises BagError that lists what the bag has instead."""
-        for topic in self.topics:
-            if (topic.name, topic.msgtype) == (name, msgtype):
-                return topic
-        raise BagError(f'{self.path}: expected a topic {name} of type {msgtype}, the bag has '
-                       f'{describe_topics(self.topics)}')
-
     def messages(self, names: Collection[str] | None = None, start_ns: int = 0,
                  stop_ns: int = FOREVER_NS) -> Iterator[BagMessage]:
         """
@@ -133,13 +136,18 @@ class BagReader:
                       if names is None or topic.name in names}
             for key, stamp_ns, cdr in file.messages(
                     topics.keys(), start_ns, stop_ns) if topics else ():
-                if self._message_packed:
-                    cdr = _unpack_message(cdr)
+                # Of rosbag2's bags with compressed messages only metadata.yaml says that they are;
+                # CDR begins with another byte.
+                if cdr[:4] == zstandard.FRAME_HEADER:
+                    try:
+                        cdr = _unpack_message(cdr)
+                    except ValueError:
+                        self._packed.add((file.path.name, key, stamp_ns))
+                        continue
                 yield BagMessage(topics[key], stamp_ns, cdr, self._typestore)
 
     def _open(self) -> None:
         folder = read_bag_folder(self.path)
-        self._message_packed = folder.message_packed
         self._lost = [Damage(f'{name} (missing)', 0, count, '')
                       for name, count in folder.missing.items()]
         for path in folder.files:
@@ -164,7 +172,10 @@ class BagReader:
     def _open_file(self, packed: Path, folder: BagFolder) -> None:
         path = unpacked(packed, self._stack)
         kind = McapFile if path.suffix == MCAP else SqliteFile
-        file = kind(path, folder.counts.get(path.name))
+        try:
+            file = kind(path, folder.counts.get(path.name))
+        except OSError as error:
+            raise BagError(f'{path}: cannot read the bag: {error.strerror}') from error
         self._stack.callback(file.close)
         self._files.append((file, _topics_of(file, folder)))
 
@@ -212,9 +223,11 @@ def _topic(name: str, msgtype: str, count: int, encoding: str, definition: str,
 
 
 def _unpack_message(data: bytes) -> bytes:
-    """Unpack one message of a bag whose messages are compressed one by one."""
+    """Unpack one message of a bag whose messages are compressed one by one, else ValueError."""
     try:
         content = zstandard.ZstdDecompressor().stream_reader(data).read(MAX_CHUNK_BYTES + 1)
-    except zstandard.ZstdError:
-        return b''  # No message of any type: `BagMessage.read` says so.
-    return content if len(content) <= MAX_CHUNK_BYTES else b''
+    except zstandard.ZstdError as error:
+        raise ValueError(str(error)) from error
+    if len(content) > MAX_CHUNK_BYTES:
+        raise ValueError(f'larger than {MAX_CHUNK_BYTES} bytes')
+    return content

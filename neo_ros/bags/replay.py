@@ -11,17 +11,14 @@ from neo_ros.bags.camera_topics import (
     as_raw_image, CAMERA_INFO, CameraTopics, find_camera, IMAGE, image_topics)
 from neo_ros.bags.damage import Damage
 from neo_ros.bags.reading import BagMessage, BagReader, BagTopic, FOREVER_NS
-from neo_ros.bags.transforms import stamp_of
 from neo_ros.bags.writing import BagWriter
 from neo_ros.errors import BagError, ImageRejected
 from neo_ros.geometry import ViewExpansion
 from neo_ros.messages import camera_info_of, FrameProcessor, image_fields, read_image
+from neo_ros.messages.stamps import NS_PER_S, stamp_of
 from neo_ros.runtime import FovExtrapolator
 import numpy as np
-from rosbags.interfaces import QosDurability
 
-NS_PER_S = 1_000_000_000
-TF_STATIC = '/tf_static'
 # Truth and prediction of one stamp lie close together in a bag; unmatched ones are let go.
 MAX_UNMATCHED = 64
 OnImages = Callable[[int, np.ndarray, np.ndarray], None]
@@ -134,7 +131,7 @@ def replay(bag: Path | str, extrapolator: FovExtrapolator, out: Path | str,
                 message = entry.message
                 late = message.stamp_ns >= start_ns
                 if copy and message.topic.name not in run.outputs and (
-                        late or _is_latched(message.topic)):
+                        late or message.topic.latched):
                     behind.submit(writer.write_cdr, message.topic,
                                   max(message.stamp_ns, start_ns), message.cdr)
                 run.take(entry)
@@ -152,13 +149,13 @@ def _messages(reader: BagReader, camera: CameraTopics, truth: BagTopic | None, s
     """Yield the messages of a section, behind what of the time before it still holds."""
     wanted = {topic for topic in (camera.image, camera.info, truth) if topic is not None}
     if start_ns:
-        before = {topic.name for topic in reader.topics if _is_latched(topic)}
+        before = {topic.name for topic in reader.topics if topic.latched}
         newest: BagMessage | None = None
         names = before if camera.info is None else before | {camera.info.name}
         for message in reader.messages(names, 0, start_ns):
             if message.topic == camera.info:
                 newest = message
-            if message.topic.name in before:
+            elif message.topic.name in before:
                 yield _decoded(message, set())
         if newest is not None:
             yield _decoded(newest, wanted)
@@ -175,11 +172,6 @@ def _decoded(message: BagMessage, wanted: set[BagTopic]) -> _Decoded:
         return _Decoded(message, rejected='cdr')
     except ImageRejected as error:
         return _Decoded(message, rejected=error.reason)
-
-
-def _is_latched(topic: BagTopic) -> bool:
-    return topic.name == TF_STATIC or any(
-        qos.durability is QosDurability.TRANSIENT_LOCAL for qos in topic.qos)
 
 
 class _Replay:

@@ -7,9 +7,9 @@ from typing import Any, Optional
 from neo_ros.errors import BagError, GeometryError
 from neo_ros.geometry import CameraPose
 from neo_ros.geometry.camera_pose import rotation_vector, transform_from_quaternion
+from neo_ros.messages.stamps import NS_PER_S, stamp_of
 import numpy as np
 
-NS_PER_S = 1_000_000_000
 # Between two poses farther apart nobody knows how the camera moved, unless it stood still.
 MAX_GAP_NS = NS_PER_S // 2
 STILL_M, STILL_RAD = 0.02, 0.02
@@ -126,11 +126,6 @@ def read_transform(position: Any, orientation: Any) -> Optional[np.ndarray]:
 def frame_name(frame_id: str) -> str:
     """Return a frame id without the leading slash of ROS 1."""
     return frame_id.lstrip('/')
-
-
-def stamp_of(header: Any) -> int:
-    """Return the stamp of a header in nanoseconds."""
-    return int(header.stamp.sec) * NS_PER_S + int(header.stamp.nanosec)
 
 
 def _still(T0: np.ndarray, T1: np.ndarray) -> bool:

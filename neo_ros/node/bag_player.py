@@ -12,7 +12,6 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.time import Time
-from rosbags.interfaces import QosDurability
 from rosgraph_msgs.msg import Clock
 
 CLOCK = '/clock'
@@ -114,8 +113,6 @@ class BagPlayer:
 
 
 def _qos_of(topic: BagTopic) -> QoSProfile:
-    latched = topic.name == '/tf_static' or any(
-        qos.durability is QosDurability.TRANSIENT_LOCAL for qos in topic.qos)
-    if latched:
+    if topic.latched:
         return QoSProfile(depth=LATCHED_DEPTH, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     return QoSProfile(depth=10)

@@ -9,11 +9,12 @@ from neo_ros.bags import BagReader, BagTopic
 from neo_ros.bags.camera_topics import COMPRESSED, find_camera, IMAGE
 from neo_ros.errors import BagError, ConfigError, ImageRejected
 from neo_ros.messages import camera_info_of, FrameProcessor, SceneWatch
+from neo_ros.messages.stamps import NS_PER_S, stamp_of
 from neo_ros.runtime import FovExtrapolator
 from neo_ros.viewer.hub import Hub
 from neo_ros.viewer.pictures import SourcePicture, SourceState
 from neo_ros.viewer.wide_topics import (
-    NodeDiagnosis, read_grey, read_picture, seen_share, stamp_ns, WideTopics)
+    NodeDiagnosis, read_grey, read_picture, seen_share, WideTopics)
 
 WIDE = '/wide/image'
 # A picture that would come later than this after its time is left out for a newer one.
@@ -22,7 +23,6 @@ LATE_S = 0.2
 UNLIKE_WEIGHT = 0.1
 # A bag of one picture has no duration, and must not be opened again at once.
 LEAST_ROUND_S = 0.5
-NS_PER_S = 1e9
 
 
 class BagSource:
@@ -112,7 +112,7 @@ class BagSource:
         confidence = None
         # The node and the replay write the confidence before the image of the same stamp.
         if (hub.wanted.confidence and self._confidence is not None
-                and stamp_ns(self._confidence) == stamp_ns(content)):
+                and stamp_of(self._confidence.header) == stamp_of(content.header)):
             confidence = read_grey(self._confidence)
         hub.publish(SourcePicture(read_picture(content), due, True, confidence, self._seen))
 

@@ -7,10 +7,11 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from neo_ros.errors import ImageRejected
+from neo_ros.messages.stamps import NS_PER_S, stamp_of
 from neo_ros.viewer.hub import Hub
 from neo_ros.viewer.pictures import SourcePicture, SourceState
 from neo_ros.viewer.wide_topics import (
-    NodeDiagnosis, read_grey, read_picture, seen_share, stamp_ns, WideTopics)
+    NodeDiagnosis, read_grey, read_picture, seen_share, WideTopics)
 import numpy as np
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -111,7 +112,7 @@ class RosSource:
 
     def _on_image(self, message: Any) -> None:
         arrived = time.monotonic()
-        delay = (self._node.get_clock().now().nanoseconds - stamp_ns(message)) / 1e9
+        delay = (self._node.get_clock().now().nanoseconds - stamp_of(message.header)) / NS_PER_S
         timed = EARLIEST_S <= delay <= MOST_DELAY_S
         captured = arrived - max(delay, 0) if timed else arrived
         if self._topics.confidence not in self._subscriptions:
@@ -131,7 +132,7 @@ class RosSource:
         """Publish the picture that waits once its confidence is there, whichever came first."""
         if self._pending is None or self._confidence is None:
             return
-        if stamp_ns(self._pending[0]) == stamp_ns(self._confidence):
+        if stamp_of(self._pending[0].header) == stamp_of(self._confidence.header):
             picture, self._pending = self._pending, None
             self._publish(*picture, self._confidence)
 

@@ -74,12 +74,6 @@ def seen_share(mask: np.ndarray) -> tuple[float, float, float, float] | None:
             float((rows[-1] + 1 - rows[0]) / height))
 
 
-def stamp_ns(message: Any) -> int:
-    """Return the stamp of a message's header, nanoseconds."""
-    stamp = message.header.stamp
-    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
-
-
 class NodeDiagnosis:
     """
     Reads /diagnostics for the node in a camera's namespace.
