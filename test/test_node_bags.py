@@ -6,6 +6,7 @@ import time
 from bag_files import write_walk_bag
 from neo_ros.bags import BagReader, BagWriter
 from neo_ros.errors import BagError
+from neo_ros.node import bag_recorder
 from neo_ros.node.bag_player import BagPlayer
 from neo_ros.node.bag_recorder import BagRecorder
 from neo_ros.node.message_types import find_message_class
@@ -120,10 +121,22 @@ def test_recorder_stops_when_nothing_comes_any_more(graph, tmp_path):
         recorder = BagRecorder(graph.node, writer, [IMAGE])
         threading.Timer(1.0, lambda: publisher.publish(Image())).start()
         started = time.monotonic()
-        recorder.record(threading.Event(), idle_timeout=0.3)
+        recorder.record(threading.Event(), seconds=20, idle_timeout=0.3)
         assert recorder.counts == {IMAGE: 1}
         assert time.monotonic() - started > 1.2
         recorder.record(threading.Event(), seconds=0.2)
+
+
+def test_recorder_ends_where_no_type_is_installed(graph, tmp_path, monkeypatch):
+    graph.node.create_publisher(Image, IMAGE, 10)
+    graph.executor.remove_node(graph.node)
+    monkeypatch.setattr(bag_recorder, 'find_message_class', lambda msgtype: None)
+    reports: list[str] = []
+    with BagWriter(tmp_path / 'out') as writer:
+        recorder = BagRecorder(graph.node, writer, [IMAGE], reports.append)
+        with pytest.raises(BagError, match='no topic left to record'):
+            recorder.record(threading.Event(), messages=10)
+    assert reports == [f'{IMAGE} is left out: sensor_msgs/msg/Image is not installed']
 
 
 @pytest.mark.parametrize('msgtype, expected', [

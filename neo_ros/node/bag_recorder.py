@@ -8,6 +8,7 @@ from typing import Any
 
 from neo_ros.bags import BagTopic, BagWriter
 from neo_ros.bags.writing import LATCHED
+from neo_ros.errors import BagError
 from neo_ros.node.message_types import find_message_class
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -42,7 +43,8 @@ class BagRecorder:
         Record until `stop` is set, or the first of these that is given comes true.
 
         `seconds` passed; every topic has at least `messages` messages; nothing came for
-        `idle_timeout` seconds after the first message.
+        `idle_timeout` seconds after the first message. Raises BagError where no type of the
+        topics is installed.
         """
         executor = SingleThreadedExecutor(context=self._node.context)
         executor.add_node(self._node)
@@ -52,6 +54,8 @@ class BagRecorder:
             now = time.monotonic()
             if self._waiting and now >= next_look:
                 self._look_for_topics()
+                if not self.counts:
+                    raise BagError('no topic left to record; install the packages of their types')
                 next_look = now + LOOK_PERIOD_S
             executor.spin_once(timeout_sec=0.05)
             if seconds is not None and now - started >= seconds:
@@ -66,7 +70,10 @@ class BagRecorder:
     def _look_for_topics(self) -> None:
         for name, msgtypes in self._node.get_topic_names_and_types():
             # Other subscribers make a topic visible, too, but only a publisher has a QoS.
-            if name not in self._waiting or not self._node.count_publishers(name):
+            if name not in self._waiting:
+                continue
+            qos = self._qos_of(name)
+            if qos is None:
                 continue
             self._waiting.remove(name)
             message_class = find_message_class(msgtypes[0])
@@ -74,7 +81,9 @@ class BagRecorder:
                 self._report(f'{name} is left out: {msgtypes[0]} is not installed')
                 del self.counts[name]
                 continue
-            qos = self._qos_of(name)
+            if msgtypes[0] not in self._writer.typestore.types:
+                self._report(f'{name}: the bag does not say what a {msgtypes[0]} consists of, '
+                             'as it is none of the types of ROS 2 Jazzy itself')
             latched = qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
             topic = self._writer.add_topic(name, msgtypes[0], (LATCHED,) if latched else ())
             self._node.create_subscription(
@@ -85,8 +94,10 @@ class BagRecorder:
         self.counts[topic.name] += 1
         self._last_message = time.monotonic()
 
-    def _qos_of(self, name: str) -> QoSProfile:
+    def _qos_of(self, name: str) -> QoSProfile | None:
         offers = [info.qos_profile for info in self._node.get_publishers_info_by_topic(name)]
+        if not offers:
+            return None
         reliable = all(offer.reliability == ReliabilityPolicy.RELIABLE for offer in offers)
         latched = all(offer.durability == DurabilityPolicy.TRANSIENT_LOCAL for offer in offers)
         return QoSProfile(

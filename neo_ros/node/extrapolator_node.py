@@ -79,6 +79,7 @@ class ExtrapolatorNode(LifecycleNode):
         self._candidate: LoadedModel | None = None
         self._outputs: WidePublishers | None = None
         self._worker: FrameWorker | None = None
+        self._lingering: list[FrameWorker] = []  # stopped, but in the middle of a frame
         self._inputs = CameraInputs(self, self._on_image)
         declare_parameters(self)
         self.add_on_set_parameters_callback(self._check_parameters)
@@ -161,8 +162,10 @@ class ExtrapolatorNode(LifecycleNode):
         """Take no more frames; return False while a frame is in work or a model is loaded."""
         self._inputs.unsubscribe()
         worker, self._worker = self._worker, None
-        idle = worker is None or worker.stop(STOP_TIMEOUT_S)
-        return idle and (self._loading is None or not self._loading.is_alive())
+        if worker is not None and not worker.stop(STOP_TIMEOUT_S):
+            self._lingering.append(worker)
+        self._lingering = [worker for worker in self._lingering if worker.busy]
+        return not self._lingering and (self._loading is None or not self._loading.is_alive())
 
     def _free(self) -> None:
         self.stop()

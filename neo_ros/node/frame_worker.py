@@ -66,6 +66,11 @@ class FrameWorker:
         # A daemon, so that a signal in the middle of a long inference can end the process.
         self._thread = threading.Thread(target=self._run, name='extrapolate', daemon=True)
 
+    @property
+    def busy(self) -> bool:
+        """Whether the thread has not ended."""
+        return self._thread.is_alive()
+
     def start(self) -> None:
         """Begin to take frames."""
         self._thread.start()
@@ -82,7 +87,7 @@ class FrameWorker:
             self._stopped.set()
         self._mailbox.close()
         self._thread.join(timeout)
-        return not self._thread.is_alive()
+        return not self.busy
 
     def _run(self) -> None:
         self.processor.reset()  # The camera may have been carried elsewhere.

@@ -84,6 +84,8 @@ class _Reader:
             if self.parts > MAX_PARTS:
                 raise ValueError(f'more than {MAX_PARTS} parts')
             tag, start = self._varint(start, stop)
+            if tag >= 1 << 32:  # ONNX Runtime's parser would cut it, and see another field.
+                raise ValueError(f'a tag of more than 32 bits at byte {start}')
             number, wire_type = tag >> 3, tag & 7
             value: int | tuple[int, int]
             if wire_type == _VARINT:
@@ -106,7 +108,7 @@ class _Reader:
         value = 0
         for index in range(start, min(start + 10, stop)):
             value |= (self.data[index] & 0x7f) << 7 * (index - start)
-            if self.data[index] < 0x80:
+            if self.data[index] < 0x80 and value < 1 << 64:
                 return value, index + 1
         raise ValueError(f'a number does not end at byte {start}')
 
@@ -196,6 +198,7 @@ def _external_tensor(reader: _Reader, start: int, stop: int) -> str | None:
     for number, value in reader.fields(start, stop):
         if number == _TENSOR_NAME and isinstance(value, tuple):
             name = _text(reader, value)
+        # Anything but 0: a parser cuts the number to 32 bits.
         external |= number == _TENSOR_EXTERNAL_DATA or (
-            number == _TENSOR_DATA_LOCATION and value == 1)
+            number == _TENSOR_DATA_LOCATION and value != 0)
     return name if external else None

@@ -57,7 +57,8 @@ class Access:
         end, _, proof = request.cookies.get(self._cookie(request), '').partition('.')
         if not (end.isascii() and end.isdigit() and len(end) <= 12):
             return False
-        return hmac.compare_digest(self._prove(end), proof.encode()) and int(end) > time.time()
+        return hmac.compare_digest(
+            self._prove(end), proof.encode(errors='surrogatepass')) and int(end) > time.time()
 
     def begin_session(self, request: web.Request, response: web.StreamResponse) -> None:
         """Give the cookie: out of reach for scripts and for other sites."""

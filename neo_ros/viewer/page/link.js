@@ -3,6 +3,8 @@ const RETRY_MS = [250, 500, 1000, 2000, 5000];
 const PING_MS = 2000;
 // The server tells its state twice a second: silence means that the link is dead.
 const SILENCE_MS = 3000;
+// How long the server may take to say whether the session still holds.
+const CHECK_MS = 5000;
 const FULL = 4001;
 
 export class Link {
@@ -11,6 +13,7 @@ export class Link {
     this.events = events;
     this.asked = { confidence: false, paused: document.hidden };
     this.attempt = 0;
+    this.checking = false;
     this.offset = null;
     this.roundTrip = Infinity;
     document.addEventListener('visibilitychange', () => this.ask({ paused: document.hidden }));
@@ -120,8 +123,11 @@ export class Link {
   // A WebSocket does not tell why it is refused; a request for the page does.
   async checkSession() {
     clearTimeout(this.retry);
+    if (this.checking) return;
+    this.checking = true;
     try {
-      const answer = await fetch('/viewer.js', { method: 'HEAD', redirect: 'manual' });
+      const answer = await fetch('/viewer.js', {
+        method: 'HEAD', redirect: 'manual', signal: AbortSignal.timeout(CHECK_MS) });
       if (answer.status === 401) {
         location.assign('/login');
         return;
@@ -129,6 +135,8 @@ export class Link {
     } catch {
       this.lost(false);
       return;
+    } finally {
+      this.checking = false;
     }
     this.connect();
   }

@@ -33,11 +33,16 @@ const link = new Link({
 });
 
 function showPicture(picture) {
-  if (picture.seq < state.newest) return;  // Decoding may overtake.
+  if (picture.seq < state.newest) {  // Decoding may overtake.
+    picture.bitmap.close();
+    picture.sureness?.close();
+    return;
+  }
   state.newest = picture.seq;
   state.picture?.bitmap.close();
   state.picture = picture;
   picture.tint = picture.sureness && tintOf(picture.sureness);
+  picture.sureness?.close();
   draw();
   const now = performance.now();
   state.shown.push(now);
