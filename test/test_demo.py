@@ -6,6 +6,7 @@ from urllib.request import urlopen
 
 from bag_files import write_walk_bag
 from neo_ros.bags import BagReader, replay
+from neo_ros.cli.main import app
 from neo_ros.demo import _Graph, DemoResult, run_demo, WALK_SEED, WIDE_TOPIC
 from neo_ros.errors import ModelError, NeoError
 from neo_ros.evaluation.metrics import score_frame
@@ -17,6 +18,7 @@ from neo_ros.scenes.demo_flat import build_demo_flat, walking_paths
 import numpy as np
 import pytest
 from tiny_model import TINY_EXPANSION, write_tiny_model
+from typer.testing import CliRunner
 
 FRAMES = 12
 
@@ -91,6 +93,43 @@ def test_a_part_of_the_graph_that_ends_is_told_at_once(
             with pytest.raises(NeoError, match='recorder ended with code'):
                 graph.play(bag, subscribers=9)
     assert time.monotonic() - started < 60
+
+
+@pytest.mark.parametrize('arguments, rounds', [([], 1), (['--watch'], 3)],
+                         ids=['not on a terminal', 'watched'])
+def test_the_command_shows_the_result_once_and_ends_on_ctrl_c(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str],
+        rounds: int) -> None:
+    result = DemoResult(12, 11, 5.0, {'median': 20.0, 'p95': 30.0},
+                        {'ring_psnr': 25.0, 'ring_ssim': 0.8, 'whole_psnr': 27.0})
+    played = []
+
+    def run(model, out, frames, rate, progress, shown_at, go_on):
+        shown_at('http://127.0.0.1:1')
+        played.append(model.name)
+        while go_on(result):
+            played.append(model.name)
+            if len(played) == 3:
+                raise KeyboardInterrupt
+        return result
+
+    monkeypatch.setattr('neo_ros.demo.run_demo', run)
+    monkeypatch.delenv('DISPLAY', raising=False)
+    monkeypatch.delenv('WAYLAND_DISPLAY', raising=False)
+    told = CliRunner().invoke(app, ['demo', '--out', str(tmp_path), *arguments])
+    assert told.exit_code == 0 and played == ['demo_flat.onnx'] * rounds
+    assert told.output.count('11 of 12 frames widened at 5.0 Hz') == 1
+    assert 'shown at http://127.0.0.1:1' in told.output
+    assert ('until you press Ctrl-C' in told.output) == (rounds > 1)
+
+
+def test_ctrl_c_before_anything_was_shown_is_no_success(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def run(*everything):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr('neo_ros.demo.run_demo', run)
+    assert CliRunner().invoke(app, ['demo', '--out', str(tmp_path)]).exit_code == 130
 
 
 def test_the_shipped_model_knows_the_flat() -> None:

@@ -58,7 +58,7 @@ def test_node_works_again_when_the_network_is_back(tmp_path):
     paths = os.pathsep.join([str(Path(__file__).parent), ENVIRONMENT['PYTHONPATH']])
     result = subprocess.run(
         [*NAMESPACE, sys.executable, __file__, model], text=True, capture_output=True,
-        timeout=150, env=os.environ | ENVIRONMENT | {'PYTHONPATH': paths})
+        timeout=100, env=os.environ | ENVIRONMENT | {'PYTHONPATH': paths})
     assert result.returncode == 0, result.stdout + result.stderr
 
 

@@ -76,7 +76,7 @@ def run_ranks(folder: Path, count: int, script: str = RANK,
         [sys.executable, '-c', script, str(folder), *arguments], stderr=subprocess.PIPE, text=True,
         env={**environment, 'RANK': str(rank), 'LOCAL_RANK': str(rank)}) for rank in range(count)]
     try:
-        errors = [process.communicate(timeout=300)[1] for process in running]
+        errors = [process.communicate(timeout=100)[1] for process in running]
     finally:
         for process in running:
             process.kill()
