@@ -18,7 +18,6 @@ import shutil
 import subprocess
 import sys
 import time
-from typing import Any
 
 from neo_ros.bags import BagReader
 from neo_ros.bags.demo_bag import IMAGE_TOPIC, TRUTH_TOPIC, write_demo_bag
@@ -30,6 +29,7 @@ from neo_ros.evaluation.report import Table, Text, write_report
 from neo_ros.evaluation.strips import frame_strip, Strip, write_strip_png
 from neo_ros.geometry import ViewExpansion
 from neo_ros.messages import read_image
+from neo_ros.messages.stamps import stamp_of
 from neo_ros.runtime import read_model_card
 from neo_ros.scenes.demo_captures import fingerprint, render_demo_views
 from neo_ros.scenes.demo_flat import build_demo_flat, walking_paths
@@ -197,15 +197,16 @@ class _Graph:
 def score_recording(bag: Path, recorded: Path, expansion: ViewExpansion, out: Path) -> DemoResult:
     """Join recording and truth by header stamp, score, and write the report and the strip."""
     with BagReader(bag) as reader:
-        truth = {_stamp(m.read()): read_image(m.read()) for m in reader.messages([TRUTH_TOPIC])}
+        images = (message.read() for message in reader.messages([TRUTH_TOPIC]))
+        truth = {stamp_of(image.header): read_image(image) for image in images}
     arrived: dict[str, dict[int, int]] = {IMAGE_TOPIC: {}, WIDE_TOPIC: {}}
     wide = {}
     with BagReader(recorded) as reader:
         for message in reader.messages(list(arrived)):
             content = message.read()
-            arrived[message.topic.name][_stamp(content)] = message.stamp_ns
+            arrived[message.topic.name][stamp_of(content.header)] = message.stamp_ns
             if message.topic.name == WIDE_TOPIC:
-                wide[_stamp(content)] = read_image(content)
+                wide[stamp_of(content.header)] = read_image(content)
     stamps = sorted(wide.keys() & truth.keys())
     if len(stamps) < 2:
         raise BagError(f'{recorded}: expected wide images from the node, got {len(wide)}; '
@@ -221,10 +222,6 @@ def score_recording(bag: Path, recorded: Path, expansion: ViewExpansion, out: Pa
         {name: float(np.mean([frame[name] for frame in frames])) for name in frames[0]})
     _write_pages(result, expansion, stamps, truth, wide, frames, out)
     return result
-
-
-def _stamp(message: Any) -> int:
-    return message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
 
 
 def _write_pages(result: DemoResult, expansion: ViewExpansion, stamps: list[int],

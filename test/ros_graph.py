@@ -15,7 +15,8 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 
 WAIT_S = 20.0
-# Two pytest processes at a time must not hear one another; ids go up to 232.
+# Two pytest processes at a time must not hear one another. The ports of ids above 101 are those
+# that Linux gives to anybody.
 DOMAIN = os.getpid() % 100 + 1
 ENVIRONMENT = {
     'ROS_DOMAIN_ID': str(DOMAIN),

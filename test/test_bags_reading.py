@@ -174,7 +174,7 @@ def test_a_message_that_cannot_be_unpacked_is_lost_and_counted_once(tmp_path: Pa
         for _ in range(2):
             assert [message.cdr for message in bag.messages()] == [good, good]
             assert bag.recovered == (
-                'bag.mcap (cannot be unpacked): 0 messages recovered, 1 lost')
+                'bag.mcap (messages that cannot be unpacked): 2 messages recovered, 1 lost')
 
 
 def test_quality_of_service_and_type_hash_survive(tmp_path: Path) -> None:

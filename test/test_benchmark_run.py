@@ -186,6 +186,18 @@ def test_a_working_folder_belongs_to_one_benchmark(flat_scene, tmp_path):
         Workbench(job(flat_scene, minutes=3.0), tmp_path, quiet)
 
 
+def test_what_a_network_was_scored_with_is_not_changed_below_it(
+        flat_scene, tmp_path, monkeypatch):
+    Workbench(job(flat_scene), tmp_path, quiet)
+    shutil.copytree(share_dir() / 'config', tmp_path / 'share/config')
+    monkeypatch.setattr(workbench, 'share_dir', lambda: tmp_path / 'share')
+    Workbench(job(flat_scene), tmp_path, quiet)
+    mat = tmp_path / 'share/config/experiments/networks/mat.yaml'
+    mat.write_text(mat.read_text().replace('width: 32', 'width: 48'))
+    with pytest.raises(ConfigError, match='other experiments, or of an older'):
+        Workbench(job(flat_scene), tmp_path, quiet)
+
+
 def test_without_the_weights_of_lpips_the_rest_is_scored(monkeypatch):
     def refuse(backbone):
         raise ModelError('offline')

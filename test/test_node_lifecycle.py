@@ -3,6 +3,7 @@ import gc
 import os
 from pathlib import Path
 import time
+from types import SimpleNamespace
 
 from box_room import box_walk, EXPANSION, view, write_box_model
 from camera_messages import noise_image
@@ -37,6 +38,17 @@ def node_of(graph, model, **options):
 
 def resident_kb():
     return int(Path('/proc/self/statm').read_text().split()[1]) * 4
+
+
+def test_a_stopped_worker_in_the_middle_of_a_frame_is_not_forgotten(graph, tmp_path):
+    node = node_of(graph, write_tiny_model(tmp_path / 'm.onnx'))
+    worker = SimpleNamespace(busy=True, stop=lambda timeout: False)
+    node._worker = worker
+    for _ in range(2):  # deactivated, then asked again before the process ends
+        assert node.stop() is False
+    worker.busy = False
+    assert node.stop() is True
+    node.destroy_node()
 
 
 def memories():

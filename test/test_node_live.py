@@ -249,8 +249,7 @@ def test_signal_in_the_middle_of_inference_ends_it(graph, model, number):
     camera.wait_for_node()
     camera.widen(noise_image(SOURCE, 0), 1)
     camera.publish(np.zeros((SOURCE.height, SOURCE.width, 3), np.uint8), 2)
-    while process.stdout.readline() != 'in the middle\n':
-        pass
+    assert 'in the middle\n' in iter(process.stdout.readline, ''), 'the node ended before'
     code, seconds = end(process, number)
     assert code == 0 and seconds < 5, process.stdout.read()
 

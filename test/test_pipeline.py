@@ -24,6 +24,7 @@ from neo_ros.runtime import FovExtrapolator
 from neo_ros.scenes.levelling import read_upright_scene
 from neo_ros.scenes.pose_sampling import SamplingConfig
 from neo_ros.scenes.scene import read_scene
+from neo_ros.training_report import _exposed
 import numpy as np
 import onnx
 import pytest
@@ -96,7 +97,7 @@ def test_report_and_scores_hold_pictures_and_rows(tiny_run: TrainingRun) -> None
     assert 0 < scores['confidence']['expected_calibration_error'] < 60
     assert 0 < scores['confidence']['sparsification_error'] < 1
     assert scores['guided_confidence'].keys() == scores['confidence'].keys()
-    assert 'Of the model with its scene memory.' in html
+    assert 'Of the model with its scene memory; in the ring of 6 test frames.' in html
     assert 'Is the confidence true?' in html and 'photos held out' in html
 
 
@@ -318,3 +319,11 @@ def test_a_new_field_is_not_mixed_with_what_the_old_one_made(
     assert (run.out / 'field.npz').exists()
     for name in ('outpainter.ckpt', 'memory.json', 'panoramas_3', 'field.ckpt'):
         assert not (run.out / name).exists()
+
+
+def test_renderings_are_compared_at_the_exposure_of_the_photo() -> None:
+    rendered = np.full((4, 6, 3), 0.25)
+    rendered[:, 3:] = 0.5
+    dark = np.full((4, 3, 3), 32, np.uint8)  # of the left half
+    np.testing.assert_array_equal(_exposed(rendered, rendered[:, :3], dark)[0, :, 0],
+                                  [32] * 3 + [64] * 3)

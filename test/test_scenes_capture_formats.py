@@ -109,10 +109,18 @@ def test_photos_that_a_camera_stored_turned_are_written_upright(
     assert (camera.width, camera.height) == (64, 48)
     found = read_photo(tmp_path / 'out/images/b.jpg.png')
     assert found is not None and np.abs(found.astype(int) - upright).mean() < 8  # JPEG's
-    # Upright ones beside them stay as they are, and sizes are told as they are shown.
-    write_image(tmp_path / 'in/c.png', np.rot90(upright))
-    with pytest.raises(SceneError, match='64x48: a.jpg, b.jpg; 48x64: c.png'):
+    # One of another size beside them is told as it is shown.
+    write_image(tmp_path / 'in/c.png', np.zeros((8, 9, 3), np.uint8))
+    with pytest.raises(SceneError, match='64x48: a.jpg, b.jpg; 9x8: c.png'):
         read_photos(tmp_path / 'in')
+
+
+def test_one_turned_photo_among_upright_ones_stays_as_it_is_stored(tmp_path: Path) -> None:
+    write_image(tmp_path / 'a.png', demo_photos().images[0])
+    write_turned_jpeg(tmp_path / 'b.jpg', demo_photos().images[1], 6)
+    capture = read_photos(tmp_path)
+    assert '1 of 2 photos are stored turned' in capture.notes[0] and capture.stream is None
+    assert [frame.name for frame in capture.frames] == ['images/a.png', 'images/b.jpg']
 
 
 def test_habitat_poses_look_along_minus_z(tmp_path: Path) -> None:
@@ -165,10 +173,11 @@ def test_blank_lines_do_not_shift_the_pairs_of_lines_of_colmap(tmp_path: Path) -
 
 def test_other_parts_of_a_colmap_scene_are_told(tmp_path: Path) -> None:
     source = write_colmap_text(tmp_path / 's', demo_photos())
+    (source / 'sparse/7').mkdir()  # no model
     assert not read_colmap(source).notes
     shutil.copytree(source / 'sparse/0', source / 'sparse/1')
     note, = read_colmap(source).notes
-    assert 'only 0 is read' in note and note.endswith(f'neo import {source / "sparse/1"}')
+    assert 'only 0 is read' in note and note.endswith(f'neo import {source / "sparse/1"} SCENE')
     assert len(read_colmap(source / 'sparse/1')) == 5
 
 

@@ -108,8 +108,9 @@ class BagReader:
         """What was lost, a line per damaged file, as far as the bag was read."""
         packed = Counter(name for name, _, _ in self._packed)
         return [*(file.damage for file, _ in self._files if file.damage is not None), *self._lost,
-                *(Damage(f'{name} (cannot be unpacked)', 0, count, '')
-                  for name, count in packed.items())]
+                *(Damage(f'{file.path.name} (messages that cannot be unpacked)',
+                         file.counts.total() - count, count, '')
+                  for file, _ in self._files if (count := packed[file.path.name]))]
 
     @property
     def recovered(self) -> str:

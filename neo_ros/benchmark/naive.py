@@ -54,9 +54,10 @@ def train_naive(run: TrainingRun) -> None:
     if run.held_out is None:
         raise ConfigError(f'naive: expected photos to hold out, {run.scene.name} has only '
                           f'{len(run.scene.train)}')
-    target, experiment, started = run.expansion.target, run.experiment, time.monotonic()
+    target, experiment = run.expansion.target, run.experiment
     held_out = np.stack([opaque(as_wide(run.held_out, index, target.width, target.height))
                          for index in range(len(run.held_out))])
+    started = time.monotonic()
     trainer = OutpaintTrainer(
         run.expansion, experiment.network,
         replace(experiment.outpaint, validations=VALIDATIONS, real_centre=0.0),

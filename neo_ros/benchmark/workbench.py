@@ -172,8 +172,9 @@ class Workbench:
             differ = [name for name, value in kept.items() if found.get(name) != value]
             if differ:
                 raise ConfigError(
-                    f'{self.folder}: holds a benchmark with other {", ".join(differ)}; '
-                    'choose another --work folder or delete this one')
+                    f'{self.folder}: holds a benchmark with other {", ".join(differ)}, or of an '
+                    'older neo_ros, which did not note them; choose another --work folder or '
+                    'delete this one')
         write_bytes(note, text.encode())
 
 

@@ -29,7 +29,7 @@ def floor(
     from neo_ros.errors import ConfigError
     from neo_ros.evaluation.capture_report import REPORT_FILE, write_capture_report
     from neo_ros.scenes.floor_map import read_floor_mask, read_map_server
-    from neo_ros.scenes.levelling import stood_up
+    from neo_ros.scenes.levelling import axis_name, axis_up
     from neo_ros.scenes.scene import read_scene
     from neo_ros.scenes.walkable import write_walkable
     import numpy as np
@@ -37,11 +37,12 @@ def floor(
     from rich.markup import escape
 
     found = read_scene(scene)
-    if found.walkable is None and stood_up(found) is not found:
+    up = axis_up(found)
+    if up[2] != 1:
         # With a floor map the world counts as upright: its map would be one of a wall.
         raise ConfigError(
             f'{scene}: expected a world whose z axis points up, but its photos were held with '
-            'another one up; import it again with --level, or write "z_up": true into '
+            f'{axis_name(up)} up; import it again with --level, or write "z_up": true into '
             'transforms_train.json if z does point up')
     positions = found.train.T_world_cam[:, :3, 3]
     height = float(np.median(positions[:, 2])) if camera_height is None else camera_height

@@ -11,7 +11,6 @@ from typing import Callable
 
 import cv2
 from neo_ros.errors import ConfigError
-from neo_ros.exposure import MOST_GAIN
 from neo_ros.field.baking_kernels import colour_from_photos
 from neo_ros.field.panorama import view_band
 from neo_ros.field.rendering import render_rays, to_uint8, world_rays
@@ -110,7 +109,7 @@ def _gain(rendered: np.ndarray, photo: np.ndarray) -> np.ndarray:
     By their means: the field was fitted to this photo, so its errors have no sign.
     """
     ratio = 255 * rendered.mean((0, 1)) / np.maximum(photo.mean((0, 1)), 1)
-    return np.clip(ratio, 1 / MOST_GAIN, MOST_GAIN).astype(np.float32)
+    return np.clip(ratio, 0.5, 2).astype(np.float32)
 
 
 def keyframe_size(band: Band, focal: float) -> tuple[int, int, int]:

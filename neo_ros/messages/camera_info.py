@@ -19,7 +19,7 @@ K_COLUMNS = 3
 P_COLUMNS = 4
 FISHEYE = 'equidistant'
 # Distortion models of ROS and how many coefficients they may have.
-DISTORTION_MODELS = {'plumb_bob': (4, 5), 'rational_polynomial': (8,), FISHEYE: (4,)}
+DISTORTION_MODELS = {'plumb_bob': (4, 5, 8), 'rational_polynomial': (4, 5, 8), FISHEYE: (4,)}
 # A word of its own: image_rect_color and /rectified/image are meant, /direct/image is not.
 RECTIFIED_TOPIC = re.compile(r'(^|[/_])rect(ified)?([/_]|$)')
 # What is read of a CameraInfo besides its matrices.

@@ -48,6 +48,13 @@ class BagRecorder:
         """
         executor = SingleThreadedExecutor(context=self._node.context)
         executor.add_node(self._node)
+        try:
+            self._spin(executor, stop, seconds, messages, idle_timeout)
+        finally:
+            executor.remove_node(self._node)
+
+    def _spin(self, executor: SingleThreadedExecutor, stop: threading.Event,
+              seconds: float | None, messages: int | None, idle_timeout: float | None) -> None:
         started = time.monotonic()
         next_look = started
         while not stop.is_set():
@@ -65,7 +72,6 @@ class BagRecorder:
             if (idle_timeout is not None and self._last_message
                     and now - self._last_message >= idle_timeout):
                 break
-        executor.remove_node(self._node)
 
     def _look_for_topics(self) -> None:
         for name, msgtypes in self._node.get_topic_names_and_types():

@@ -55,12 +55,14 @@ def read_colmap(source: Path) -> Capture:
     images = next((place for place in places if place.is_dir()), source)
     capture = read_colmap_model(model, images)
     others = sorted(folder.name for folder in model.parent.iterdir()
-                    if model.name.isdigit() and folder.name.isdigit() and folder != model)
+                    if model.name.isdigit() and folder.name.isdigit() and folder != model
+                    and find_model(folder) == folder)
     if not others:
         return capture
     return replace(capture, notes=capture.notes + (
         f'{model.parent} holds other parts of the scene, too: {listed(others)}; only {model.name} '
-        f'is read. Another one is imported by its name: neo import {model.parent / others[0]}',))
+        f'is read. Another one is imported by its name: neo import {model.parent / others[0]} '
+        'SCENE',))
 
 
 def read_colmap_model(model: Path, image_folder: Path) -> Capture:

@@ -82,7 +82,8 @@ def _claim(folder: Path, settings: dict[str, int | str]) -> None:
         raise SceneError(f'{folder}: cannot write a demo scene here: {error}') from error
     if found != settings:
         raise SceneError(f'{folder}: expected an empty folder or a demo scene of {settings}, '
-                         f'got one of {found}; choose another folder')
+                         f'got one of {found}; choose another folder, or delete this one: an '
+                         'older neo_ros may have rendered it')
 
 
 def fingerprint(flat: DemoFlat, poses: Sequence[np.ndarray]) -> str:

@@ -76,17 +76,12 @@ def stood_up(scene: Scene) -> Scene:
     The axis nearest to the estimated up is taken, and the log says so. A scene with a floor map,
     or whose file says `z_up`, has z up by definition and stays as it is.
     """
-    if scene.walkable is not None or scene.train.z_up:
-        return scene
-    up = estimate_up(list(scene.train.poses))
-    nearest = int(np.abs(up).argmax())
-    axis = np.eye(3)[nearest] * np.sign(up[nearest])
+    axis = axis_up(scene)
     if axis[2] == 1:
         return scene
     logger.warning(
-        '%s: the photos were held with %s%s up: the world is turned so that z points up; if it '
-        'did already, write "z_up": true into transforms_train.json', scene.name,
-        '-' if axis[nearest] < 0 else '+', 'xyz'[nearest])
+        '%s: the photos were held with %s up: the world is turned so that z points up; if it '
+        'did already, write "z_up": true into transforms_train.json', scene.name, axis_name(axis))
     T = np.eye(4)
     T[:3, :3] = rotation_between(axis, np.array([0.0, 0.0, 1.0])).round()
 
@@ -96,6 +91,21 @@ def stood_up(scene: Scene) -> Scene:
 
     return replace(scene, train=turned(scene.train),
                    test=None if scene.test is None else turned(scene.test))
+
+
+def axis_up(scene: Scene) -> np.ndarray:
+    """Return the axis (3,) of the world that points up, by definition or as `stood_up` says."""
+    if scene.walkable is not None or scene.train.z_up:
+        return np.array([0.0, 0.0, 1.0])
+    up = estimate_up(list(scene.train.poses))
+    nearest = int(np.abs(up).argmax())
+    return np.eye(3)[nearest] * np.sign(up[nearest])
+
+
+def axis_name(axis: np.ndarray) -> str:
+    """Return the name of an axis (3,), such as '-y'."""
+    nearest = int(np.abs(axis).argmax())
+    return ('-' if axis[nearest] < 0 else '+') + 'xyz'[nearest]
 
 
 def rotation_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -9,6 +9,8 @@ from neo_ros.scenes.capture import (
 import numpy as np
 
 PHOTO_FOLDERS = ('images', 'photos', 'rgb')
+# Cameras write into these how they were held.
+EXIF_SUFFIXES = ('.jpg', '.jpeg', '.tif', '.tiff', '.webp')
 
 
 def find_photos(source: Path) -> list[Path]:
@@ -22,47 +24,62 @@ def read_photos(source: Path) -> Capture:
     List photos without poses and without calibration.
 
     Files that cannot be read are named in the notes and left out. Where a camera noted that it was
-    turned (EXIF), the photos are shown upright: their up becomes the world's. Raises SceneError
-    for a folder without a readable image, and for photos of several sizes.
+    turned (EXIF), the photos are shown upright: their up becomes the world's; but not where only
+    some were, and would be of another size then. Raises SceneError for a folder without a readable
+    image, and for photos of several sizes.
     """
     files = find_photos(source)
     if not files:
         raise SceneError(f'{source}: expected photos, there are none')
-    turned = sum(map(_is_turned, files))
-    sizes: dict[Path, tuple[int, int]] = {}
+    stored: dict[Path, tuple[int, int]] = {}
+    shown: dict[Path, tuple[int, int]] = {}
+    turned = 0
     for file in files:
-        photo = read_photo(file, upright=turned > 0)
-        if photo is not None:
-            sizes[file] = (photo.shape[1], photo.shape[0])
-    readable = list(sizes)
-    unreadable = [file.name for file in files if file not in sizes]
+        photo = read_photo(file)
+        if photo is None:
+            continue
+        stored[file] = shown[file] = (photo.shape[1], photo.shape[0])
+        upright = read_photo(file, upright=True) if _is_turned(file) else None
+        if upright is not None:
+            shown[file] = (upright.shape[1], upright.shape[0])
+            turned += 1
+    readable = list(stored)
+    unreadable = [file.name for file in files if file not in stored]
     if not readable:
         raise SceneError(f'{source}: none of the {len(files)} images can be read')
     by_size: dict[tuple[int, int], list[str]] = {}
-    for file in readable:
-        by_size.setdefault(sizes[file], []).append(file.name)
+    mixed = len(set(shown.values())) > 1 and len(set(stored.values())) == 1
+    for file, size in (stored if mixed else shown).items():
+        by_size.setdefault(size, []).append(file.name)
     if len(by_size) > 1:
         described = '; '.join(f'{size[0]}x{size[1]}: {listed(names, 3)}'
                               for size, names in by_size.items())
         raise SceneError(f'{source}: expected photos of one size, got {described}. '
                          'Photos are never resized: import the sizes as scenes of their own')
-    notes = ((f'{len(unreadable)} images cannot be read and are left out: {listed(unreadable)}',)
-             if unreadable else ())
-    if not turned:
+    notes: list[str] = []
+    if unreadable:
+        notes.append(f'{len(unreadable)} images cannot be read and are left out: '
+                     f'{listed(unreadable)}')
+    if mixed:
+        notes.append(f'{turned} of {len(readable)} photos are stored turned (EXIF); upright they '
+                     'would be of another size than the others, so all stay as they are stored')
+    if mixed or not turned:
         return Capture(tuple(CapturedFrame(f'images/{file.name}', None, None, file=file)
-                             for file in readable), notes)
+                             for file in readable), tuple(notes))
 
-    def upright(indices: Sequence[int]) -> Iterator[tuple[int, Optional[np.ndarray]]]:
+    def read(indices: Sequence[int]) -> Iterator[tuple[int, Optional[np.ndarray]]]:
         return ((index, read_photo(readable[index], upright=True)) for index in indices)
 
     return Capture(
         tuple(CapturedFrame(f'images/{file.name}', None, None) for file in readable),
         (*notes, f'{turned} photos are stored turned (EXIF); all are written upright, as PNG'),
-        upright, origin_of(readable[0].parent))
+        read, origin_of(readable[0].parent))
 
 
 def _is_turned(file: Path) -> bool:
     """Tell whether a viewer turns the photo; a small copy says so, too."""
+    if file.suffix.lower() not in EXIF_SUFFIXES:
+        return False
     stored, shown = (cv2.imread(str(file), cv2.IMREAD_REDUCED_COLOR_8 | flag)
                      for flag in (cv2.IMREAD_IGNORE_ORIENTATION, 0))
     return stored is not None and shown is not None and not np.array_equal(stored, shown)

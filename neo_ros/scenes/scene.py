@@ -66,9 +66,9 @@ def clear_earlier_import(folder: Path, has_floor: bool = False) -> None:
     """
     Take what an earlier import left away, before another training list is written.
 
-    Test frames are deleted, as the new list may hold the same photos. A floor map, unless the
-    new import has one, is set aside: it belongs to the world of the earlier one. The log says so.
-    Raises SceneError where the folder cannot be changed.
+    Test frames are deleted, as the new list may hold the same photos, and the note of a demo
+    scene. A floor map, unless the new import has one, is set aside: it belongs to the world of the
+    earlier one. The log says so. Raises SceneError where the folder cannot be changed.
     """
     test_file, floor = folder / 'transforms_test.json', folder / 'walkable.json'
     demo = folder / DEMO_NOTE
