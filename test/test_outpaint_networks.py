@@ -125,7 +125,7 @@ def test_fewer_recalled_channels_make_a_smaller_network() -> None:
 
 
 @pytest.mark.parametrize('changes, message', [
-    ({'name': 'gan'}, "network.name: expected neo_fast, mat or lama, got 'gan'"),
+    ({'name': 'gan'}, "network.name: expected one of neo_fast, mat, lama, got 'gan'"),
     ({'recall': -1}, 'network.recall: expected channels >= 0'),
     ({'blocks': 0}, 'network: expected sizes >= 1'),
     ({'name': 'mat', 'patch': 6}, 'network.patch: mat expects a power of two, got 6'),

@@ -38,7 +38,7 @@ class NetworkConfig:
     def __post_init__(self) -> None:
         if self.name not in NETWORKS:
             raise ConfigError(
-                f'network.name: expected {" or ".join(NETWORKS)}, got {self.name!r}')
+                f'network.name: expected one of {", ".join(NETWORKS)}, got {self.name!r}')
         if min(self.patch, self.width, self.depth, self.memory, self.blocks, self.window) < 1:
             raise ConfigError(f'network: expected sizes >= 1, got {self}')
         if self.recall < 0:
