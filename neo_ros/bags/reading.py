@@ -80,7 +80,8 @@ class BagReader:
         self._typestore = get_typestore(Stores.ROS2_JAZZY)
         self._stack = ExitStack()
         self._files: list[tuple[McapFile | SqliteFile, dict[int, BagTopic]]] = []
-        self._packed: set[tuple[str, int, int]] = set()  # file, topic and stamp: stay packed
+        # File, topic and stamp of messages that cannot be unpacked.
+        self._packed: set[tuple[str, int, int]] = set()
         try:
             self._open()
         except BaseException:

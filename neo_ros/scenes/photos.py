@@ -2,7 +2,6 @@
 from pathlib import Path
 from typing import Iterator, Optional, Sequence
 
-import cv2
 from neo_ros.errors import SceneError
 from neo_ros.scenes.capture import (
     Capture, CapturedFrame, list_photos, listed, origin_of, read_photo)
@@ -38,11 +37,13 @@ def read_photos(source: Path) -> Capture:
         photo = read_photo(file)
         if photo is None:
             continue
-        stored[file] = shown[file] = (photo.shape[1], photo.shape[0])
-        upright = read_photo(file, upright=True) if _is_turned(file) else None
-        if upright is not None:
-            shown[file] = (upright.shape[1], upright.shape[0])
-            turned += 1
+        upright: Optional[np.ndarray] = photo
+        if file.suffix.lower() in EXIF_SUFFIXES:
+            upright = read_photo(file, upright=True)
+        assert upright is not None, 'it could be read just now'
+        stored[file] = (photo.shape[1], photo.shape[0])
+        shown[file] = (upright.shape[1], upright.shape[0])
+        turned += not np.array_equal(photo, upright)
     readable = list(stored)
     unreadable = [file.name for file in files if file not in stored]
     if not readable:
@@ -74,12 +75,3 @@ def read_photos(source: Path) -> Capture:
         tuple(CapturedFrame(f'images/{file.name}', None, None) for file in readable),
         (*notes, f'{turned} photos are stored turned (EXIF); all are written upright, as PNG'),
         read, origin_of(readable[0].parent))
-
-
-def _is_turned(file: Path) -> bool:
-    """Tell whether a viewer turns the photo; a small copy says so, too."""
-    if file.suffix.lower() not in EXIF_SUFFIXES:
-        return False
-    stored, shown = (cv2.imread(str(file), cv2.IMREAD_REDUCED_COLOR_8 | flag)
-                     for flag in (cv2.IMREAD_IGNORE_ORIENTATION, 0))
-    return stored is not None and shown is not None and not np.array_equal(stored, shown)
