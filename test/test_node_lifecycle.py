@@ -43,7 +43,7 @@ class MallocInformation(ctypes.Structure):
 
 
 def allocated_bytes():
-    """What is allocated and not freed: resident memory also has the gaps between, of all tests."""
+    """Count what is allocated and not freed; resident memory has the gaps of all tests, too."""
     mallinfo = ctypes.CDLL(None).mallinfo2
     mallinfo.restype = MallocInformation
     information = mallinfo()
