@@ -12,6 +12,7 @@ from neo_ros.field.memory_baking import MemoryConfig
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.outpaint.fitting import OutpaintConfig
 from neo_ros.outpaint.network import NetworkConfig
+from neo_ros.outpaint.networks import fitting_expansion
 from neo_ros.scenes.pose_sampling import SamplingConfig
 from pydantic import TypeAdapter, ValidationError
 import yaml
@@ -38,7 +39,7 @@ class Experiment:
     __pydantic_config__ = {'extra': 'forbid'}
     seed: int = 0
     scale: float = 1.0                   # resolution to work at, relative to the photos
-    view: Optional[ViewConfig] = None    # default: as the test frames say, else twice the photos
+    view: Optional[ViewConfig] = None    # default: the test frames', else twice the photos
     field: FieldConfig = FieldConfig()
     sampling: SamplingConfig = SamplingConfig()
     network: NetworkConfig = NetworkConfig()
@@ -64,15 +65,10 @@ class Experiment:
         camera is that of the photos; stated is what the scene's test frames say of themselves.
         """
         if self.view is not None:
-            width, height = self.view.source
-            dx, dy = width - camera.width, height - camera.height
-            source = camera.grown(dx // 2, dx - dx // 2, dy // 2, dy - dy // 2)
-            full = ViewExpansion.to_size(source, *self.view.target)
-        elif stated is not None:
-            full = stated
-        else:
-            full = ViewExpansion.to_size(camera, 2 * camera.width, 2 * camera.height)
-        return full.scaled(self.scale)
+            stated = ViewExpansion.to_size(camera.middle(*self.view.source), *self.view.target)
+        if stated is not None:
+            return stated.scaled(self.scale)
+        return fitting_expansion(camera.scaled(self.scale), self.network)
 
 
 def read_experiment(path: Path) -> Experiment:

@@ -169,7 +169,7 @@ def test_horizontal_case_of_the_paper() -> None:
 
 
 @pytest.mark.parametrize('experiment, message', [
-    (Experiment(scale=0.3), 'scale: 0.3 does not give whole pixels'),
+    (Experiment(scale=0.3, view=ViewConfig((64, 48), (96, 96))), 'scale: 0.3 does not give'),
     (Experiment(view=ViewConfig((64, 48), (65, 48))), 'an even growth'),
     (Experiment(view=ViewConfig((64, 48), (32, 48))), 'expected at least 64x48'),
     (Experiment(view=ViewConfig((0, 48), (64, 48))), 'width: expected a positive integer'),

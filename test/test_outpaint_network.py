@@ -73,8 +73,8 @@ def test_sizes_that_do_not_fit_are_named(size: tuple[int, ...], message: str) ->
         check_fits(expansion(*size), SMALL)
 
 
-@pytest.mark.parametrize('changes', [{'patch': 0}, {'width': 0}, {'depth': 0}, {'memory': -1}],
+@pytest.mark.parametrize('changes', [{'patch': -1}, {'width': 0}, {'depth': 0}, {'memory': -1}],
                          ids=str)
 def test_settings_out_of_range(changes: dict[str, Any]) -> None:
-    with pytest.raises(ConfigError, match='network: expected sizes >= 1'):
+    with pytest.raises(ConfigError, match='expected sizes >= 1|patch: expected 0'):
         NetworkConfig(**changes)

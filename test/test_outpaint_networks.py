@@ -1,4 +1,5 @@
 """The three networks behind one interface: shapes, memory of the whole view, learning, export."""
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -8,8 +9,9 @@ from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.outpaint.export import check_parity, export_onnx
 from neo_ros.outpaint.fourier import RealFourier
 from neo_ros.outpaint.mat import INVALID, Mat, WindowAttention
-from neo_ros.outpaint.network import NetworkConfig
-from neo_ros.outpaint.networks import build_network, check_network
+from neo_ros.outpaint.network import NetworkConfig, Outpainter
+from neo_ros.outpaint.networks import (
+    build_network, check_network, fitting_expansion, fitting_patch, MOST_WEIGHTS)
 from neo_ros.runtime.fov_extrapolator import WideView
 from neo_ros.runtime.operators import ALLOWED_OPERATORS
 import numpy as np
@@ -126,7 +128,8 @@ def test_fewer_recalled_channels_make_a_smaller_network() -> None:
 
 @pytest.mark.parametrize('changes, message', [
     ({'name': 'gan'}, "network.name: expected one of neo_fast, mat, lama, got 'gan'"),
-    ({'recall': -1}, 'network.recall: expected channels >= 0'),
+    ({'recall': -1}, 'network.recall: expected 0 or more, got -1'),
+    ({'memory': 1 << 24}, 'at most 1024 MB, .* got .* larger network.patch'),
     ({'blocks': 0}, 'network: expected sizes >= 1'),
     ({'name': 'mat', 'patch': 6}, 'network.patch: mat expects a power of two, got 6'),
     ({'name': 'mat', 'width': 48}, 'network.width: mat expects a multiple of 32, got 48'),
@@ -134,6 +137,36 @@ def test_fewer_recalled_channels_make_a_smaller_network() -> None:
 def test_settings_that_make_no_network(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         check_network(SQUARE, NetworkConfig(**changes))
+
+
+@pytest.mark.parametrize('camera, source, patch', [
+    ((64, 64), (64, 64), 8), ((256, 256), (256, 256), 8), ((64, 48), (64, 48), 4),
+    ((640, 480), (640, 480), 20), ((848, 480), (840, 480), 15), ((1280, 720), (1280, 720), 20),
+    ((1296, 968), (1280, 960), 40), ((641, 479), (624, 468), 13)], ids=str)
+def test_a_camera_of_any_size_gets_a_network_that_fits(
+        camera: tuple[int, int], source: tuple[int, int], patch: int) -> None:
+    config = NetworkConfig()
+    view = fitting_expansion(Intrinsics(*camera, 500, 500, 300, 200), config)
+    assert (view.source.width, view.source.height) == source
+    # The middle of the image is kept, and with it the ray that each pixel shows.
+    assert view.source.cx == 300 - (camera[0] - source[0]) // 2
+    assert (view.target.width, view.target.height) == (2 * source[0], 2 * source[1])
+    assert fitting_patch(view, config) == patch
+    with torch.device('meta'):
+        middle = Outpainter(view, replace(config, patch=patch)).recall
+    assert sum(weight.numel() for weight in middle.parameters()) < 1.01 * MOST_WEIGHTS
+
+
+def test_other_networks_take_the_whole_camera() -> None:
+    view = fitting_expansion(Intrinsics(641, 479, 500, 500, 320, 240), CONFIGS['lama'])
+    assert (view.source.width, view.target.width, view.target.height) == (641, 1282, 958)
+    assert fitting_patch(view, CONFIGS['lama']) == 8
+
+
+def test_a_stated_patch_stays() -> None:
+    view = fitting_expansion(Intrinsics(70, 50, 30, 30, 35, 25), CONFIGS['neo_fast'])
+    assert (view.source.width, view.source.height) == (64, 48)
+    check_network(view, CONFIGS['neo_fast'])
 
 
 @settings(max_examples=25)

@@ -212,7 +212,7 @@ def test_photos_alone_are_enough(tiny_run: TrainingRun, tmp_path: Path) -> None:
 @pytest.mark.parametrize('changes, error, message', [
     ({'view': ViewConfig((64, 64), (128, 128))}, ConfigError,
      'view.source: expected at most the size of the photos, 32x32 pixels .* got 64x64'),
-    ({'scale': 0.25}, ConfigError, 'network: expected multiples of 16 pixels'),
+    ({'scale': 0.0625}, ConfigError, 'network: expected multiples of 16 pixels'),
     ({'network': NetworkConfig(patch=5)}, ConfigError, 'network: expected multiples of 10'),
     ({'view': ViewConfig((32, 32), (96, 96))}, SceneError,
      'test frames: expected the wide view of the model, 96x96'),

@@ -81,6 +81,11 @@ class Intrinsics:
                 f'{self.width}x{self.height}')
         return Intrinsics(width, height, self.fx, self.fy, self.cx - left, self.cy - top)
 
+    def middle(self, width: int, height: int) -> 'Intrinsics':
+        """Describe the window of this size around the middle of the image, or grow it to that."""
+        left, top = (self.width - width) // 2, (self.height - height) // 2
+        return self.grown(-left, width - self.width + left, -top, height - self.height + top)
+
     def grown(self, left: int, right: int, top: int, bottom: int) -> 'Intrinsics':
         """Describe the image with so many pixels added at each side, same focal length."""
         return Intrinsics(

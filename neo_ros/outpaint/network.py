@@ -27,7 +27,7 @@ class NetworkConfig:
 
     __pydantic_config__ = {'extra': 'forbid'}
     name: str = 'neo_fast'  # neo_fast, mat or lama
-    patch: int = 8          # pixels a side of the finest grid's cells
+    patch: int = 0          # pixels a side of the finest grid's cells; 0 = as the sizes ask for
     width: int = 64         # channels on the finest grid; neo_fast and lama double them downwards
     depth: int = 2          # number of grids, each half as fine as the one before
     memory: int = 1024      # neo_fast: units of the fully connected middle
@@ -39,10 +39,11 @@ class NetworkConfig:
         if self.name not in NETWORKS:
             raise ConfigError(
                 f'network.name: expected one of {", ".join(NETWORKS)}, got {self.name!r}')
-        if min(self.patch, self.width, self.depth, self.memory, self.blocks, self.window) < 1:
+        if min(self.width, self.depth, self.memory, self.blocks, self.window) < 1:
             raise ConfigError(f'network: expected sizes >= 1, got {self}')
-        if self.recall < 0:
-            raise ConfigError(f'network.recall: expected channels >= 0, got {self.recall}')
+        for name in ('patch', 'recall'):
+            if getattr(self, name) < 0:
+                raise ConfigError(f'network.{name}: expected 0 or more, got {getattr(self, name)}')
 
 
 def check_fits(expansion: ViewExpansion, config: NetworkConfig) -> int:

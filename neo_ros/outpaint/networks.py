@@ -1,10 +1,20 @@
-"""One interface, several networks: which one an experiment names."""
-from neo_ros.geometry import ViewExpansion
+"""One interface, several networks: which one an experiment names, on which grid of cells."""
+from dataclasses import replace
+import math
+
+from neo_ros.errors import ConfigError
+from neo_ros.geometry import Intrinsics, ViewExpansion
+from neo_ros.model_bytes import MAX_BYTES
 from neo_ros.outpaint.lama import Lama
 from neo_ros.outpaint.mat import Mat
 from neo_ros.outpaint.network import NetworkConfig, Outpainter
 import torch
 from torch import nn
+
+# Pixels a side of the finest cells, where nothing speaks for others.
+PATCH = 8
+# Where the patch is open, the middle of neo_fast has at most so many weights: a frame reads all.
+MOST_WEIGHTS = 200_000_000
 
 
 def build_network(expansion: ViewExpansion, config: NetworkConfig) -> nn.Module:
@@ -14,6 +24,7 @@ def build_network(expansion: ViewExpansion, config: NetworkConfig) -> nn.Module:
     Colour is not clipped; log_scale is the logarithm of a Laplace scale in units of full
     brightness. All are deterministic. Raises ConfigError where the expansion does not fit.
     """
+    config = replace(config, patch=config.patch or fitting_patch(expansion, config))
     if config.name == 'mat':
         return Mat(expansion, config)
     if config.name == 'lama':
@@ -22,6 +33,58 @@ def build_network(expansion: ViewExpansion, config: NetworkConfig) -> nn.Module:
 
 
 def check_network(expansion: ViewExpansion, config: NetworkConfig) -> None:
-    """Raise ConfigError for settings and sizes that make no network; costs no memory."""
+    """Raise ConfigError for settings and sizes that make no network or file; costs no memory."""
     with torch.device('meta'):
-        build_network(expansion, config)
+        network = build_network(expansion, config)
+    size = 4 * sum(weight.numel() for weight in network.parameters())
+    if size > MAX_BYTES:
+        raise ConfigError(
+            f'network: expected weights of at most {MAX_BYTES >> 20} MB, as in a model file, '
+            f'got {size >> 20} MB; choose a larger network.patch, or a smaller '
+            'network.memory, network.recall or scale')
+
+
+def fitting_patch(expansion: ViewExpansion, config: NetworkConfig) -> int:
+    """
+    Return the finest patch, from PATCH pixels on, whose cells fit the sizes; mat, lama: PATCH.
+
+    Coarser where the middle of neo_fast would have more than MOST_WEIGHTS.
+    """
+    source, finer = expansion.source, config.depth - 1
+    common = math.gcd(source.width, source.height, expansion.left, expansion.right,
+                      expansion.top, expansion.bottom)
+    fitting = [patch for patch in range(1, common + 1) if common % (patch << finer) == 0]
+    if config.name != 'neo_fast' or not fitting:
+        return PATCH
+    return max((patch for patch in fitting if _is_light(expansion, patch, config)),
+               key=lambda patch: (min(patch, PATCH), -patch), default=fitting[-1])
+
+
+def fitting_expansion(camera: Intrinsics, config: NetworkConfig) -> ViewExpansion:
+    """
+    Return the view that grows a camera to twice its size.
+
+    The cells of neo_fast have to fit: as few pixels as possible are left out at the rim.
+    """
+    patches = [config.patch] if config.patch else range(1, min(camera.width, camera.height) + 1)
+    found: list[tuple[tuple[int, ...], ViewExpansion]] = []
+    for patch in patches if config.name == 'neo_fast' else ():
+        # It grows by half of its size at each side.
+        unit = 2 * patch << (config.depth - 1)
+        width, height = camera.width // unit * unit, camera.height // unit * unit
+        if width and height:
+            view = ViewExpansion.to_size(camera.middle(width, height), 2 * width, 2 * height)
+            if config.patch or _is_light(view, patch, config):
+                found.append(((width * height, min(patch, PATCH), -patch), view))
+    left, top = camera.width // 2, camera.height // 2
+    whole = ViewExpansion(camera, left, camera.width - left, top, camera.height - top)
+    return max(found, key=lambda item: item[0], default=((), whole))[1]
+
+
+def _is_light(expansion: ViewExpansion, patch: int, config: NetworkConfig) -> bool:
+    """Tell whether the middle of neo_fast has at most MOST_WEIGHTS; see `Outpainter`."""
+    cell, coarse = patch << (config.depth - 1), config.width << (config.depth - 1)
+    seen, wide = (view.width * view.height // cell ** 2
+                  for view in (expansion.source, expansion.target))
+    channels = coarse // 4 * seen + (config.recall or coarse // 2) * wide
+    return config.memory * channels <= MOST_WEIGHTS
