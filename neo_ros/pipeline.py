@@ -5,7 +5,7 @@ Yu et al., NeRF-Enhanced Outpainting for Faithful Field-of-View Extrapolation, s
 radiance field, render wide views at poses where the robot can be, train the outpainter on them.
 Every step leaves its result in the output folder; a run that was broken off goes on there.
 """
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import json
 from pathlib import Path
 import shutil
@@ -29,7 +29,7 @@ from neo_ros.outpaint.export import (
 from neo_ros.outpaint.fitting import OutpaintTrainer
 from neo_ros.outpaint.training_log import TrainingLog
 from neo_ros.runtime import FovExtrapolator, ModelCard
-from neo_ros.runtime.model_card import MemoryFile, Parity, write_model_card
+from neo_ros.runtime.model_card import Parity, write_model_card
 from neo_ros.runtime.scene_check import fit_scene_reference
 from neo_ros.scenes.digests import floor_digest, list_digest
 from neo_ros.scenes.levelling import read_upright_scene
@@ -120,7 +120,8 @@ def train(scene_folder: Path, experiment: Experiment, out: Path,
         network = fit_outpainter_step(run, field, held_out, rank)
     if rank > 0:
         return run
-    export_step(run, network, held_out, memory_step(run, field))
+    export_step(run, network, held_out)
+    memory_step(run, field)
     run.figures = write_training_report(run, field, score_step(run))
     return run
 
@@ -200,8 +201,8 @@ def fit_outpainter_step(run: TrainingRun, field: RadianceField,
     return trainer.averaged.eval().cpu()
 
 
-def export_step(run: TrainingRun, network: nn.Module, held_out: Optional[np.ndarray] = None,
-                memory: Optional[MemoryFile] = None) -> None:
+def export_step(run: TrainingRun, network: nn.Module,
+                held_out: Optional[np.ndarray] = None) -> None:
     """
     Write the model file with its card; parity is checked on real photos.
 
@@ -217,7 +218,7 @@ def export_step(run: TrainingRun, network: nn.Module, held_out: Optional[np.ndar
         network=run.experiment.network.name,
         gflop=round((count_flops(path) or 0) / 1e9, 3) or None,
         config_hash=run.experiment.config_hash, parity=Parity(max_abs_error=255, share_within_1=0),
-        trained_seconds=run.seconds, neo_ros_version=neo_ros.__version__, memory=memory)
+        trained_seconds=run.seconds, neo_ros_version=neo_ros.__version__)
     write_model_card(path, card)
     extrapolator = FovExtrapolator.load(path, guided=False)
     frames = real_frames(run, 8)
@@ -269,7 +270,9 @@ def claim(out: Path, scene: Scene, experiment: Experiment) -> None:
     """Refuse a folder that holds another run, so that no two are ever mixed."""
     floor = None if scene.walkable is None else floor_digest(scene.walkable)[:12]
     view = experiment.expansion(scene.train.intrinsics, scene.expansion)
-    note = {'scene': scene.name, 'config_hash': experiment.config_hash,
+    # Another memory leaves field and network as they are.
+    settings = replace(experiment, memory=None).config_hash
+    note = {'scene': scene.name, 'settings': settings,
             'photos': list_digest(scene.train)[:12], 'floor': floor,
             'view': f'{view.source.width}x{view.source.height} at {view.left}, {view.top} in '
                     f'{view.target.width}x{view.target.height}'}

@@ -71,8 +71,8 @@ def test_all_that_can_be_trained_on_a_tiny_scene_is_scored(flat_scene, tmp_path)
     # The scene memory is charged to the method that uses it.
     assert by_name['guided']['train_minutes'] > by_name['neo_fast']['train_minutes'] > 0
     memory = json.loads((tmp_path / 'work/flat_square_full/neo_fast/memory.json').read_text())
-    assert by_name['guided']['train_minutes'] == pytest.approx(memory['seconds'] / 60)
-    assert by_name['neo_fast']['train_minutes'] == pytest.approx(memory['log'][0][1] / 60)
+    assert (by_name['guided']['train_minutes'] - by_name['neo_fast']['train_minutes']
+            == pytest.approx(memory['seconds'] / 60))
     assert by_name['neo_fast']['model_mb'] > 0
     assert by_name['edge_replication']['train_minutes'] is None
     page = (tmp_path / 'work/flat.html').read_text()

@@ -1,7 +1,9 @@
 """Keyframes for the scene memory: where they stand, and where their colours come from."""
+from pathlib import Path
+
 from box_room import BAND, cast, EXPANSION, HEIGHT, planar, SOURCE, view
 import cv2
-from neo_ros.errors import ConfigError
+from neo_ros.errors import ConfigError, NeoError
 from neo_ros.field import memory_baking
 from neo_ros.field.baking_kernels import colour_from_photos
 from neo_ros.field.memory_baking import bake_memory, keyframe_positions, MemoryConfig, Photos
@@ -155,8 +157,7 @@ def stand_in_field(field: RadianceField, origin: np.ndarray, rays: np.ndarray) -
                      np.ones(depth.shape, np.float32), (rays[..., 2] > -0.8).astype(np.float32))
 
 
-@pytest.fixture(scope='module')
-def baked() -> SceneMemory:
+def bake_with_post(work: Path | None = None) -> SceneMemory:
     """Bake one keyframe of the room with the post from photos around it."""
     poses = [planar(2.1, 1.95, yaw).T_world_cam for yaw in range(0, 360, 45)]
     photos = Photos(np.stack([(PHOTO_GAIN * look(T, PHOTO)).astype(np.uint8) for T in poses]),
@@ -166,7 +167,30 @@ def baked() -> SceneMemory:
     field = RadianceField.empty(8, POSITION, np.ones(3), 0.2, 0)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(memory_baking, 'render_rays', stand_in_field)
-        return bake_memory(field, photos, EXPANSION, sampler, MemoryConfig(), 0)
+        return bake_memory(field, photos, EXPANSION, sampler, MemoryConfig(), 0, work=work)
+
+
+@pytest.fixture(scope='module')
+def baked() -> SceneMemory:
+    return bake_with_post()
+
+
+def test_finished_keyframes_are_not_baked_again(
+        baked: SceneMemory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = baked.write(tmp_path / 'whole')
+    assert bake_with_post(tmp_path / 'work').write(tmp_path / 'a') == whole
+    finished, = (tmp_path / 'work').iterdir()
+    with monkeypatch.context() as patch:
+        patch.setattr(memory_baking, '_bake_keyframe', lambda *arguments: 1 / 0)
+        assert bake_with_post(tmp_path / 'work').write(tmp_path / 'b') == whole
+    finished.write_bytes(finished.read_bytes()[:1000])
+    assert bake_with_post(tmp_path / 'work').write(tmp_path / 'c') == whole
+
+
+def test_a_keyframe_that_cannot_be_kept_says_why(tmp_path: Path) -> None:
+    (tmp_path / 'work').write_text('')
+    with pytest.raises(NeoError, match='cannot keep the keyframe: .* give the same command'):
+        bake_with_post(tmp_path / 'work')
 
 
 def test_a_baked_keyframe_has_the_depths_of_the_scene(baked: SceneMemory) -> None:

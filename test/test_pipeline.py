@@ -14,10 +14,12 @@ from typing import Any
 import neo_ros
 from neo_ros import checkpoint, pipeline, training_views
 from neo_ros.checkpoint import read_checkpoint
-from neo_ros.errors import ConfigError, NeoError, SceneError
+from neo_ros.errors import ConfigError, ModelError, NeoError, SceneError
 from neo_ros.experiment import Experiment, ViewConfig
+from neo_ros.field.memory_baking import MemoryConfig
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import ViewExpansion
+from neo_ros.memory import scene_memory
 from neo_ros.outpaint.network import NetworkConfig
 from neo_ros.pipeline import claim, fit_field_step, train, TrainingRun
 from neo_ros.runtime import FovExtrapolator
@@ -233,7 +235,7 @@ def test_settings_that_cannot_end_well_are_refused_at_once(
 def test_a_folder_holds_one_run(tiny_run: TrainingRun) -> None:
     scene = tiny_run.out.parent / 'scene'
     before = {path: path.stat().st_mtime_ns for path in tiny_run.out.iterdir()}
-    with pytest.raises(ConfigError, match=f'got a run of .*{TINY.config_hash}.*choose another'):
+    with pytest.raises(ConfigError, match='settings.* got a run of .*choose another'):
         train(scene, replace(TINY, seed=4), tiny_run.out)
     assert {path: path.stat().st_mtime_ns for path in tiny_run.out.iterdir()} == before
 
@@ -295,6 +297,30 @@ def test_parity_is_measured_on_held_out_photos(tiny_run: TrainingRun) -> None:
     np.testing.assert_array_equal(frames[1], tiny_run.held_out.read_image(1))
     photos = read_scene(tiny_run.out.parent / 'scene').train
     assert not any((frames[1] == photos.read_image(i)).all() for i in range(3))
+
+
+def test_another_memory_needs_no_other_training(
+        tiny_run: TrainingRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, out = tiny_run.out.parent / 'scene', tmp_path / 'out'
+    shutil.copytree(tiny_run.out, out)
+    before = FovExtrapolator.load(tiny_run.model_path).card
+    wider = replace(TINY, memory=MemoryConfig(distance=1.5))
+    monkeypatch.setattr(scene_memory, 'MAX_BYTES', 1000)
+    with pytest.raises(ModelError, match='at most 0 MB, got .* set memory.distance to more'):
+        train_tiny(scene, out, wider)
+    monkeypatch.undo()
+    # The model is there and works alone.
+    assert FovExtrapolator.load(out / 'scene.onnx').card.memory is None
+    assert before.memory is not None
+    stages: set[str] = set()
+    run = train_tiny(scene, out, wider, lambda stage, *rest: stages.add(stage))
+    assert {'memory'} <= stages and not {'field', 'outpainter'} & stages
+    card = FovExtrapolator.load(run.model_path).card
+    assert card.memory is not None and card.memory.sha256 != before.memory.sha256
+    assert card.config_hash == wider.config_hash
+    smaller, larger = (folder / 'scene.memory' for folder in (out, tiny_run.out))
+    assert smaller.stat().st_size < larger.stat().st_size
+    assert not (out / 'memory_work').exists()
 
 
 def test_another_view_of_the_test_frames_is_another_run(

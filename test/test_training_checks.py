@@ -86,7 +86,8 @@ def test_a_folder_of_the_scene_as_it_was_is_refused(
 def test_a_folder_of_an_older_version_is_taken_when_the_user_says_so(
         tiny_run: TrainingRun, tmp_path: Path) -> None:
     note = tmp_path / 'run.json'
-    note.write_text(json.dumps({'scene': 'scene', 'config_hash': TINY.config_hash}))
+    found = json.loads((tiny_run.out / 'run.json').read_text())
+    note.write_text(json.dumps({name: found[name] for name in ('scene', 'settings')}))
     with pytest.raises(ConfigError, match='of an older neo_ros, which did not note') as caught:
         train(tiny_run.out.parent / 'scene', TINY, tmp_path)
     note.write_text(str(caught.value).split('run.json: ')[1])

@@ -42,14 +42,16 @@ def test_the_photos_landmarks_find_the_camera(
     assert found is not None and apart(found.pose, frames.images.poses[0])[0] < 0.05
 
 
+@pytest.mark.parametrize('patches', [True, False], ids=['patches', 'blank'])
 def test_photos_without_texture_have_no_landmarks(
-        corner: tuple[PosedImages, TruthFrames], tmp_path: Path) -> None:
+        corner: tuple[PosedImages, TruthFrames], tmp_path: Path, patches: bool) -> None:
     photos, _ = corner
     paths = tuple(tmp_path / f'{index}.png' for index in range(len(photos)))
     for index, path in enumerate(paths):
-        # Two patches each, none of them like another photo's.
         image = np.full((96, 96, 3), 128, np.uint8)
-        image[20:40, 20:40] = np.random.default_rng(index).integers(0, 256, (20, 20, 3))
+        # A patch in each that is like no other photo's, or nothing at all.
+        image[20:40, 20:40] = np.random.default_rng(index).integers(
+            *((0, 256) if patches else (128, 129)), (20, 20, 3))
         write_picture(path, image)
     run = run_of(PosedImages(CAMERA, paths, photos.poses, photos.path_ids), tmp_path)
     assert find_landmarks(run) is None

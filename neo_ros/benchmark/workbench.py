@@ -28,6 +28,7 @@ from neo_ros.pipeline import claim, fit_field_step, Progress, train, TrainingRun
 from neo_ros.scenes.capture import listed
 from neo_ros.scenes.levelling import stood_up
 from neo_ros.scenes.scene import read_scene, Scene
+from neo_ros.training_memory import memory_seconds, NOTES
 
 # Of the training time that goes to the field, which is also B3's: half of six minutes is enough,
 # as 2.2 give held-out photos within 0.36 dB of what 3.7 give (docs/training.md).
@@ -116,12 +117,10 @@ class Workbench:
 
     def memory_minutes(self, network: str) -> float:
         """Return what of the minutes on a model's card went into its scene memory."""
-        notes = self.folder / network / 'memory.json'
-        if not notes.exists():
+        config = self._experiment_of(network).memory
+        if config is None:
             return 0.0
-        ended, log = read_notes(notes, f'{self.scene.name}.memory')
-        # Notes of an older neo_ros do not say when it began.
-        return (ended - log[0][1]) / 60 if log else 0.0
+        return (memory_seconds(self.folder / network / NOTES, config) or 0.0) / 60
 
     def naive(self) -> Path:
         """Return the model file of B1; it may take the time that NEO's network takes."""

@@ -4,12 +4,14 @@ The features of a scene's photos, and which photos look like an image: what B2 a
 VLAD (Jegou et al., 2010) over the scene's own photos stands in for the paper's NetVLAD, whose
 weights are not to be had from a package index.
 """
+import io
 from pathlib import Path
 from typing import Callable, Sequence
 from zipfile import BadZipFile
 
+from neo_ros.errors import SceneError
+from neo_ros.evaluation.output import write_bytes
 from neo_ros.memory.local_features import Features, find_features, MAGNIFY
-from neo_ros.paths import whole_file
 from neo_ros.scenes.posed_images import PosedImages
 import numpy as np
 
@@ -66,11 +68,12 @@ def read_photo_bank(photos: PosedImages, scale: float, cache: Path,
         counts = np.array([len(one.points) for one in found])
         points = np.concatenate([one.points for one in found])
         descriptors = np.concatenate([one.descriptors for one in found])
-        cache.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(cache) as partial, partial.open('wb') as file:
-            np.savez(file, counts=counts, points=points,
-                     descriptors=descriptors.astype(np.float16))
+        content = io.BytesIO()
+        np.savez(content, counts=counts, points=points, descriptors=descriptors.astype(np.float16))
+        write_bytes(cache, content.getvalue())
         descriptors = descriptors.astype(np.float16).astype(np.float32)
+    if not len(points):
+        raise SceneError('photos: expected some with texture, none has a SIFT feature')
     ends = np.cumsum(counts)[:-1]
     return PhotoBank(photos, scale, [
         Features(*pair) for pair in zip(np.split(points, ends), np.split(descriptors, ends))])

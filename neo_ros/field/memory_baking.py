@@ -7,16 +7,19 @@ photo agrees.
 """
 from dataclasses import dataclass
 import math
-from typing import Callable
+from pathlib import Path
+from typing import Callable, Optional
+from zipfile import BadZipFile
 
 import cv2
-from neo_ros.errors import ConfigError
+from neo_ros.errors import ConfigError, NeoError
 from neo_ros.field.baking_kernels import colour_from_photos
 from neo_ros.field.panorama import view_band
 from neo_ros.field.rendering import render_rays, to_uint8, world_rays
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import Band, CameraPose, Intrinsics, ViewExpansion
-from neo_ros.memory.scene_memory import Glances, Keyframe, SceneMemory
+from neo_ros.memory.scene_memory import compress, Glances, Keyframe, SceneMemory
+from neo_ros.paths import whole_file
 from neo_ros.scenes.pose_sampling import PoseSampler, rotation_from_angles
 import numpy as np
 
@@ -56,8 +59,13 @@ class Photos:
 
 def bake_memory(field: RadianceField, photos: Photos, expansion: ViewExpansion,
                 sampler: PoseSampler, config: MemoryConfig, seed: int,
-                progress: Callable[[int, int], None] = lambda done, total: None) -> SceneMemory:
-    """Render and colour the keyframes of `keyframe_positions`, and take glances from them."""
+                progress: Callable[[int, int], None] = lambda done, total: None,
+                work: Optional[Path] = None) -> SceneMemory:
+    """
+    Render and colour the keyframes of `keyframe_positions`, and take glances from them.
+
+    Where there is a folder `work`, finished keyframes lie in it, and are not made again.
+    """
     random = np.random.default_rng([seed, 3])
     band = view_band(expansion.target,
                      np.stack([sampler.draw_rotation(random) for _ in range(500)]),
@@ -70,16 +78,47 @@ def bake_memory(field: RadianceField, photos: Photos, expansion: ViewExpansion,
         seen[index] = np.where(rendering.coverage > LEAST_COVERAGE, rendering.depth, 0)
         gains.append(_gain(rendering.image, image))
         progress(index + 1, total)
-    keyframes = []
+    frames: list[tuple[bytes, bytes, Glances]] = []
     for index, position in enumerate(positions):
-        keyframes.append(_bake_keyframe(field, photos, seen, np.stack(gains), position, band,
-                                        expansion.target.fx))
+        kept = work / f'{index:06d}.npz' if work is not None else None
+        finished = None if kept is None else _read_finished(kept)
+        if finished is None:
+            # One is 70 MB for a camera of 640 pixels: it is compressed at once.
+            keyframe = _bake_keyframe(field, photos, seen, np.stack(gains), position, band,
+                                      expansion.target.fx)
+            seen_there = keyframe_glances([keyframe], band, expansion.source, _headings(sampler))
+            finished = (*compress(keyframe), seen_there)
+            if kept is not None:
+                _write_finished(kept, *finished)
+        frames.append(finished)
         progress(len(photos.images) + index + 1, total)
-    parts = (keyframe_glances(keyframes, band, expansion.source, _headings(sampler)),
-             _photo_glances(photos, expansion.source))
-    return SceneMemory.from_keyframes(keyframes, band, Glances(
-        np.concatenate([part.pictures for part in parts]),
-        np.concatenate([part.T_world_cam for part in parts])))
+    textures, depths, glances = zip(*frames)
+    glances = (*glances, _photo_glances(photos, expansion.source))
+    return SceneMemory(positions, band, textures, depths, Glances(
+        np.concatenate([part.pictures for part in glances]),
+        np.concatenate([part.T_world_cam for part in glances])))
+
+
+def _write_finished(path: Path, texture: bytes, depth: bytes, glances: Glances) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with whole_file(path) as partial, partial.open('wb') as file:
+            np.savez(file, texture=np.frombuffer(texture, np.uint8),
+                     depth=np.frombuffer(depth, np.uint8), pictures=glances.pictures,
+                     T_world_cam=glances.T_world_cam)
+    except OSError as error:
+        raise NeoError(f'{path}: cannot keep the keyframe: {error.strerror}; make room and give '
+                       'the same command again') from error
+
+
+def _read_finished(path: Path) -> Optional[tuple[bytes, bytes, Glances]]:
+    """Read what `_write_finished` wrote; None where it is not there or damaged."""
+    try:
+        with np.load(path, allow_pickle=False) as data:
+            return (data['texture'].tobytes(), data['depth'].tobytes(),
+                    Glances(data['pictures'], data['T_world_cam']))
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile):
+        return None
 
 
 def keyframe_positions(sampler: PoseSampler, photos: Photos, distance: float) -> np.ndarray:

@@ -106,13 +106,7 @@ class SceneMemory:
     def from_keyframes(cls, keyframes: Sequence[Keyframe], band: Band,
                        glances: Glances) -> 'SceneMemory':
         """Compress keyframes of one band and size."""
-        textures, depths = [], []
-        for keyframe in keyframes:
-            nearness = STEPS * CLOSEST / np.maximum(keyframe.depth, CLOSEST)
-            coded = np.where(keyframe.depth > 0, np.maximum(nearness + 0.5, 1), 0)
-            textures.append(_encode('.jpg', keyframe.texture[..., ::-1],
-                                    [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]))
-            depths.append(_encode('.png', coded.astype(np.uint16), []))
+        textures, depths = zip(*map(compress, keyframes))
         return cls(np.stack([keyframe.position for keyframe in keyframes]), band, textures,
                    depths, glances)
 
@@ -201,6 +195,15 @@ class SceneMemory:
                 data, 'landmark_descriptors', np.uint8, (len(points), 128)))
         return cls(positions, Band(top, bottom, low, width), textures, depths,
                    Glances(pictures, poses), landmarks)
+
+
+def compress(keyframe: Keyframe) -> tuple[bytes, bytes]:
+    """Return a keyframe's texture as JPEG and its inverse depth as PNG."""
+    nearness = STEPS * CLOSEST / np.maximum(keyframe.depth, CLOSEST)
+    coded = np.where(keyframe.depth > 0, np.maximum(nearness + 0.5, 1), 0)
+    return (_encode('.jpg', keyframe.texture[..., ::-1],
+                    [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]),
+            _encode('.png', coded.astype(np.uint16), []))
 
 
 def _archive(content: bytes) -> Any:
