@@ -46,11 +46,17 @@ def export_variants(run: TrainingRun, formats: Sequence[Format] = FORMATS,
     ModelError where fp32 is not the function that was trained.
     """
     checkpoint = run.out / 'outpainter.ckpt'
+    unfinished = ConfigError(
+        f'{run.out}: expected a finished run; give neo train the same arguments')
     if not checkpoint.exists() or not run.model_path.exists():
-        raise ConfigError(f'{run.out}: expected a finished run; give neo train the same arguments')
+        raise unfinished
     claim(run.out, run.scene, run.experiment)
+    state = read_checkpoint(checkpoint)['trainer']
+    done, total = run.experiment.outpaint.progress(state['step'], state['seconds'])
+    if done < total:
+        raise unfinished
     network = build_network(run.expansion, run.experiment.network)
-    network.load_state_dict(read_checkpoint(checkpoint)['trainer']['averaged'])
+    network.load_state_dict(state['averaged'])
     network.eval()
     views = held_out_views(run, RadianceField.load(
         run.out / 'field.npz', chosen_device(run.experiment.field.device)))

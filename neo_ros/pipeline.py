@@ -238,12 +238,11 @@ def real_frames(run: TrainingRun, count: int, photos: Optional[PosedImages] = No
     Without `photos`, out of those that the field was not shown.
     """
     photos = photos or run.held_out or run.fitted
-    source = run.expansion.source
+    camera = photos.intrinsics.scaled(run.experiment.scale)
     frames = []
     for index in np.linspace(0, len(photos) - 1, min(count, len(photos))).round().astype(int):
         photo = photos.read_image(index, run.experiment.scale)
-        left, top = (photo.shape[1] - source.width) // 2, (photo.shape[0] - source.height) // 2
-        frames.append(photo[top:top + source.height, left:left + source.width])
+        frames.append(photo[camera.window(run.expansion.source)])
     return np.stack(frames)
 
 

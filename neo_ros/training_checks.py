@@ -9,10 +9,10 @@ from neo_ros.outpaint.distributed import processes
 from neo_ros.outpaint.fitting import outpaint_device, share_of_batch
 from neo_ros.outpaint.networks import check_network
 from neo_ros.outpaint.perceptual import fetch_weights
-from neo_ros.outpaint.real_centres import check_focal_length
 from neo_ros.outpaint.training_log import TrainingLog
 from neo_ros.runtime.model_card import MemoryFile
-from neo_ros.training_views import make_sampler
+from neo_ros.training_views import make_sampler, sampling_area
+import numpy as np
 from pydantic import ValidationError
 
 if TYPE_CHECKING:
@@ -23,10 +23,18 @@ def check_settings(run: 'TrainingRun') -> None:
     """Raise NeoError where view, network and test frames do not fit the photos."""
     photo = run.scene.train.intrinsics.scaled(run.experiment.scale)
     source = run.expansion.source
-    if source.width > photo.width or source.height > photo.height:
+    rows, columns = photo.window(source)
+    if (min(rows.start, columns.start) < 0
+            or rows.stop > photo.height or columns.stop > photo.width):
         raise ConfigError(
             f'view.source: expected at most the size of the photos, {photo.width}x'
-            f'{photo.height} pixels at this scale, got {source.width}x{source.height}')
+            f'{photo.height} pixels at this scale, got {source.width}x{source.height} from '
+            f'{columns.start}, {rows.start} on')
+    if not np.allclose([photo.fx, photo.fy], [source.fx, source.fy], rtol=1e-3):
+        raise ConfigError(
+            f'view: expected the focal length of the photos at this scale, {photo.fx:.1f} x '
+            f'{photo.fy:.1f} pixels, got {source.fx:.1f} x {source.fy:.1f}; bring photos and test '
+            'frames to one resolution, or take the test frames out of the scene')
     check_network(run.expansion, run.experiment.network)
     if run.scene.test is not None:
         TruthFrames(run.scene.test, run.expansion)
@@ -44,15 +52,12 @@ def check_training(run: 'TrainingRun') -> None:
         raise ConfigError('scene: expected a folder whose name has no backslash or control '
                           f'character, got {run.scene.name!r}; rename it') from None
     rank, world = processes()
-    config, area = run.experiment.outpaint, run.experiment.sampling.area
+    config = run.experiment.outpaint
     chosen_device(run.experiment.field.device)
     outpaint_device(config.device, rank)
     share_of_batch(config.batch, world)
-    if config.real_centre > 0:
-        check_focal_length(run.scene.train.intrinsics.scaled(run.experiment.scale),
-                           run.expansion.target)
-    if area == 'walkable' or (area == 'auto' and run.scene.walkable is not None):
-        make_sampler(run, None)  # Only free_space needs the field.
+    if sampling_area(run) != 'free_space':  # It needs the field.
+        make_sampler(run, None)
     if run.experiment.memory is not None and find_spec('numba') is None:
         raise ConfigError('memory: needs numba: pip install numba, or set it to null')
     if config.tensorboard:

@@ -8,7 +8,7 @@ from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import CameraPose
 from neo_ros.outpaint.pair_stream import PairStream, source_view_enlarged
 from neo_ros.outpaint.panorama_cache import PanoramaCache
-from neo_ros.outpaint.real_centres import RealCentres, same_focal_length
+from neo_ros.outpaint.real_centres import RealCentres
 from neo_ros.scenes.pose_sampling import PoseSampler
 from neo_ros.scenes.posed_images import PosedImages
 import numpy as np
@@ -27,8 +27,7 @@ def held_out_views(run: 'TrainingRun', field: RadianceField) -> Optional[np.ndar
     The photo is in the middle, and all of it where it shows more than the source view; around
     it is what the field shows there, as no wider photo exists.
     """
-    if run.held_out is None or not same_focal_length(
-            run.held_out.intrinsics.scaled(run.experiment.scale), run.expansion.target):
+    if run.held_out is None:
         return None
     real = RealCentres(field, run.held_out, run.expansion, run.experiment.scale)
     return real.views(_shown(run.held_out))
@@ -59,14 +58,14 @@ def make_stream(run: 'TrainingRun', field: RadianceField, seed: int) -> PairStre
     stream = PairStream(field, make_sampler(run, field), view, experiment.sampling.positions,
                         seed, real, config.real_centre, cache)
     sharp_only = experiment.sampling.sharp_only
-    if sharp_only or (sharp_only is None and _area(run) == 'photos'):
+    if sharp_only or (sharp_only is None and sampling_area(run) == 'photos'):
         stream.pool.require_sharpness(run.fitted, experiment.scale)
     return stream
 
 
 def make_sampler(run: 'TrainingRun', field: Optional[RadianceField]) -> PoseSampler:
     """Choose poses where the experiment says; only `free_space` needs the field."""
-    config, area = run.experiment.sampling, _area(run)
+    config, area = run.experiment.sampling, sampling_area(run)
     if area == 'photos':
         return PoseSampler.around_photos(run.scene.train, config)
     floor = run.scene.walkable
@@ -92,7 +91,8 @@ def note_poses(run: 'TrainingRun', stream: PairStream, steps: int) -> None:
         run.scene.train))
 
 
-def _area(run: 'TrainingRun') -> str:
+def sampling_area(run: 'TrainingRun') -> str:
+    """Return where poses are drawn: walkable, photos or free_space."""
     if run.experiment.sampling.area != 'auto':
         return run.experiment.sampling.area
     return 'photos' if run.scene.walkable is None else 'walkable'

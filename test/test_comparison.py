@@ -5,6 +5,7 @@ from pathlib import Path
 import shutil
 
 from neo_ros import model_variants
+from neo_ros.checkpoint import read_checkpoint, write_checkpoint
 from neo_ros.cli.main import app
 from neo_ros.comparison import compare, marked_front, Row
 from neo_ros.errors import ConfigError, ModelError
@@ -135,6 +136,13 @@ def test_other_settings_and_unfinished_runs_are_not_exported(
     other = TrainingRun(tiny_run.scene, replace(TINY, seed=9), tiny_run.out, tiny_run.progress)
     with pytest.raises(ConfigError, match='got a run of'):
         export_variants(other)
-    unfinished = TrainingRun(tiny_run.scene, TINY, tmp_path, tiny_run.progress)
+    unfinished = TrainingRun(tiny_run.scene, TINY, tmp_path / 'out', tiny_run.progress)
+    with pytest.raises(ConfigError, match='expected a finished run'):
+        export_variants(unfinished)
+    # Trained anew, and broken off: the model file is still the old one.
+    shutil.copytree(tiny_run.out, unfinished.out)
+    state = read_checkpoint(unfinished.out / 'outpainter.ckpt')
+    state['trainer']['step'] -= 1
+    write_checkpoint(unfinished.out / 'outpainter.ckpt', state)
     with pytest.raises(ConfigError, match='expected a finished run'):
         export_variants(unfinished)

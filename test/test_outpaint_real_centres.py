@@ -2,10 +2,10 @@
 from pathlib import Path
 
 import cv2
-from neo_ros.errors import ConfigError
 from neo_ros.field.rendering import render_view, to_uint8
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
+from neo_ros.outpaint import real_centres
 from neo_ros.outpaint.pair_stream import PairStream, source_view_enlarged
 from neo_ros.outpaint.real_centres import RealCentres
 from neo_ros.scenes.pose_sampling import PoseSampler
@@ -78,10 +78,16 @@ def test_photos_larger_than_the_source_are_truth_beyond_it(
     assert (wide[rows, columns, 3] == 255).all()
 
 
-def test_photos_of_another_lens_are_refused(field: RadianceField, photos: PosedImages) -> None:
-    expansion = ViewExpansion.to_size(Intrinsics(16, 16, 9.0, 9.0, 8.0, 8.0), 32, 32)
-    with pytest.raises(ConfigError, match='real_centre: expected photos of the focal length'):
-        RealCentres(field, photos, expansion, 1.0)
+def test_views_that_no_memory_holds_are_rendered_again(
+        field: RadianceField, photos: PosedImages, monkeypatch: pytest.MonkeyPatch) -> None:
+    expansion = ViewExpansion(PHOTO, 4, 8, 0, 2)
+    centres = RealCentres(field, photos, expansion, 1.0)
+    first = centres.views([0, 1, 2, 3, 4])
+    monkeypatch.setattr(real_centres, 'KEPT_BYTES', 3 * first[0].nbytes)
+    few = RealCentres(field, photos, expansion, 1.0)
+    order = [0, 1, 2, 0, 3, 4, 0, 1]
+    np.testing.assert_array_equal(few.views(order), first[order])
+    assert list(few._rendered) == [4, 0, 1]
 
 
 def stream(field: RadianceField, photos: PosedImages, share: float) -> PairStream:

@@ -43,14 +43,18 @@ def test_a_machine_that_cannot_train_says_so_at_once(
 
 def test_a_scene_that_cannot_be_trained_as_asked_says_so_at_once(tiny_run: TrainingRun) -> None:
     far = ViewExpansion.to_size(Intrinsics(32, 32, 20, 20, 16, 16), 64, 64)
+    aside = ViewExpansion.to_size(Intrinsics(24, 24, 16, 16, 20, 20), 48, 48)
     cases: list[tuple[dict[str, Any], SamplingConfig, str]] = [
-        ({'test': None, 'expansion': far}, TINY.sampling, 'real_centre: .* focal length'),
-        ({'walkable': None}, SamplingConfig(area='walkable'), 'walkable needs walkable.json')]
+        ({'test': None, 'expansion': far}, TINY.sampling, 'view: expected the focal length'),
+        ({'test': None, 'expansion': aside}, replace(TINY.sampling, area='photos'),
+         'size of the photos, 32x32 pixels at this scale, got 24x24 from -4, -4 on'),
+        ({'walkable': None}, SamplingConfig(area='walkable'), 'walkable needs walkable.json'),
+        ({}, SamplingConfig(area='photos', interval=50.0, radius=0.1), 'a smaller interval')]
     for changes, sampling, message in cases:
-        run = TrainingRun(replace(tiny_run.scene, **changes), replace(TINY, sampling=sampling),
-                          tiny_run.out, tiny_run.progress)
-        with pytest.raises(ConfigError, match=message):
-            training_checks.check_training(run)
+        with pytest.raises(NeoError, match=message):
+            training_checks.check_training(TrainingRun(
+                replace(tiny_run.scene, **changes), replace(TINY, sampling=sampling),
+                tiny_run.out, tiny_run.progress))
 
 
 def test_a_scene_whose_name_no_card_can_hold_is_refused_before_the_work(

@@ -213,10 +213,9 @@ def keyframe_glances(keyframes: list[Keyframe], band: Band, source: Intrinsics,
 def _photo_glances(photos: Photos, source: Intrinsics) -> Glances:
     """Shrink the photos, each cut to the source view."""
     small = source.scaled(GLANCE_WIDTH / source.width)
-    left = (photos.intrinsics.width - source.width) // 2
-    top = (photos.intrinsics.height - source.height) // 2
-    windows = photos.images[:, top:top + source.height, left:left + source.width]
-    return Glances(np.stack([glance(window, small) for window in windows]), photos.T_world_cam)
+    window = photos.intrinsics.window(source)
+    return Glances(np.stack([glance(image[window], small) for image in photos.images]),
+                   photos.T_world_cam)
 
 
 def _headings(sampler: PoseSampler) -> list[np.ndarray]:

@@ -86,6 +86,15 @@ class Intrinsics:
         left, top = (self.width - width) // 2, (self.height - height) // 2
         return self.grown(-left, width - self.width + left, -top, height - self.height + top)
 
+    def window(self, view: 'Intrinsics') -> tuple[slice, slice]:
+        """
+        Return rows and columns of this image at which `view` lies, to the nearest whole pixel.
+
+        Both have one focal length and optical axis; the window may reach beyond the image.
+        """
+        left, top = round(self.cx - view.cx), round(self.cy - view.cy)
+        return slice(top, top + view.height), slice(left, left + view.width)
+
     def grown(self, left: int, right: int, top: int, bottom: int) -> 'Intrinsics':
         """Describe the image with so many pixels added at each side, same focal length."""
         return Intrinsics(

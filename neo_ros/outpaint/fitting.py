@@ -70,6 +70,12 @@ class OutpaintConfig:
             raise ConfigError('outpaint.training_view: source views have no room around a photo; '
                               'set outpaint.real_centre to 0')
 
+    def progress(self, step: int, seconds: float) -> tuple[int, int]:
+        """Tell how far a training is and where it ends: steps, or seconds with `minutes`."""
+        if self.minutes is None:
+            return step, self.steps
+        return int(seconds), math.ceil(60 * self.minutes)
+
 
 def outpaint_loss(colour: torch.Tensor, log_scale: torch.Tensor, truth: torch.Tensor,
                   weight: torch.Tensor) -> torch.Tensor:
@@ -131,10 +137,8 @@ class OutpaintTrainer:
 
     @property
     def done(self) -> tuple[int, int]:
-        """How far the training is and where it ends: steps, or seconds with `minutes`."""
-        if self.config.minutes is None:
-            return self.step, self.config.steps
-        return int(self.seconds), math.ceil(60 * self.config.minutes)
+        """How far the training is and where it ends."""
+        return self.config.progress(self.step, self.seconds)
 
     @property
     def share(self) -> float:
