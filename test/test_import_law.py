@@ -11,7 +11,7 @@ import pytest
 
 PACKAGE = Path(neo_ros.__file__).parent
 # Modules beside the rooms that every room may use.
-COMMON = {'errors', 'exposure', 'model_bytes', 'paths'}
+COMMON = {'errors', 'exposure', 'model_bytes', 'paths', 'picture_header'}
 # Room: the other rooms and the heavy libraries that it may import.
 LAW: dict[str, set[str]] = {
     'geometry': set(),

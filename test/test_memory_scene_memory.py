@@ -77,9 +77,7 @@ def test_as_many_keyframes_stay_decoded_as_fit(monkeypatch: pytest.MonkeyPatch) 
     assert memory.keyframe(1) is frames[1] and memory.keyframe(0) is not frames[0]
 
 
-def test_an_opencv_that_decodes_to_bgr_only_gives_the_same(
-        memory: SceneMemory, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delattr(cv2, 'IMREAD_COLOR_RGB', raising=False)
+def test_a_texture_keeps_its_colours(memory: SceneMemory) -> None:
     texture = box_memory().keyframe(0).texture
     truth = keyframe(memory.positions[0]).texture
     assert np.abs(texture.astype(int) - truth).mean() < 3
@@ -193,6 +191,34 @@ def test_keyframes_of_different_sizes_are_refused(memory: SceneMemory, tmp_path:
     path = tmp_path / 'mixed.memory'
     with pytest.raises(ModelError, match='depths: expected keyframes of one size'):
         SceneMemory.read(path, mixed.write(path))
+
+
+@pytest.mark.parametrize(('limit', 'message'), [
+    ('MOST_MESH', 'depths: expected grey 16-bit PNG of at most 9'),
+    ('MOST_TEXTURE', 'textures: size: expected 1x1 to 9 pixels'),
+    ('MOST_GLANCES', 'glances: expected at most 9 pixels'),
+    ('MOST_LANDMARKS', 'landmarks: expected at most 4, got 5')])
+def test_what_would_fill_a_robots_memory_is_refused_undecoded(
+        memory: SceneMemory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit: str,
+        message: str) -> None:
+    path = tmp_path / 'box.memory'
+    sha256 = memory.write(path)
+    monkeypatch.setattr(scene_memory, limit, 4 if limit == 'MOST_LANDMARKS' else 9)
+    with pytest.raises(ModelError, match=message):
+        SceneMemory.read(path, sha256)
+
+
+@pytest.mark.parametrize(('texture', 'depth', 'message'), [
+    ('.jpg', '.tiff', 'depths: expected grey 16-bit PNG'),
+    ('.bmp', '.png', 'textures: data: expected a JPEG or PNG')])
+def test_pictures_of_other_kinds_are_refused_undecoded(
+        memory: SceneMemory, tmp_path: Path, texture: str, depth: str, message: str) -> None:
+    coded = (cv2.imencode(texture, np.zeros((16, 16, 3), np.uint8))[1].tobytes(),
+             cv2.imencode(depth, np.zeros((8, 8), np.uint16))[1].tobytes())
+    other = SceneMemory(np.zeros((1, 3)), BAND, coded[:1], coded[1:], memory.glances)
+    path = tmp_path / 'box.memory'
+    with pytest.raises(ModelError, match=message):
+        SceneMemory.read(path, other.write(path))
 
 
 @pytest.mark.parametrize('shape', [(16, 24, 3), (15, 16, 3), (4, 4, 3)],

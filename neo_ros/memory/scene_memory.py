@@ -10,12 +10,13 @@ from typing import Any
 from zipfile import ZIP_STORED, ZipFile
 
 import cv2
-from neo_ros.errors import ModelError
+from neo_ros.errors import ImageRejected, ModelError
 from neo_ros.geometry import Band
 from neo_ros.geometry.camera_pose import check_transform
-from neo_ros.memory.landmarks import Landmarks
+from neo_ros.memory.landmarks import Landmarks, MOST_LANDMARKS
 from neo_ros.model_bytes import MAX_BYTES, read_model_bytes
 from neo_ros.paths import whole_file
+from neo_ros.picture_header import compressed_image_size, PNG_START
 import numpy as np
 
 logger = logging.getLogger(__name__)
@@ -29,6 +30,8 @@ LARGE_BYTES = 50 << 20
 # Decoded keyframes that are kept: what fits into so many bytes, but at least all that are drawn.
 CACHED_BYTES = 256 << 20
 LEAST_CACHED = 3
+# What a file may ask for, pixels: far above what a camera of 4000x3000 pixels would need.
+MOST_TEXTURE, MOST_MESH, MOST_GLANCES = 1 << 29, 1 << 20, 1 << 26
 # A size in the file that may be any but 0.
 ANY = -1
 
@@ -181,16 +184,20 @@ class SceneMemory:
             name, _field(data, f'{name}s', np.uint8, (ANY,)),
             _field(data, f'{name}_sizes', np.int64, (len(positions),)))
             for name in ('texture', 'depth'))
-        # Where a PNG has its width and height.
-        if len({coded[16:24] for coded in depths}) > 1:
-            raise ValueError('depths: expected keyframes of one size, got several')
+        _check_pictures(textures, depths)
         pictures = _field(data, 'glances', np.uint8, (ANY, ANY, ANY))
         poses = _field(data, 'glance_poses', np.float64, (len(pictures), 4, 4))
+        if pictures.size > MOST_GLANCES:
+            raise ValueError(f'glances: expected at most {MOST_GLANCES} pixels, got '
+                             f'{pictures.size}')
         for pose in poses:
             check_transform(pose, 'glance_poses')
         landmarks = None
         if 'landmarks' in data:
             points = _field(data, 'landmarks', np.float32, (ANY, 3))
+            if len(points) > MOST_LANDMARKS:
+                raise ValueError(
+                    f'landmarks: expected at most {MOST_LANDMARKS}, got {len(points)}')
             landmarks = Landmarks(points, _field(
                 data, 'landmark_descriptors', np.uint8, (len(points), 128)))
         return cls(positions, Band(top, bottom, low, width), textures, depths,
@@ -204,6 +211,24 @@ def compress(keyframe: Keyframe) -> tuple[bytes, bytes]:
     return (_encode('.jpg', keyframe.texture[..., ::-1],
                     [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]),
             _encode('.png', coded.astype(np.uint16), []))
+
+
+def _check_pictures(textures: Sequence[bytes], depths: Sequence[bytes]) -> None:
+    """Raise ValueError where what would be decoded is of another kind, or far too large."""
+    # Where a PNG has its width, height, and bits of one grey channel.
+    sizes = {coded[16:26] for coded in depths}
+    if len(sizes) > 1:
+        raise ValueError('depths: expected keyframes of one size, got several')
+    header = sizes.pop()
+    columns, rows = (int.from_bytes(header[at:at + 4], 'big') for at in (0, 4))
+    if any(not coded.startswith(PNG_START) for coded in depths) or header[8:] != b'\x10\0' \
+            or columns * rows > MOST_MESH:
+        raise ValueError(f'depths: expected grey 16-bit PNG of at most {MOST_MESH} pixels')
+    for coded in textures:
+        try:
+            compressed_image_size(coded, MOST_TEXTURE)
+        except ImageRejected as rejection:
+            raise ValueError(f'textures: {rejection}') from None
 
 
 def _archive(content: bytes) -> Any:
@@ -243,7 +268,10 @@ def _encode(kind: str, image: np.ndarray, options: list[int]) -> bytes:
 
 
 def _decode_image(content: bytes, flags: int) -> np.ndarray | None:
-    return cv2.imdecode(np.frombuffer(content, np.uint8), flags)
+    try:
+        return cv2.imdecode(np.frombuffer(content, np.uint8), flags)
+    except cv2.error:  # Of what is larger than OpenCV takes.
+        return None
 
 
 def _split(name: str, content: np.ndarray, sizes: np.ndarray) -> list[bytes]:

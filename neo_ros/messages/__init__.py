@@ -12,7 +12,6 @@ from neo_ros.messages.camera_info import (
     read_camera_info,
 )
 from neo_ros.messages.compressed_image import (
-    compressed_image_size,
     encode_jpeg,
     jpeg_fields,
     read_compressed_image,
@@ -25,7 +24,6 @@ __all__ = [
     'camera_info_fields',
     'camera_info_of',
     'CameraFit',
-    'compressed_image_size',
     'encode_jpeg',
     'expand_camera_info',
     'FrameProcessor',

@@ -3,19 +3,11 @@ from typing import Any
 
 import cv2
 from neo_ros.errors import ImageRejected
-from neo_ros.messages.image import MAX_PIXELS
+from neo_ros.picture_header import broken_picture, compressed_image_size
 import numpy as np
 
 # The form that image_transport's plugins understand: what it was, and what the JPEG holds.
 JPEG_FORMAT = 'rgb8; jpeg compressed bgr8'
-JPEG_START, JPEG_END = b'\xff\xd8', b'\xff\xd9'
-PNG_START, PNG_END = b'\x89PNG\r\n\x1a\n', b'IEND\xaeB`\x82'
-# Each scan of a progressive JPEG costs a pass over the whole picture; cameras send one, ten are
-# usual, a few kilobytes could hold thousands.
-MAX_SCANS = 64
-# Start-of-frame markers; the other codes of their range are tables.
-JPEG_FRAMES = frozenset(range(0xc0, 0xd0)) - {0xc4, 0xc8, 0xcc}
-JPEG_SCAN = 0xda
 MAX_JPEG_SIDE = 65500
 
 
@@ -27,29 +19,6 @@ def compressed_size(message: Any) -> tuple[int, int]:
     """
     _is_swapped(message.format)
     return compressed_image_size(bytes(message.data))
-
-
-def compressed_image_size(data: bytes) -> tuple[int, int]:
-    """
-    Return (width, height) as the header of a JPEG or PNG has them.
-
-    Raises ImageRejected with the reason 'empty', 'encoding' (no JPEG or PNG of 8 bits), 'size'
-    (zero or above 64 megapixels) or 'data' (no header, no end, or far too many scans).
-    """
-    if not data:
-        raise ImageRejected('empty', 'data: expected a JPEG or PNG, got no bytes')
-    if data.startswith(JPEG_START):
-        width, height = _jpeg_size(data)
-    elif data.startswith(PNG_START):
-        width, height = _png_size(data)
-    else:
-        raise ImageRejected(
-            'encoding', 'data: expected a JPEG or PNG, got bytes that start with '
-            f'{data[:8]!r}')
-    if min(width, height) < 1 or width * height > MAX_PIXELS:
-        raise ImageRejected('size', f'size: expected 1x1 to {MAX_PIXELS} pixels, '
-                            f'got {width}x{height}')
-    return width, height
 
 
 def read_compressed_image(message: Any) -> np.ndarray:
@@ -65,9 +34,9 @@ def read_compressed_image(message: Any) -> np.ndarray:
         image = cv2.imdecode(np.frombuffer(message.data, np.uint8),
                              cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     except cv2.error as error:
-        raise _broken(f'OpenCV cannot decode it ({error.err})') from None
+        raise broken_picture(f'OpenCV cannot decode it ({error.err})') from None
     if image is None or image.shape[:2] != (height, width):
-        raise _broken(f'OpenCV cannot decode the {width}x{height} pixels of its header')
+        raise broken_picture(f'OpenCV cannot decode the {width}x{height} pixels of its header')
     # The OpenCV of ROS 2 Jazzy decodes to BGR only.
     return image if _is_swapped(message.format) else cv2.cvtColor(
         image, cv2.COLOR_BGR2RGB, image)
@@ -99,44 +68,3 @@ def _is_swapped(form: str) -> bool:
         raise ImageRejected(
             'encoding', f'format: expected a colour or grey image, got {form!r:.80}')
     return form.rpartition('compressed')[1:] in (('compressed', ' rgb8'), ('compressed', ' rgba8'))
-
-
-def _broken(words: str) -> ImageRejected:
-    return ImageRejected('data', f'data: {words}; is the message truncated?')
-
-
-def _png_size(data: bytes) -> tuple[int, int]:
-    if data[12:16] != b'IHDR' or len(data) < 33:
-        raise _broken('a PNG without a header')
-    if data[24] > 8:
-        raise ImageRejected('encoding', f'data: expected a PNG of 8 bits, got {data[24]}')
-    if not data.rstrip(b'\0').endswith(PNG_END):
-        raise _broken('a PNG without an end')
-    return int.from_bytes(data[16:20], 'big'), int.from_bytes(data[20:24], 'big')
-
-
-def _jpeg_size(data: bytes) -> tuple[int, int]:
-    """Walk from marker to marker up to the first scan; the size lies in between."""
-    # Some drivers fill their buffer up behind the end.
-    if not data.rstrip(b'\0').endswith(JPEG_END):
-        raise _broken('a JPEG without an end')
-    if data.count(bytes([0xff, JPEG_SCAN])) > MAX_SCANS:
-        raise _broken(f'a JPEG of more than {MAX_SCANS} scans')
-    place = 2
-    sizes = set()
-    while place + 4 <= len(data) and data[place] == 0xff:
-        marker = data[place + 1]
-        if marker == 0xff:  # A fill byte.
-            place += 1
-            continue
-        if marker == JPEG_SCAN:
-            break
-        segment = data[place + 4:place + 2 + int.from_bytes(data[place + 2:place + 4], 'big')]
-        if marker in JPEG_FRAMES:
-            if len(segment) < 6 or segment[0] != 8:
-                raise ImageRejected('encoding', 'data: expected a JPEG of 8 bits')
-            sizes.add((int.from_bytes(segment[3:5], 'big'), int.from_bytes(segment[1:3], 'big')))
-        place += 4 + len(segment)
-    if len(sizes) != 1:
-        raise _broken('a JPEG without one size')
-    return sizes.pop()

@@ -3,11 +3,11 @@ from typing import Any, Callable, NamedTuple
 
 import cv2
 from neo_ros.errors import ImageRejected
+from neo_ros.picture_header import MAX_PIXELS
 import numpy as np
 
 RGB8 = 'rgb8'
 MONO8 = 'mono8'
-MAX_PIXELS = 64 * 1024 * 1024
 # OpenCV's demosaicing leaves images of fewer than 3 rows or columns black.
 MIN_BAYER_SIDE = 3
 

@@ -2,12 +2,10 @@
 from pathlib import Path
 
 from neo_ros.errors import ModelError
+from neo_ros.picture_header import MAX_PIXELS
 from neo_ros.runtime.model_card import card_of, ModelCard
 from neo_ros.runtime.onnx_file import OnnxFile, scan_onnx_file
 from neo_ros.runtime.operators import ALLOWED_OPERATORS
-
-# A card may name any size; the images of one take memory before the network has run once.
-MAX_PIXELS = 64 * 1024 * 1024
 
 
 def open_model(path: Path | str) -> tuple[bytes, ModelCard]:
@@ -38,6 +36,7 @@ def _check_operators(path: Path | str, onnx_file: OnnxFile) -> None:
 
 def _check_tensors(path: Path | str, onnx_file: OnnxFile, card: ModelCard) -> None:
     source, target = card.expansion.source, card.expansion.target
+    # The images of a card take memory before the network has run once.
     if target.width * target.height > MAX_PIXELS:
         raise ModelError(f'{path}: expected a wide view of at most {MAX_PIXELS} pixels, got '
                          f'{target.width}x{target.height}')
