@@ -1,9 +1,10 @@
 """Poses from landmarks, in the demo flat, whose depth is known exactly."""
 from box_room import apart
+import cv2
 from neo_ros.evaluation.speed_guided import exact_landmarks
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
 from neo_ros.memory import scene_guide
-from neo_ros.memory.landmarks import Landmarks, Locator
+from neo_ros.memory.landmarks import Landmarks, Location, Locator
 from neo_ros.memory.scene_guide import SceneGuide
 from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.paths import share_dir
@@ -32,18 +33,33 @@ def moved(pose: CameraPose, metres: float) -> CameraPose:
     return CameraPose(T)
 
 
+def locate(locator: Locator, image: np.ndarray, around: CameraPose | None = None
+           ) -> Location | None:
+    return locator.locate(locator.features(image), around)
+
+
 @pytest.mark.parametrize('off', [None, 0.0, 0.3], ids=['anywhere', 'here', 'off by a step'])
 def test_an_image_is_found(landmarks: Landmarks, off: float | None) -> None:
     image, _ = FLAT.render(CAMERA, NEW)
-    found = Locator(landmarks, CAMERA).locate(image, None if off is None else moved(NEW, off))
+    found = locate(Locator(landmarks, CAMERA), image, None if off is None else moved(NEW, off))
     assert found is not None
     metres, degrees = apart(found.pose, NEW)
     assert metres < 0.03 and degrees < 0.5
     assert len(found.points) == len(found.pixels) > 50
 
 
+@pytest.mark.parametrize('size', [96, 960], ids=['small', 'large'])
+def test_a_soft_image_of_any_size_is_found(landmarks: Landmarks, size: int) -> None:
+    camera = Intrinsics.from_hfov(size, size, np.pi / 2)
+    image = cv2.resize(FLAT.render(CAMERA, NEW)[0], (size, size), interpolation=cv2.INTER_CUBIC)
+    found = locate(Locator(landmarks, camera), image)
+    assert found is not None and len(found.points) > 50
+    metres, degrees = apart(found.pose, NEW)
+    assert metres < 0.03 and degrees < 0.5 and found.allows(NEW)
+
+
 def test_other_poses_are_allowed_as_far_as_landmarks_can_tell(landmarks: Landmarks) -> None:
-    found = Locator(landmarks, CAMERA).locate(FLAT.render(CAMERA, NEW)[0])
+    found = locate(Locator(landmarks, CAMERA), FLAT.render(CAMERA, NEW)[0])
     assert found is not None
     assert found.allows(found.pose) and found.allows(NEW)
     assert not found.allows(moved(NEW, 0.1))
@@ -55,11 +71,11 @@ def test_other_poses_are_allowed_as_far_as_landmarks_can_tell(landmarks: Landmar
 def test_what_shows_something_else_is_not_found(landmarks: Landmarks) -> None:
     locator = Locator(landmarks, CAMERA)
     noise = np.random.default_rng(0).integers(0, 256, (96, 96, 3), np.uint8)
-    assert locator.locate(noise) is None
-    assert locator.locate(np.full((96, 96, 3), 90, np.uint8)) is None
+    assert locate(locator, noise) is None
+    assert locate(locator, np.full((96, 96, 3), 90, np.uint8)) is None
     image, _ = FLAT.render(CAMERA, NEW)
     behind = NEW.T_world_cam @ np.diag([-1.0, 1, -1, 1])
-    assert locator.locate(image, CameraPose(behind)) is None
+    assert locate(locator, image, CameraPose(behind)) is None
 
 
 def test_landmarks_are_what_several_photos_show() -> None:

@@ -2,6 +2,7 @@
 import errno
 import importlib.util
 from pathlib import Path
+import sys
 
 from box_room import BAND, box_memory, EXPANSION, keyframe, planar, view
 from neo_ros.geometry import CameraPose
@@ -131,3 +132,19 @@ def test_compiled_code_that_a_power_cut_broke_is_made_again(
     broken.write_bytes(b'')
     assert is_empty_by_fresh_kernels()
     assert broken.stat().st_size == whole
+
+
+def test_kernels_are_compiled_anew_when_what_they_call_has_changed(
+        monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(config, 'CACHE_DIR', str(tmp_path / 'cache'))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    head = 'from neo_ros.memory.compiled import njit\n\n\n@njit()\n'
+    called = tmp_path / 'called_kernels.py'
+    (tmp_path / 'calling_kernels.py').write_text(
+        'from called_kernels import grow\n' + head + 'def four(x):\n    return 2 * grow(x)\n')
+    for factor, expected in ((2, 4), (30, 60)):
+        called.write_text(head + f'def grow(x):\n    return {factor} * x\n')
+        for name in ('called_kernels', 'calling_kernels'):
+            sys.modules.pop(name, None)
+        importlib.invalidate_caches()
+        assert importlib.import_module('calling_kernels').four(1) == expected

@@ -77,6 +77,17 @@ def test_as_many_keyframes_stay_decoded_as_fit(monkeypatch: pytest.MonkeyPatch) 
     assert memory.keyframe(1) is frames[1] and memory.keyframe(0) is not frames[0]
 
 
+def test_small_views_get_averaged_textures(memory: SceneMemory) -> None:
+    whole, half = memory.keyframe(1), memory.keyframe(1, focal=10.0)
+    assert half.texture.shape == (len(whole.texture) // 2, whole.texture.shape[1] // 2, 3)
+    assert np.array_equal(half.depth, whole.depth)
+    means = cv2.resize(whole.texture, half.texture.shape[1::-1], interpolation=cv2.INTER_AREA)
+    assert np.abs(half.texture.astype(int) - means).mean() < 1
+    # Its texture has 80 pixels a radian: half of them are too few for a view of 20.
+    assert memory.keyframe(1, focal=20.0) is memory.keyframe(1) is whole
+    assert memory.keyframe(1, focal=10.0) is half
+
+
 def test_a_texture_keeps_its_colours(memory: SceneMemory) -> None:
     texture = box_memory().keyframe(0).texture
     truth = keyframe(memory.positions[0]).texture

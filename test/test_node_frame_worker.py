@@ -185,8 +185,27 @@ def test_max_fps_may_be_raised_while_it_waits(bench):
     assert bench.outputs.headers == [0, 1]
 
 
-def test_a_new_worker_forgets_where_the_camera_was(bench):
-    assert bench.worker.stop(WAIT_S) and bench.extrapolator.resets == 1
+def test_a_camera_that_nobody_followed_may_be_elsewhere(bench):
+    def resets_after(header):
+        bench.worker.submit(frame(header))
+        bench.extrapolator.gate.release()
+        assert bench.outputs.published.acquire(timeout=WAIT_S)
+        return bench.extrapolator.resets
+
+    assert [resets_after('first'), resets_after('second')] == [1, 1]
+    asked = threading.Event()
+
+    def nothing():
+        asked.set()
+        return Wanted(*[False] * 5)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bench.outputs, 'wanted', nothing)
+        bench.worker.submit(frame('unseen'))
+        assert asked.wait(WAIT_S)
+    assert [resets_after('third'), resets_after('fourth')] == [2, 2]
+    bench.worker.forget()
+    assert resets_after('fifth') == 3
 
 
 def test_latency_is_split_into_stages(bench):

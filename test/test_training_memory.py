@@ -38,7 +38,8 @@ def test_the_photos_landmarks_find_the_camera(
     landmarks = find_landmarks(run)
     assert landmarks is not None and len(landmarks.points) > 30
     assert {'features', 'matches'} <= set(run.said)
-    found = Locator(landmarks, CAMERA).locate(frames.read(0)[0])
+    locator = Locator(landmarks, CAMERA)
+    found = locator.locate(locator.features(frames.read(0)[0]))
     assert found is not None and apart(found.pose, frames.images.poses[0])[0] < 0.05
 
 

@@ -75,7 +75,8 @@ class Calibration:
     def sparsification_error(self) -> float:
         """Return the AUSE, a share of the mean error: 0 perfect, order of the errors known."""
         model, oracle = self.sparsification()
-        return float(np.trapezoid((model - oracle) / model[0], DROPPED))
+        excess = (model - oracle) / model[0]
+        return float(np.diff(DROPPED) @ (excess[1:] + excess[:-1]) / 2)
 
     def summary(self) -> dict[str, float]:
         """Return the figures for a file of results, errors in steps of 1/255."""

@@ -12,7 +12,7 @@ import json
 from pathlib import Path
 import sys
 
-from neo_ros.evaluation.metrics import auroc
+from neo_ros.evaluation.metrics import auroc, psnr
 from neo_ros.geometry import CameraPose
 from neo_ros.runtime import FovExtrapolator
 from neo_ros.scenes.demo_flat import (
@@ -59,7 +59,7 @@ def score_change(extrapolator: FovExtrapolator, walks: list[list[CameraPose]]) -
         if min(side.sum() for side in sides) < LEAST_PIXELS:
             continue
         outside, same = sides[0], ring & ~changed
-        rows.append((guided, _psnr(truth, wide, same), _psnr(new_truth, new_wide, same),
+        rows.append((guided, psnr(truth[same], wide[same]), psnr(new_truth[same], new_wide[same]),
                      sure[outside].mean(), new_sure[outside].mean()))
         ranked.append(auroc(255.0 - new_sure[outside], 255.0 - new_sure[near & same]))
     if not rows:
@@ -92,11 +92,6 @@ def _near_seam(observed: tuple[slice, slice], shape: tuple[int, ...], reach: flo
     for index, span in ((rows, observed[0]), (columns, observed[1])):
         distances.append(np.maximum(span.start - index, index - (span.stop - 1)))
     return np.abs(np.maximum(*distances)) <= reach
-
-
-def _psnr(truth: np.ndarray, image: np.ndarray, where: np.ndarray) -> float:
-    error = (truth[where].astype(float) - image[where]) / 255
-    return float(-10 * np.log10(np.mean(error ** 2)))
 
 
 def main() -> None:

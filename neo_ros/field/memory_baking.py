@@ -18,14 +18,13 @@ from neo_ros.field.panorama import view_band
 from neo_ros.field.rendering import render_rays, to_uint8, world_rays
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import Band, CameraPose, Intrinsics, ViewExpansion
-from neo_ros.memory.scene_memory import compress, Glances, Keyframe, SceneMemory
+from neo_ros.memory.scene_memory import compress, FINER, Glances, Keyframe, SceneMemory
 from neo_ros.paths import whole_file
 from neo_ros.scenes.pose_sampling import PoseSampler, rotation_from_angles
 import numpy as np
 
-# The mesh's vertices a radian are at most so many; textures are TEXTURE times finer than the view.
+# The mesh's vertices a radian are at most so many.
 MESH_FOCAL = 96.0
-TEXTURE = 3.0
 # Photos nearest to a keyframe that may colour it.
 PHOTOS = 400
 # Depths that differ by less than this share are of one surface.
@@ -155,7 +154,7 @@ def keyframe_size(band: Band, focal: float) -> tuple[int, int, int]:
     """Return rows and columns of a keyframe's mesh, and how many times finer its texture is."""
     mesh = min(focal, MESH_FOCAL)
     return (max(int((band.top - band.bottom) * mesh), 2), int(band.width * mesh),
-            max(round(TEXTURE * focal / mesh), 1))
+            max(round(FINER * focal / mesh), 1))
 
 
 def _bake_keyframe(field: RadianceField, photos: Photos, seen: np.ndarray, gains: np.ndarray,

@@ -2,6 +2,7 @@
 from collections.abc import Callable
 from contextlib import suppress
 import functools
+from pathlib import Path
 from typing import Any
 import warnings
 
@@ -13,7 +14,18 @@ ALL_THREADS: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
 
 
 class _Cache(FunctionCache):
-    """The cache of `cache=True`, but a full disk or a broken file only costs time."""
+    """
+    The cache of `cache=True`, but a full disk or a broken file only costs time.
+
+    And what a kernel calls may lie in the other files of kernels beside it, which numba does not
+    look at: where one of them has changed, all are compiled anew.
+    """
+
+    def __init__(self, kernel: Callable) -> None:
+        super().__init__(kernel)
+        beside = sorted(Path(kernel.__code__.co_filename).parent.glob('*kernels.py'))
+        self._cache_file._source_stamp = [
+            (path.name, path.stat().st_mtime, path.stat().st_size) for path in beside]
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         try:

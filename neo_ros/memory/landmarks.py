@@ -92,18 +92,27 @@ class Locator:
     """Finds images of one camera by the landmarks of one scene."""
 
     def __init__(self, landmarks: Landmarks, camera: Intrinsics) -> None:
-        self.camera = camera
+        # An image that is shrunk to find features knows them less exactly, by its own pixels: of
+        # the shrunk one the limits are.
+        self.camera = camera.scaled(min(1.0, WORKED_WIDTH / camera.width))
+        self._magnify = magnification(camera)
+        self._shrunk = np.array([self.camera.width / camera.width,
+                                 self.camera.height / camera.height])
         self._points = landmarks.points.astype(np.float64)
         self._descriptors = _unit(landmarks.descriptors.astype(np.float32))
 
-    def locate(self, image: np.ndarray, around: CameraPose | None = None) -> Location | None:
+    def features(self, image: np.ndarray) -> Features:
+        """Find in an image, uint8 RGB (h, w, 3), what `locate` looks at."""
+        found = find_features(image, self._magnify, MOST_FEATURES)
+        return Features(found.points * self._shrunk, found.descriptors)
+
+    def locate(self, features: Features, around: CameraPose | None = None) -> Location | None:
         """
-        Find the pose of an image, uint8 RGB (h, w, 3); None if too few landmarks are seen.
+        Find the pose of an image by its features; None if too few landmarks are seen.
 
         around: about where the camera is; the landmarks that it would see there are tried, or
         else all. PnP after Gao et al. (2003) in RANSAC, then least squares.
         """
-        features = find_features(image, magnification(self.camera), MOST_FEATURES)
         found = self._match(features, around)
         if found is not None and (around is None or not _alike(found.pose, around)):
             # Other landmarks are in view there, and of all of them many look alike.
@@ -116,7 +125,7 @@ class Locator:
         if len(matches) < LEAST_INLIERS:
             return None
         return self._pose(self._points[tried[matches[:, 1]]],
-                          features.points[matches[:, 0]].astype(np.float64))
+                          features.points[matches[:, 0]])
 
     def _visible(self, pose: CameraPose) -> np.ndarray:
         """Return the indices of the landmarks in view of a pose, or near to it."""

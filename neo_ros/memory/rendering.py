@@ -45,7 +45,7 @@ class MemoryRenderer:
         rotation = np.ascontiguousarray(pose.T_world_cam[:3, :3].T, np.float32)
         meshes = []
         for index in self.nearest(pose.position, keyframes):
-            keyframe = self.memory.keyframe(int(index))
+            keyframe = self.memory.keyframe(int(index), view.fx)
             if self._rays is None:
                 self._rays = self.memory.band.rays(*keyframe.depth.shape)
             offset = (keyframe.position - pose.position).astype(np.float32)

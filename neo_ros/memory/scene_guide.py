@@ -10,6 +10,7 @@ from neo_ros.geometry import CameraPose, ViewExpansion
 from neo_ros.memory.alignment import agreement, Aligner, PhotoLevel
 from neo_ros.memory.compiled import ALL_THREADS
 from neo_ros.memory.landmarks import Location, Locator
+from neo_ros.memory.local_features import Features
 from neo_ros.memory.rendering import GuideView, MemoryRenderer
 from neo_ros.memory.scene_memory import SceneMemory
 from numba import get_num_threads, set_num_threads
@@ -107,6 +108,7 @@ class SceneGuide:
         self._last: CameraPose | None = None
         self._motion = np.eye(4)
         self._since_search, self._since_landmarks = SEARCH_EVERY, LANDMARKS_EVERY
+        self._features: Features | None = None  # Of the present image.
         self._led = 0  # Images for which landmarks alone still say where the camera is.
 
     def guide(self, image: np.ndarray) -> Guide | None:
@@ -115,7 +117,7 @@ class SceneGuide:
             return self._guide(image)
 
     def _guide(self, image: np.ndarray) -> Guide | None:
-        photo = self.aligner.photo(image)
+        photo, self._features = self.aligner.photo(image), None
         # Whatever goes wrong with this image, the next one starts anew.
         last, self._last = self._last, None
         best = followed = self._follow(image, photo, last) if last is not None else None
@@ -174,7 +176,11 @@ class SceneGuide:
         return max(tracked, again, key=Sight.rank)
 
     def _locate(self, image: np.ndarray, around: CameraPose | None) -> Location | None:
-        return None if self._locator is None else self._locator.locate(image, around)
+        if self._locator is None:
+            return None
+        if self._features is None:  # As slow as a frame: found once, and only when asked for.
+            self._features = self._locator.features(image)
+        return self._locator.locate(self._features, around)
 
     def _look_from(self, location: Location, photo: list[PhotoLevel]) -> Sight:
         """Look from where landmarks say, aligned with the image if they allow that."""

@@ -1,6 +1,7 @@
 """The scene memory: what a robot keeps of a scene to see it again from other poses."""
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 import hashlib
 import io
 import logging
@@ -27,7 +28,13 @@ STEPS = 4095
 CLOSEST = 0.25
 JPEG_QUALITY = 86
 LARGE_BYTES = 50 << 20
-# Decoded keyframes that are kept: what fits into so many bytes, but at least all that are drawn.
+# Textures are so many times as fine as the view, which keeps them sharp when they are drawn.
+FINER = 3.0
+# By how much a decoder can shrink them for views that are smaller.
+REDUCED = {1: cv2.IMREAD_COLOR, 2: cv2.IMREAD_REDUCED_COLOR_2, 4: cv2.IMREAD_REDUCED_COLOR_4,
+           8: cv2.IMREAD_REDUCED_COLOR_8}
+# Decoded keyframes of a size that are kept: what fits into so many bytes, but at least all that
+# are drawn.
 CACHED_BYTES = 256 << 20
 LEAST_CACHED = 3
 # What a file may ask for, pixels: far above what a camera of 4000x3000 pixels would need.
@@ -76,31 +83,52 @@ class SceneMemory:
         self.glances, self.landmarks = glances, landmarks
         self._textures, self._depths = textures, depths
         # The last one used is the last. An lru_cache of a method would keep this object alive.
-        self._decoded: dict[int, Keyframe] = {}
-        self._shapes: tuple[tuple[int, ...], ...] | None = None
+        self._decoded: dict[int, dict[int, Keyframe]] = {reduced: {} for reduced in REDUCED}
+        self._shapes: dict[int, tuple[tuple[int, ...], ...]] = {}
 
-    def keyframe(self, index: int) -> Keyframe:
-        """Return keyframe `index`; it must not be changed."""
-        found = self._decoded.pop(index, None) or self._decode(index)
-        self._decoded[index] = found
-        if len(self._decoded) > max(
+    def keyframe(self, index: int, focal: float = math.inf) -> Keyframe:
+        """
+        Return keyframe `index` for a view of this focal length, pixels; it must not be changed.
+
+        For a small view its texture is averaged, to no less than FINER times as fine as the view:
+        so it takes little memory, and has no detail that would flicker there.
+        """
+        reduced = self._reduction(focal)
+        decoded = self._decoded[reduced]
+        found = decoded.pop(index, None) or self._decode(index, reduced)
+        decoded[index] = found
+        if len(decoded) > max(
                 LEAST_CACHED, CACHED_BYTES // (found.depth.nbytes + found.texture.nbytes)):
-            del self._decoded[next(iter(self._decoded))]
+            del decoded[next(iter(decoded))]
         return found
 
-    def _decode(self, index: int) -> Keyframe:
-        texture = _decode_image(self._textures[index], cv2.IMREAD_COLOR)
+    def _reduction(self, focal: float) -> int:
+        if not math.isfinite(focal):
+            return 1
+        texture, mesh = self._rows
+        pixels = texture / (self.band.top - self.band.bottom)
+        return max(reduced for reduced in REDUCED if reduced == 1 or (
+            texture % (mesh * reduced) == 0 and pixels / reduced >= FINER * focal))
+
+    @cached_property
+    def _rows(self) -> tuple[int, int]:
+        """Rows of a texture and of its mesh, which is stored as a PNG."""
+        return (compressed_image_size(self._textures[0], MOST_TEXTURE)[1],
+                int.from_bytes(self._depths[0][20:24], 'big'))
+
+    def _decode(self, index: int, reduced: int) -> Keyframe:
+        texture = _decode_image(self._textures[index], REDUCED[reduced])
         coded = _decode_image(self._depths[index], cv2.IMREAD_UNCHANGED)
         if texture is None or coded is None or coded.dtype != np.uint16 or coded.ndim != 2 \
                 or not _is_finer(texture.shape, coded.shape):
             raise ModelError(f'scene memory: keyframe {index} is damaged; export it again')
         # The compiled loops trust that all are of the same size.
         shapes = (texture.shape, coded.shape)
-        self._shapes = self._shapes or shapes
-        if shapes != self._shapes:
+        expected = self._shapes.setdefault(reduced, shapes)
+        if shapes != expected:
             raise ModelError(
                 f'scene memory: keyframe {index}: expected texture and depth of the shapes '
-                f'{self._shapes} as the others, got {shapes}; export it again')
+                f'{expected} as the others, got {shapes}; export it again')
         depth = np.where(coded > 0, STEPS * CLOSEST / np.maximum(coded, 1), 0)
         return Keyframe(self.positions[index], depth.astype(np.float32),
                         cv2.cvtColor(texture, cv2.COLOR_BGR2RGB, texture))
@@ -222,7 +250,7 @@ def _check_pictures(textures: Sequence[bytes], depths: Sequence[bytes]) -> None:
     header = sizes.pop()
     columns, rows = (int.from_bytes(header[at:at + 4], 'big') for at in (0, 4))
     if any(not coded.startswith(PNG_START) for coded in depths) or header[8:] != b'\x10\0' \
-            or columns * rows > MOST_MESH:
+            or not 0 < columns * rows <= MOST_MESH:
         raise ValueError(f'depths: expected grey 16-bit PNG of at most {MOST_MESH} pixels')
     for coded in textures:
         try:

@@ -183,6 +183,7 @@ class ExtrapolatorNode(LifecycleNode):
         if self._worker is not None:
             self._inputs.unsubscribe()
             if self._enabled:
+                self._worker.forget()
                 self._inputs.subscribe()
         response.success = True
         response.message = f'{"enabled" if self._enabled else "disabled"}, {self.state_label}'

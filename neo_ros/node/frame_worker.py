@@ -62,6 +62,7 @@ class FrameWorker:
         self._report = report
         self._mailbox: Mailbox[Frame] = Mailbox()
         self._publishing = threading.Lock()
+        self._forgets = True
         self._stopped = threading.Event()
         # A daemon, so that a signal in the middle of a long inference can end the process.
         self._thread = threading.Thread(target=self._run, name='extrapolate', daemon=True)
@@ -81,6 +82,10 @@ class FrameWorker:
         if self._mailbox.put(frame):
             self._statistics.count_dropped()
 
+    def forget(self) -> None:
+        """Take the next frame for the first: the camera may have been carried elsewhere."""
+        self._forgets = True
+
     def stop(self, timeout: float) -> bool:
         """Stop publishing at once; return whether the thread ended within `timeout` seconds."""
         with self._publishing:
@@ -90,7 +95,6 @@ class FrameWorker:
         return not self.busy
 
     def _run(self) -> None:
-        self.processor.reset()  # The camera may have been carried elsewhere.
         while (frame := self._mailbox.take()) is not None:
             taken = time.perf_counter()
             self._serve(frame, taken)
@@ -103,7 +107,11 @@ class FrameWorker:
         try:
             wanted = self._outputs.wanted()
             if not any(wanted):
+                self.forget()
                 return
+            if self._forgets:
+                self._forgets = False
+                self.processor.reset()
             wide = self.processor.process(
                 frame.image, frame.camera_info,
                 infer=wanted.image or wanted.compressed or wanted.confidence)
