@@ -6,7 +6,7 @@ from typing import Any
 from box_room import apart, box_memory, EXPANSION, planar, SOURCE, view
 from neo_ros.geometry import CameraPose
 from neo_ros.geometry.camera_pose import rotation_from_vector
-from neo_ros.memory import scene_guide
+from neo_ros.memory import alignment, scene_guide
 from neo_ros.memory.alignment import agreement, Aligner
 from neo_ros.memory.compiled import ALL_THREADS
 from neo_ros.memory.rendering import GuideView, MemoryRenderer
@@ -64,7 +64,10 @@ def test_agreement_tells_a_wrong_pose() -> None:
     assert aligner.agreement(photo, planar(1.9, 1.7, 120)) < 0.8
 
 
-def test_a_step_that_loses_the_image_is_taken_back() -> None:
+@pytest.mark.parametrize('iterations', [12, 1], ids=['some', 'the last one'])
+def test_a_step_that_loses_the_image_is_taken_back(
+        monkeypatch: pytest.MonkeyPatch, iterations: int) -> None:
+    monkeypatch.setattr(alignment, 'ITERATIONS', iterations)
     aligner = Aligner(MemoryRenderer(MEMORY), SOURCE)
     across = np.broadcast_to(np.linspace(-1, 1, SOURCE.width), (SOURCE.height, SOURCE.width))
     # Grey that rises so little that only a turn by half a circle would make a bow of it.

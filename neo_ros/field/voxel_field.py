@@ -87,7 +87,7 @@ class RadianceField:
     @property
     def sample_limit(self) -> int:
         """Largest number of samples a ray can need."""
-        return int(2 * sum(self.shape) / self.step / 2)
+        return int(sum(self.shape) / self.step)
 
     def resampled(self, voxels: int, centre: np.ndarray,
                   half_extent: np.ndarray) -> 'RadianceField':

@@ -114,7 +114,7 @@ class Aligner:
         away = max(float(np.median(depth[depth > 0])), 0.5) if (depth > 0).any() else 1.0
         H, g = np.empty((8, 8)), np.empty(8)
         before, kept = np.inf, (T, gain, bias)
-        for _ in range(ITERATIONS):
+        for iteration in range(ITERATIONS + 1):
             error, overlap = kernels.normal_equations(
                 *photo, guide, depth, self._rays[level], camera.fx, camera.fy, camera.cx,
                 camera.cy, T, gain, bias, GEMAN_MCCLURE if near else HUBER, near, H, g)
@@ -123,6 +123,8 @@ class Aligner:
             if cost > before:
                 T, gain, bias = kept
                 break
+            if iteration == ITERATIONS:
+                break  # The last step, too, had to be an improvement.
             kept, before = (T, gain, bias), cost
             step = -np.linalg.solve(H + DAMPING * np.diag(np.diag(H) + 1e-6), g)
             move = np.eye(4)

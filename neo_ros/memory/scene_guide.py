@@ -126,6 +126,7 @@ class SceneGuide:
             self._since_search = 0
             best = better(best, self._search(image, photo))
         if best is None or not best.believed:
+            self._led = 0
             return None
         # What was searched for has not moved there: it was taken there.
         self._motion = (last.inverse() @ best.pose.T_world_cam
