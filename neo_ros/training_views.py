@@ -57,6 +57,7 @@ def make_stream(run: 'TrainingRun', field: RadianceField, seed: int) -> PairStre
              if run.cache_gb else None)
     stream = PairStream(field, make_sampler(run, field), view, experiment.sampling.positions,
                         seed, real, config.real_centre, cache)
+    stream.pool.progress = lambda done, total: run.progress('panoramas', done, total, '')
     sharp_only = experiment.sampling.sharp_only
     if sharp_only or (sharp_only is None and sampling_area(run) == 'photos'):
         stream.pool.require_sharpness(run.fitted, experiment.scale)

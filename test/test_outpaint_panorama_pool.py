@@ -63,6 +63,16 @@ def test_positions_are_refused_by_reason(field: RadianceField) -> None:
     assert mixed.fill(100) == 6 and len(mixed.panoramas) == 6
 
 
+def test_who_waits_for_several_panoramas_is_told_how_many_are_there(
+        field: RadianceField) -> None:
+    watched, told = pool(field), Mock()
+    watched.progress = told
+    watched.fill(3)
+    assert [call.args for call in told.call_args_list] == [(1, 3), (2, 3), (3, 3)]
+    watched.fill(4)  # One at a time is part of a step.
+    assert told.call_count == 3
+
+
 def test_places_where_nothing_is_are_refused() -> None:
     air = RadianceField.empty(4000, CENTRE, WALLS, 0.2, 0)
     air.grid[:, 0] = -8

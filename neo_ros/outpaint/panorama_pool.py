@@ -1,6 +1,6 @@
 """Panoramas at places where the robot can be, and the views that are worth learning from."""
 from collections import Counter
-from typing import Any, Optional
+from typing import Any, Callable, Optional
 
 from neo_ros.errors import SceneError
 from neo_ros.field.panorama import Panorama, render_panorama, view_band
@@ -39,6 +39,8 @@ class PanoramaPool:
         self.field, self.sampler, self.view = field, sampler, view
         self.positions, self.seed, self.cache = positions, seed, cache
         self.least_sharpness = 0.0
+        # Told of work that keeps a training waiting: several panoramas at once.
+        self.progress: Callable[[int, int], None] = lambda done, total: None
         self.panoramas: list[Panorama] = []
         self.refused: Counter[str] = Counter()
         self.refused_positions: list[np.ndarray] = []
@@ -68,9 +70,11 @@ class PanoramaPool:
 
     def fill(self, count: int) -> int:
         """Render until there are `count` panoramas or all; returns how many are to be used."""
-        ready = min(count, self.positions)
+        ready, before = min(count, self.positions), len(self.panoramas)
         while len(self.panoramas) < ready:
             self._add_position()
+            if ready - before > 1:
+                self.progress(len(self.panoramas) - before, ready - before)
         return ready
 
     def draw_view(self, index: int, random: np.random.Generator) -> np.ndarray:
