@@ -8,17 +8,16 @@ import time
 from typing import Any, Optional, Sequence
 
 from neo_ros.errors import ConfigError
-from neo_ros.evaluation.output import make_output_folder, share_file, write_bytes
+from neo_ros.evaluation.output import make_output_folder, write_bytes
 from neo_ros.evaluation.report import Plot, Section, Series, Table, Text, write_report
 from neo_ros.evaluation.speed_runtime import noise_image
 from neo_ros.experiment import Experiment, read_experiment
-from neo_ros.pipeline import claim, Progress, train
+from neo_ros.pipeline import Progress, train
 from neo_ros.runtime import FovExtrapolator
 from neo_ros.scenes.digests import list_digest
 from neo_ros.scenes.levelling import read_upright_scene
+from neo_ros.training_folder import claim
 
-# What of an experiment decides its field: those that agree in it share one.
-FIELD_SETTINGS = ('seed', 'scale', 'field')
 TIMED_RUNS = 30
 
 
@@ -80,7 +79,7 @@ def compare(scene_folder: Path, configs: Sequence[Path], out: Path,
             write_bytes(folder / 'row.json', json.dumps(
                 {'frames': frames, 'row': asdict(row)}).encode())
         rows.append(row)
-        fields.setdefault(_field_key(experiment), folder)
+        fields.setdefault(experiment.field_hash, folder)
         written = marked_front(rows)
         write_bytes(out / 'comparison.json', json.dumps(
             [asdict(row) for row in written], indent=1).encode())
@@ -118,14 +117,9 @@ def _prepared(experiment: Experiment, minutes: Optional[float],
 
 def _trained_row(scene_folder: Path, name: str, experiment: Experiment, folder: Path,
                  fields: dict[str, Path], progress: Progress) -> Row:
-    shared = fields.get(_field_key(experiment))
-    if shared is not None and not (folder / 'field.npz').exists():
-        # The field last: where it is, its notes are.
-        for file in ('field.json', 'field.npz'):
-            share_file(shared / file, folder / file)
-
     run = train(scene_folder, experiment, folder,
-                lambda stage, *rest: progress(f'{name}: {stage}', *rest))
+                lambda stage, *rest: progress(f'{name}: {stage}', *rest),
+                field_of=fields.get(experiment.field_hash))
     model = FovExtrapolator.load(run.model_path, guided=False)
     validation = run.log['validation']
     return Row(name, experiment.network.name, model.card.gflop or 0.0,
@@ -149,11 +143,6 @@ def _milliseconds(model: FovExtrapolator) -> float:
         model.expand(image)
         times.append(1e3 * (time.perf_counter() - started))
     return statistics.median(times)
-
-
-def _field_key(experiment: Experiment) -> str:
-    settings = asdict(experiment)
-    return json.dumps({name: settings[name] for name in FIELD_SETTINGS})
 
 
 def _quality(row: Row) -> float:

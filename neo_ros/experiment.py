@@ -55,8 +55,13 @@ class Experiment:
     @property
     def config_hash(self) -> str:
         """Twelve hex digits that change with any setting."""
-        text = json.dumps(asdict(self), sort_keys=True)
-        return hashlib.sha256(text.encode()).hexdigest()[:12]
+        return _digest(asdict(self))
+
+    @property
+    def field_hash(self) -> str:
+        """Twelve hex digits that change with what decides the field."""
+        settings = asdict(self)
+        return _digest({name: settings[name] for name in ('seed', 'scale', 'field')})
 
     def expansion(self, camera: Intrinsics, stated: Optional[ViewExpansion]) -> ViewExpansion:
         """
@@ -69,6 +74,11 @@ class Experiment:
         if stated is not None:
             return stated.scaled(self.scale)
         return fitting_expansion(camera.scaled(self.scale), self.network)
+
+
+def _digest(settings: dict[str, Any]) -> str:
+    text = json.dumps(settings, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
 def read_experiment(path: Path) -> Experiment:

@@ -14,9 +14,10 @@ from neo_ros.outpaint.export import (
     calibration_factor, check_parity, ExportedFunction, require_parity)
 from neo_ros.outpaint.networks import build_network
 from neo_ros.outpaint.variants import export_variant, Format, FORMATS
-from neo_ros.pipeline import claim, real_frames, TrainingRun
+from neo_ros.pipeline import real_frames, TrainingRun
 from neo_ros.runtime import FovExtrapolator, read_model_card, write_model_card
 from neo_ros.runtime.model_card import Parity
+from neo_ros.training_folder import claim
 from neo_ros.training_views import held_out_views
 import numpy as np
 

@@ -5,19 +5,17 @@ Yu et al., NeRF-Enhanced Outpainting for Faithful Field-of-View Extrapolation, s
 radiance field, render wide views at poses where the robot can be, train the outpainter on them.
 Every step leaves its result in the output folder; a run that was broken off goes on there.
 """
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 import json
 from pathlib import Path
-import shutil
 import time
 from typing import Callable, Optional
 
 import neo_ros
 from neo_ros.checkpoint import read_notes, train_with_checkpoints, write_notes
-from neo_ros.errors import ConfigError
 from neo_ros.evaluation.baselines import EdgeReplication, MeanImage, Method, NeoModel
 from neo_ros.evaluation.evaluate import evaluate, MethodScores, TruthFrames
-from neo_ros.evaluation.output import make_output_folder, write_bytes
+from neo_ros.evaluation.output import make_output_folder
 from neo_ros.evaluation.speed_model import count_flops
 from neo_ros.experiment import Experiment
 from neo_ros.field.device import chosen_device, field_trainer
@@ -31,11 +29,11 @@ from neo_ros.outpaint.training_log import TrainingLog
 from neo_ros.runtime import FovExtrapolator, ModelCard
 from neo_ros.runtime.model_card import Parity, write_model_card
 from neo_ros.runtime.scene_check import fit_scene_reference
-from neo_ros.scenes.digests import floor_digest, list_digest
 from neo_ros.scenes.levelling import read_upright_scene
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.scene import Scene
 from neo_ros.training_checks import check_settings, check_training
+from neo_ros.training_folder import claim, drop_made_of_a_field, take_field
 from neo_ros.training_memory import memory_step
 from neo_ros.training_report import write_training_report
 from neo_ros.training_views import held_out_views, make_stream, note_poses
@@ -99,13 +97,14 @@ class TrainingRun:
 
 def train(scene_folder: Path, experiment: Experiment, out: Path,
           progress: Progress = lambda stage, done, total, note: None,
-          cache_gb: float = 0.0) -> TrainingRun:
+          cache_gb: float = 0.0, field_of: Optional[Path] = None) -> TrainingRun:
     """
     Run the three steps on a scene folder and leave model, report and scores in `out`.
 
     progress(stage, done, total, note) is called as work goes on; up to cache_gb GB of panoramas
-    are kept in files instead of in memory. Raises NeoError for scenes and
-    settings that cannot be trained, and where `out` holds a run of other settings.
+    are kept in files instead of in memory. `field_of` is the folder of another run, whose field is
+    taken. Raises NeoError for scenes and settings that cannot be trained, where `out` holds a run
+    of other settings, and where the other field is of other photos or settings.
     """
     scene = read_upright_scene(scene_folder)
     with process_group() as rank:
@@ -114,6 +113,8 @@ def train(scene_folder: Path, experiment: Experiment, out: Path,
         if rank == 0:
             make_output_folder(out)
             claim(out, scene, experiment)
+            if field_of is not None:
+                take_field(out, scene, experiment, field_of)
         wait_for_all()
         field = fit_field_step(run, rank)
         held_out = held_out_views(run, field)
@@ -151,11 +152,7 @@ def _fit_field(run: TrainingRun, path: Path, writes: bool) -> None:
     images = run.fitted.read_images(
         scale, lambda done: run.progress('photos', done, len(run.fitted), ''))
     if writes and not checkpoint.exists():
-        # Made of another field, if there; they would be taken for finished.
-        for name in ('outpainter.ckpt', 'memory.json'):
-            (run.out / name).unlink(missing_ok=True)
-        for folder in run.out.glob('panoramas_*'):
-            shutil.rmtree(folder)
+        drop_made_of_a_field(run.out)
     trainer = field_trainer(images, run.fitted.intrinsics.scaled(scale), run.fitted.T_world_cam,
                             config, run.experiment.seed)
     train_with_checkpoints(
@@ -263,35 +260,3 @@ def score_step(run: TrainingRun) -> Optional[Scoring]:
               if name != 'milliseconds'}
     write_model_card(run.model_path, neo.card.model_copy(update={'scores': scores}))
     return Scoring(truth, results)
-
-
-def claim(out: Path, scene: Scene, experiment: Experiment) -> None:
-    """Refuse a folder that holds another run, so that no two are ever mixed."""
-    floor = None if scene.walkable is None else floor_digest(scene.walkable)[:12]
-    view = experiment.expansion(scene.train.intrinsics, scene.expansion)
-    # Another memory leaves field and network as they are.
-    settings = replace(experiment, memory=None).config_hash
-    note = {'scene': scene.name, 'settings': settings,
-            'photos': list_digest(scene.train)[:12], 'floor': floor,
-            'view': f'{view.source.width}x{view.source.height} at {view.left}, {view.top} in '
-                    f'{view.target.width}x{view.target.height}'}
-    path = out / 'run.json'
-    if path.exists():
-        try:
-            found = json.loads(path.read_text())
-        except (OSError, ValueError) as error:
-            raise ConfigError(f'{path}: expected the note of an earlier run: {error}; '
-                              'choose another folder') from error
-        if isinstance(found, dict) and found != note and {**note, **found} == note:
-            raise ConfigError(
-                f'{out}: holds a run of an older neo_ros, which did not note all of that; choose '
-                'another folder, or if photos, poses, floor map and view are still those it was '
-                f'trained on, write this into {path}: {json.dumps(note)}')
-        if found != note:
-            raise ConfigError(f'{out}: expected an empty folder or a run of {note}, got a run '
-                              f'of {found}; choose another folder')
-        return
-    if any(out.iterdir()):
-        raise ConfigError(f'{out}: expected an empty folder or an earlier run; it holds '
-                          'other files')
-    write_bytes(path, json.dumps(note).encode())

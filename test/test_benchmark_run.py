@@ -244,9 +244,8 @@ def test_a_world_with_another_axis_up_is_turned_for_all_methods_alike(flat_scene
 def test_every_network_has_a_size_of_its_own(flat_scene, tmp_path, monkeypatch):
     trained = []
     monkeypatch.setattr(Workbench, 'field', lambda bench: None)
-    monkeypatch.setattr(workbench, 'share_file', lambda source, target: None)
-    monkeypatch.setattr(workbench, 'train', lambda scene, experiment, *rest: trained.append(
-        (experiment.network, experiment.memory)))
+    monkeypatch.setattr(workbench, 'train', lambda scene, experiment, *rest, field_of: (
+        trained.append((experiment.network, experiment.memory))))
     bench = Workbench(job(flat_scene, settings={'network': {'width': 8}}), tmp_path, quiet)
     for name in ('neo_fast', 'mat', 'lama'):
         bench.model(name)

@@ -29,7 +29,8 @@ LAW: dict[str, set[str]] = {
                    'memory', 'torch', 'cv2', 'onnx', 'onnxruntime', 'pycolmap'},
     # Trains with the pipeline, which itself scores with `evaluation`.
     'benchmark': {'geometry', 'scenes', 'field', 'outpaint', 'runtime', 'evaluation', 'pipeline',
-                  'experiment', 'checkpoint', 'training_memory', 'torch', 'cv2'},
+                  'experiment', 'training_folder', 'training_memory', 'checkpoint', 'torch',
+                  'cv2'},
 }
 HEAVY = {'torch', 'numba', 'scipy', 'cv2', 'onnx', 'onnxscript', 'onnxruntime', 'rosbags',
          'mcap', 'rclpy', 'skimage', 'matplotlib', 'pycolmap'}

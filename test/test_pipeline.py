@@ -21,11 +21,12 @@ from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import ViewExpansion
 from neo_ros.memory import scene_memory
 from neo_ros.outpaint.network import NetworkConfig
-from neo_ros.pipeline import claim, fit_field_step, train, TrainingRun
+from neo_ros.pipeline import fit_field_step, train, TrainingRun
 from neo_ros.runtime import FovExtrapolator
 from neo_ros.scenes.levelling import read_upright_scene
 from neo_ros.scenes.pose_sampling import SamplingConfig
 from neo_ros.scenes.scene import read_scene
+from neo_ros.training_folder import claim, take_field
 from neo_ros.training_report import _exposed
 import numpy as np
 import onnx
@@ -249,7 +250,7 @@ def test_a_folder_of_another_scene_is_refused(tiny_run: TrainingRun, tmp_path: P
 @pytest.mark.parametrize('name, content, message', [
     ('holiday.jpg', b'', 'expected an empty folder or an earlier run; it holds other files'),
     ('run.json', b'', 'run.json: expected the note of an earlier run'),
-    ('run.json', b'[1]', r'got a run of \[1\]'),
+    ('run.json', b'[1]', r'run.json: expected the note of an earlier run: got \[1\]'),
 ], ids=['other files', 'empty note', 'strange note'])
 def test_folders_of_other_things_are_refused(
         tiny_run: TrainingRun, tmp_path: Path, name: str, content: bytes, message: str) -> None:
@@ -323,6 +324,29 @@ def test_another_memory_needs_no_other_training(
     assert not (out / 'memory_work').exists()
 
 
+def test_the_field_of_another_run_is_taken_if_it_is_of_the_same(
+        tiny_run: TrainingRun, tmp_path: Path) -> None:
+    scene, stages = tiny_run.out.parent / 'scene', set()
+    slower = replace(TINY, memory=None, outpaint=replace(TINY.outpaint, learning_rate=1e-3))
+    run = train(scene, slower, tmp_path / 'slower', lambda stage, *rest: stages.add(stage),
+                field_of=tiny_run.out)
+    assert 'outpainter' in stages and 'field' not in stages
+    assert run.log['field'] == tiny_run.log['field'] and graph_of(run) != graph_of(tiny_run)
+    # Without its field it would be another run's network.
+    (run.out / 'field.npz').unlink()
+    take_field(run.out, run.scene, slower, tiny_run.out)
+    assert not (run.out / 'outpainter.ckpt').exists()
+    for other, message in ((replace(slower, seed=9), 'got one of other field'),
+                           (replace(slower, scale=0.5), 'got one of other field')):
+        with pytest.raises(ConfigError, match=message):
+            train(scene, other, tmp_path / f'{other.seed} {other.scale}', field_of=tiny_run.out)
+    (run.out / 'field.npz').unlink()
+    with pytest.raises(ConfigError, match='got one of no finished field'):
+        train(scene, slower, tmp_path / 'again', field_of=run.out)
+    with pytest.raises(ConfigError, match='run.json: expected the note of an earlier run'):
+        train(scene, slower, tmp_path / 'again', field_of=tmp_path)
+
+
 def test_another_view_of_the_test_frames_is_another_run(
         tiny_run: TrainingRun, tmp_path: Path) -> None:
     scene = shutil.copytree(tiny_run.out.parent / 'scene', tmp_path / 'scene')
@@ -339,11 +363,12 @@ def test_a_new_field_is_not_mixed_with_what_the_old_one_made(
         tiny_run: TrainingRun, tmp_path: Path) -> None:
     run = replace(tiny_run, out=shutil.copytree(tiny_run.out, tmp_path / 'out'))
     (run.out / 'panoramas_3').mkdir()
+    (run.out / 'memory_work').mkdir()
     for name in ('field.npz', 'field.json'):
         (run.out / name).unlink()
     fit_field_step(run)
     assert (run.out / 'field.npz').exists()
-    for name in ('outpainter.ckpt', 'memory.json', 'panoramas_3', 'field.ckpt'):
+    for name in ('outpainter.ckpt', 'memory.json', 'panoramas_3', 'memory_work', 'field.ckpt'):
         assert not (run.out / name).exists()
 
 

@@ -17,17 +17,18 @@ from neo_ros.benchmark.protocols import (
 from neo_ros.checkpoint import read_notes, write_notes
 from neo_ros.errors import ConfigError
 from neo_ros.evaluation.evaluate import TruthFrames
-from neo_ros.evaluation.output import make_output_folder, share_file, write_bytes
+from neo_ros.evaluation.output import make_output_folder, write_bytes
 from neo_ros.evaluation.photo_bank import PhotoBank, read_photo_bank
 from neo_ros.evaluation.sparse_model import read_sparse_model, SparseModel
 from neo_ros.experiment import Experiment, experiment_from, read_experiment
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.outpaint.network import NETWORKS
 from neo_ros.paths import share_dir
-from neo_ros.pipeline import claim, fit_field_step, Progress, train, TrainingRun
+from neo_ros.pipeline import fit_field_step, Progress, train, TrainingRun
 from neo_ros.scenes.capture import listed
 from neo_ros.scenes.levelling import stood_up
 from neo_ros.scenes.scene import read_scene, Scene
+from neo_ros.training_folder import claim
 from neo_ros.training_memory import memory_seconds, NOTES
 
 # Of the training time that goes to the field, which is also B3's: half of six minutes is enough,
@@ -108,10 +109,8 @@ class Workbench:
         run = self._run(self._experiment_of(network), self.folder / network)
         if not (run.out / 'done').exists():
             self.field()
-            for name in ('field.npz', 'field.json'):
-                if not (run.out / name).exists():
-                    share_file(self.folder / 'field' / name, run.out / name)
-            train(Path(self.job.scene), run.experiment, run.out, self.progress)
+            train(Path(self.job.scene), run.experiment, run.out, self.progress,
+                  field_of=self.folder / 'field')
             (run.out / 'done').touch()
         return run.model_path
 

@@ -17,6 +17,9 @@ def train(
         help='Keep up to so many GB of panoramas in files of OUT instead of in memory; a training '
         'that was broken off reads them back. Several processes keep so many each.', min=0,
     )] = 0.0,
+    field_of: Annotated[Optional[Path], typer.Option(
+        help='Output folder of another run of the same photos, with the same settings of field, '
+        'scale and seed: its field is taken instead of fitting one anew.')] = None,
 ) -> None:
     """
     Fit the scene, render wide views of it, train the outpainter, make the memory, export.
@@ -32,7 +35,7 @@ def train(
 
     experiment = read_experiment(config) if config is not None else Experiment()
     with stage_progress() as show:
-        run = run_pipeline(scene, experiment, out, show, cache_gb)
+        run = run_pipeline(scene, experiment, out, show, cache_gb, field_of)
     for name, value in run.figures.items():
         rich.print(f'{name}: {value:.2f} dB')
     files = [run.model_path, run.model_path.with_suffix('.memory')]

@@ -1,0 +1,86 @@
+"""What an output folder is a run of: none is mixed with another, but a field may be shared."""
+from dataclasses import replace
+import json
+from pathlib import Path
+import shutil
+from typing import Any
+
+from neo_ros.errors import ConfigError
+from neo_ros.evaluation.output import share_file, write_bytes
+from neo_ros.experiment import Experiment
+from neo_ros.scenes.digests import floor_digest, list_digest
+from neo_ros.scenes.scene import Scene
+from neo_ros.training_memory import NOTES, WORK
+
+RUN_FILE = 'run.json'
+
+
+def claim(out: Path, scene: Scene, experiment: Experiment) -> None:
+    """Refuse a folder that holds another run, so that no two are ever mixed."""
+    note, path = _run_note(scene, experiment), out / RUN_FILE
+    if path.exists():
+        found = _read_run_note(path)
+        if found != note and {**note, **found} == note:
+            raise ConfigError(
+                f'{out}: holds a run of an older neo_ros, which did not note all of that; choose '
+                'another folder, or if photos, poses, floor map and view are still those it was '
+                f'trained on, write this into {path}: {json.dumps(note)}')
+        if found != note:
+            raise ConfigError(f'{out}: expected an empty folder or a run of {note}, got a run '
+                              f'of {found}; choose another folder')
+        return
+    if any(out.iterdir()):
+        raise ConfigError(f'{out}: expected an empty folder or an earlier run; it holds '
+                          'other files')
+    write_bytes(path, json.dumps(note).encode())
+
+
+def _run_note(scene: Scene, experiment: Experiment) -> dict[str, Any]:
+    floor = None if scene.walkable is None else floor_digest(scene.walkable)[:12]
+    view = experiment.expansion(scene.train.intrinsics, scene.expansion)
+    # Another memory leaves field and network as they are.
+    settings = replace(experiment, memory=None).config_hash
+    return {'scene': scene.name, 'settings': settings, 'field': experiment.field_hash,
+            'photos': list_digest(scene.train)[:12], 'floor': floor,
+            'view': f'{view.source.width}x{view.source.height} at {view.left}, {view.top} in '
+                    f'{view.target.width}x{view.target.height}'}
+
+
+def _read_run_note(path: Path) -> dict[str, Any]:
+    try:
+        found = json.loads(path.read_text())
+        if isinstance(found, dict):
+            return found
+        reason = f'got {found!r:.80}'
+    except (OSError, ValueError) as error:
+        reason = str(error)
+    raise ConfigError(
+        f'{path}: expected the note of an earlier run: {reason}; choose another folder')
+
+
+def take_field(out: Path, scene: Scene, experiment: Experiment, other: Path) -> None:
+    """
+    Share the field of the run in the folder `other`, unless `out` has one.
+
+    Raises ConfigError where it is of other photos or settings, or not finished.
+    """
+    if (out / 'field.npz').exists():
+        return
+    found, own = _read_run_note(other / RUN_FILE), _run_note(scene, experiment)
+    differ = [name for name in ('photos', 'field') if found.get(name) != own[name]]
+    if differ or not (other / 'field.npz').exists():
+        reason = f'other {" and ".join(differ)}' if differ else 'no finished field'
+        raise ConfigError(f'{other}: expected a run of the same photos and the same settings of '
+                          f'field, scale and seed to take its field, got one of {reason}')
+    drop_made_of_a_field(out)
+    # The field last: where it is, its notes are.
+    for name in ('field.json', 'field.npz'):
+        share_file(other / name, out / name)
+
+
+def drop_made_of_a_field(out: Path) -> None:
+    """Delete what another field's training left, which would be taken for finished."""
+    for name in ('field.ckpt', 'outpainter.ckpt', NOTES):
+        (out / name).unlink(missing_ok=True)
+    for folder in (*out.glob('panoramas_*'), *out.glob(WORK)):
+        shutil.rmtree(folder)
