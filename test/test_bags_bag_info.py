@@ -83,6 +83,21 @@ def test_several_pose_topics_are_named_in_the_command(tmp_path: Path) -> None:
     assert info.next.endswith('out/scenes/bag --pose-topic /slam/pose')
 
 
+@pytest.mark.parametrize(('topic', 'rectifies'), [('image_raw', True), ('image_rect', False)])
+def test_a_replay_of_a_distorted_camera_takes_the_distortion_out(
+        tmp_path: Path, topic: str, rectifies: bool) -> None:
+    with CameraBag(tmp_path / 'bag') as bag:
+        bag.info('/eye/camera_info', 0, EXPANSION.source, d=np.array([-0.05, 0, 0, 0, 0]))
+        bag.image(f'/eye/{topic}', 1, np.zeros((24, 32, 3), np.uint8))
+    model = write_tiny_model(tmp_path / 'm.onnx', EXPANSION)
+    command = shlex.split(read_bag_info(tmp_path / 'bag', model, EXPANSION).next)
+    assert ('--rectify' in command) == rectifies
+    command[command.index('--out') + 1] = str(tmp_path / 'out')
+    assert command.pop() == '--score'  # These images are too small for it.
+    result = CliRunner().invoke(app, command[1:])
+    assert 'rejected' not in result.output and result.exit_code == 0, result.output
+
+
 def test_damage_is_counted_and_the_rest_described(walk_bag: Path, tmp_path: Path) -> None:
     file = tmp_path / 'cut.mcap'
     content = next(walk_bag.glob('*.mcap')).read_bytes()

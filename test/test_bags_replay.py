@@ -154,7 +154,7 @@ def test_a_broken_message_is_counted(tmp_path, extrapolator) -> None:
         writer.write_cdr(message.topic, START_NS, message.cdr)
         writer.write_cdr(message.topic, START_NS + 1, message.cdr[:50])
     result = replay(tmp_path / 'broken', extrapolator, tmp_path / 'out')
-    assert (result.frames, result.rejected) == (1, {'cdr': 1})
+    assert (result.frames, result.rejected, set(result.words)) == (1, {'cdr': 1}, {'cdr'})
 
 
 def test_images_of_another_camera_are_rejected_until_it_is_the_right_one(
@@ -178,6 +178,7 @@ def test_rectified_images_beside_the_camera_info_of_the_raw_ones_are_taken(
                             [(START_NS, info)])
         result = replay(bag, extrapolator, tmp_path / f'{topic}_wide')
         assert result.rejected == rejected
+        assert 'rectify' in result.words.get('camera_info', 'rectify')
     (_, wide), = _read(tmp_path / 'image_rect_wide', '/camera/wide/camera_info')
     for name, value in camera_info_fields(EXPANSION.target).items():
         assert np.array_equal(getattr(wide, name), value), name

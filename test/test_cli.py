@@ -112,7 +112,7 @@ def test_wrong_usage_is_exit_code_2(
 
 
 @pytest.mark.parametrize('module, message', [
-    ('torch', "torch is not installed; this command needs: pip install 'neo_ros[train]'"),
+    ('torch', 'torch is not installed; this command needs the extra train: make train-setup, or'),
     ('rclpy', 'this command needs ROS 2 Jazzy: source it'),
 ], ids=str)
 def test_a_missing_extra_is_named(

@@ -68,6 +68,7 @@ class _Camera:
     size: tuple[int, int] | None = None
     frame: str = ''
     calibrated: bool = False
+    distorted: bool = False
 
 
 def read_bag_info(path: Path, model: Path | None = None, expansion: ViewExpansion | None = None,
@@ -153,8 +154,9 @@ class _Scan:
             camera.size != wanted, not camera.calibrated, camera.topic.msgtype == COMPRESSED,
             math.prod(camera.size or (0, 0)), camera.topic.name))
         if not ranked[0].calibrated:
-            self.notes.append(f'{ranked[0].topic.name} has no camera_info beside it: an import '
-                              'estimates the camera, a replay trusts the size of the images')
+            self.notes.append(f'{ranked[0].topic.name} has no camera_info beside it: poses cannot '
+                              'be imported with it, an import without poses estimates the camera, '
+                              'a replay trusts the size of the images')
         if expansion is not None and ranked[0].size != wanted:
             source = expansion.source
             self.notes.append(f'no images of {source.width}x{source.height} pixels as the model '
@@ -207,7 +209,7 @@ class _Scan:
             lens = read_lens(message.read(), camera.topic if camera else topic, topic.name)
             view = lens.intrinsics
             if camera is not None:
-                camera.calibrated = True
+                camera.calibrated, camera.distorted = True, not lens.is_pinhole
             kind = 'fisheye' if lens.fisheye else 'pinhole' if lens.is_pinhole else 'distorted'
             return (f'{view.width}x{view.height} {kind}, {math.degrees(view.hfov):.1f} x '
                     f'{math.degrees(view.vfov):.1f} deg, fx {view.fx:.1f} fy {view.fy:.1f} '
@@ -229,7 +231,7 @@ def _next_command(path: Path, model: Path | None, scan: _Scan, image: _Camera | 
     if model is not None:
         score = ['--truth-topic', truth.name] if truth is not None else ['--score']
         words = ['replay', str(path), '--model', str(model), '--out', f'out/{name}_wide',
-                 *several, *score]
+                 *several, *(['--rectify'] if image.distorted else []), *score]
     else:
         poses = [topic for topic in scan.infos if topic.msgtype in POSE_TYPES]
         chosen = ['--pose-topic', pose.name] if (

@@ -68,9 +68,10 @@ class Section:
 @dataclass
 class ReplayResult:
     """
-    What a replay did. Times in seconds; `rejected` counts messages by reason.
+    What a replay did. Times in seconds.
 
-    guided  frames that the scene memory guided
+    rejected  how many messages, by reason; `words` says why the first one of a reason was
+    guided   frames that the scene memory guided
     """
 
     image_topic: str
@@ -78,6 +79,7 @@ class ReplayResult:
     guided: int = 0
     pairs: int = 0
     rejected: Counter[str] = field(default_factory=Counter)
+    words: dict[str, str] = field(default_factory=dict)
     wall_seconds: float = 0.0
     expand_seconds: float = 0.0
     damages: list[Damage] = field(default_factory=list)
@@ -88,7 +90,7 @@ class _Decoded(NamedTuple):
 
     message: BagMessage
     content: Any = None
-    rejected: str = ''
+    rejected: ImageRejected | None = None
 
 
 def replay(bag: Path | str, extrapolator: FovExtrapolator, out: Path | str,
@@ -168,10 +170,10 @@ def _decoded(message: BagMessage, wanted: set[BagTopic]) -> _Decoded:
         return _Decoded(message)
     try:
         return _Decoded(message, as_raw_image(message.read(), message.topic))
-    except BagError:
-        return _Decoded(message, rejected='cdr')
+    except BagError as error:
+        return _Decoded(message, rejected=ImageRejected('cdr', str(error)))
     except ImageRejected as error:
-        return _Decoded(message, rejected=error.reason)
+        return _Decoded(message, rejected=error)
 
 
 class _Replay:
@@ -200,11 +202,9 @@ class _Replay:
     def take(self, entry: _Decoded) -> None:
         """Do what the message's topic asks for; count what cannot be used."""
         topic = entry.message.topic
-        kind = 'truth_' if topic == self._truth else ''
-        if entry.rejected:
-            self._result.rejected[kind + entry.rejected] += 1
-            return
         try:
+            if entry.rejected is not None:
+                raise entry.rejected
             if topic == self._camera.image:
                 self._images += 1
                 if self._images % self.every == 1 % self.every:
@@ -214,7 +214,9 @@ class _Replay:
             if topic == self._truth:
                 self._take_truth(entry.content)
         except ImageRejected as error:
-            self._result.rejected[kind + error.reason] += 1
+            reason = ('truth_' if topic == self._truth else '') + error.reason
+            self._result.rejected[reason] += 1
+            self._result.words.setdefault(reason, str(error))
 
     def _take_image(self, entry: _Decoded) -> None:
         """Write the outputs of one image, as the node would publish them."""

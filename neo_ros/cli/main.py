@@ -71,8 +71,9 @@ def main() -> None:
             (error.name or '').split('.')[0])
         if extra is None:
             raise
-        sys.exit(_fail(f'{error.name} is not installed; this command needs: '
-                       f"pip install 'neo_ros[{extra}]' (in a checkout: make train-setup)"))
+        target = 'setup' if extra == 'viewer' else 'train-setup'
+        sys.exit(_fail(f'{error.name} is not installed; this command needs the extra {extra}: '
+                       f"make {target}, or pip install '.[{extra}]', in a checkout"))
 
 
 def _fail(message: str) -> int:

@@ -70,7 +70,8 @@ def replay(
     for damage in result.damages:
         rich.print(f'[yellow]{escape(str(damage))}[/yellow]')
     for reason, count in sorted(result.rejected.items()):
-        rich.print(f'[yellow]rejected: {count} x {reason}[/yellow]')
+        words = escape(result.words[reason])
+        rich.print(f'[yellow]rejected: {count} x {reason}, the first: {words}[/yellow]')
     rate = result.frames / result.wall_seconds
     model_rate = result.frames / result.expand_seconds if result.frames else 0.0
     rich.print(f'{escape(result.image_topic)}: {result.frames} frames at {rate:.1f} Hz '
@@ -92,7 +93,8 @@ def replay(
     for written in (out, side_by_side):
         if written is not None and written.exists():
             rich.print(f'Written: {escape(str(written))}')
-    tell_next('neo', 'view', '--bag', out)
+    if result.frames:
+        tell_next('neo', 'view', '--bag', out)
 
 
 def _prepare_scores(bag: Path, model: Path, extrapolator: Any, image_topic: Optional[str],

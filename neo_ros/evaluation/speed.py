@@ -66,7 +66,7 @@ def measure_trained(name: str, *arguments: Any) -> Iterator[Record]:
         if error.name not in TRAIN_EXTRA:
             raise
         yield Record(name, name, skipped=(
-            f"{error.name} is not installed: pip install 'neo_ros[train]'"))
+            f"{error.name} is not installed: pip install '.[train]' in a checkout"))
         return
     yield from getattr(module, f'measure_{name}')(*arguments)
 

@@ -35,7 +35,7 @@ def measure_node(model: Path, machine: Machine, effort: Effort) -> Iterator[Reco
         name = f'{size_name(view)}, 30 Hz, stand-in network'
         if find_spec('onnx') is None:
             yield Record('node', name,
-                         skipped="onnx is not installed: pip install 'neo_ros[train]'")
+                         skipped="onnx is not installed: pip install '.[train]' in a checkout")
             continue
         with tempfile.TemporaryDirectory() as folder:
             stand_in = write_stand_in_model(Path(folder) / 'stand_in.onnx', view)
@@ -47,7 +47,7 @@ def measure_node(model: Path, machine: Machine, effort: Effort) -> Iterator[Reco
         from neo_ros.evaluation.speed_guided import write_guided_stand_in
     except ModuleNotFoundError as error:
         yield Record('node', name, skipped=f'{error.name} is not installed: '
-                                           "pip install 'neo_ros[train]'")
+                                           "pip install '.[train]' in a checkout")
         return
     with tempfile.TemporaryDirectory() as folder:
         model = write_guided_stand_in(Path(folder), PAPER_VIEW, walk_at_30_hz(effort.frames))

@@ -19,7 +19,8 @@ class TrainingLog:
             from torch.utils.tensorboard import SummaryWriter
         except ImportError as error:
             raise ConfigError('outpaint.tensorboard: the package tensorboard is not installed; '
-                              "pip install 'neo_ros[train]', or set it to false") from error
+                              "pip install '.[train]' in a checkout, or set it to false"
+                              ) from error
         self._make: Any = SummaryWriter
         self._folder = folder
         self._writer: Optional[Any] = None

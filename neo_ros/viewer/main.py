@@ -40,7 +40,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except ModuleNotFoundError as error:
         if error.name != 'aiohttp':
             raise
-        sys.exit("viewer: aiohttp is not installed: pip install 'neo_ros[viewer]'")
+        sys.exit("viewer: aiohttp is not installed: make setup, or pip install '.[viewer]', in a "
+                 'checkout')
     finally:
         rclpy.try_shutdown()
 
