@@ -18,25 +18,16 @@ from neo_ros.errors import ConfigError, ModelError, NeoError, SceneError
 from neo_ros.experiment import Experiment, ViewConfig
 from neo_ros.field.memory_baking import MemoryConfig
 from neo_ros.field.voxel_field import RadianceField
-from neo_ros.geometry import ViewExpansion
 from neo_ros.memory import scene_memory
 from neo_ros.outpaint.network import NetworkConfig
-from neo_ros.pipeline import fit_field_step, train, TrainingRun
+from neo_ros.pipeline import train, TrainingRun
 from neo_ros.runtime import FovExtrapolator
-from neo_ros.scenes.levelling import read_upright_scene
 from neo_ros.scenes.pose_sampling import SamplingConfig
 from neo_ros.scenes.scene import read_scene
-from neo_ros.training_folder import claim, take_field
 from neo_ros.training_report import _exposed
 import numpy as np
-import onnx
 import pytest
-from tiny_training import TINY, train_tiny
-
-
-def graph_of(run: TrainingRun) -> bytes:
-    """Return the model's graph with its weights, without the card and its times."""
-    return bytes(onnx.load(str(run.model_path)).graph.SerializeToString())
+from tiny_training import graph_of, TINY, train_tiny
 
 
 def test_the_model_loads_with_a_complete_card(tiny_run: TrainingRun) -> None:
@@ -233,30 +224,10 @@ def test_settings_that_cannot_end_well_are_refused_at_once(
     assert not (tmp_path / 'out').exists()
 
 
-def test_a_folder_holds_one_run(tiny_run: TrainingRun) -> None:
-    scene = tiny_run.out.parent / 'scene'
-    before = {path: path.stat().st_mtime_ns for path in tiny_run.out.iterdir()}
-    with pytest.raises(ConfigError, match='settings.* got a run of .*choose another'):
-        train(scene, replace(TINY, seed=4), tiny_run.out)
-    assert {path: path.stat().st_mtime_ns for path in tiny_run.out.iterdir()} == before
-
-
 def test_a_folder_of_another_scene_is_refused(tiny_run: TrainingRun, tmp_path: Path) -> None:
     shutil.copytree(tiny_run.out.parent / 'scene', tmp_path / 'kitchen')
     with pytest.raises(ConfigError, match="a run of .*'kitchen'.* got a run of .*'scene'"):
         train(tmp_path / 'kitchen', TINY, tiny_run.out)
-
-
-@pytest.mark.parametrize('name, content, message', [
-    ('holiday.jpg', b'', 'expected an empty folder or an earlier run; it holds other files'),
-    ('run.json', b'', 'run.json: expected the note of an earlier run'),
-    ('run.json', b'[1]', r'run.json: expected the note of an earlier run: got \[1\]'),
-], ids=['other files', 'empty note', 'strange note'])
-def test_folders_of_other_things_are_refused(
-        tiny_run: TrainingRun, tmp_path: Path, name: str, content: bytes, message: str) -> None:
-    (tmp_path / name).write_bytes(content)
-    with pytest.raises(ConfigError, match=message):
-        train(tiny_run.out.parent / 'scene', TINY, tmp_path)
 
 
 def test_missing_notes_of_a_field_say_what_to_do(tiny_run: TrainingRun, tmp_path: Path) -> None:
@@ -322,54 +293,6 @@ def test_another_memory_needs_no_other_training(
     smaller, larger = (folder / 'scene.memory' for folder in (out, tiny_run.out))
     assert smaller.stat().st_size < larger.stat().st_size
     assert not (out / 'memory_work').exists()
-
-
-def test_the_field_of_another_run_is_taken_if_it_is_of_the_same(
-        tiny_run: TrainingRun, tmp_path: Path) -> None:
-    scene, stages = tiny_run.out.parent / 'scene', set()
-    slower = replace(TINY, memory=None, outpaint=replace(TINY.outpaint, learning_rate=1e-3))
-    run = train(scene, slower, tmp_path / 'slower', lambda stage, *rest: stages.add(stage),
-                field_of=tiny_run.out)
-    assert 'outpainter' in stages and 'field' not in stages
-    assert run.log['field'] == tiny_run.log['field'] and graph_of(run) != graph_of(tiny_run)
-    # Without its field it would be another run's network.
-    (run.out / 'field.npz').unlink()
-    take_field(run.out, run.scene, slower, tiny_run.out)
-    assert not (run.out / 'outpainter.ckpt').exists()
-    for other, message in ((replace(slower, seed=9), 'got one of other field'),
-                           (replace(slower, scale=0.5), 'got one of other field')):
-        with pytest.raises(ConfigError, match=message):
-            train(scene, other, tmp_path / f'{other.seed} {other.scale}', field_of=tiny_run.out)
-    (run.out / 'field.npz').unlink()
-    with pytest.raises(ConfigError, match='got one of no finished field'):
-        train(scene, slower, tmp_path / 'again', field_of=run.out)
-    with pytest.raises(ConfigError, match='run.json: expected the note of an earlier run'):
-        train(scene, slower, tmp_path / 'again', field_of=tmp_path)
-
-
-def test_another_view_of_the_test_frames_is_another_run(
-        tiny_run: TrainingRun, tmp_path: Path) -> None:
-    scene = shutil.copytree(tiny_run.out.parent / 'scene', tmp_path / 'scene')
-    (scene / 'transforms_test.json').unlink()
-    train_scene = read_upright_scene(scene)
-    claim(tiny_run.out, train_scene, TINY)  # By default the view is the same without them.
-    narrower = TINY.expansion(train_scene.train.intrinsics, None)
-    with pytest.raises(ConfigError, match=r'32x32 at 8, 16 in 48x64.* got a run of .*in 64x64'):
-        claim(tiny_run.out, replace(train_scene, expansion=ViewExpansion.to_size(
-            narrower.source, 48, 64)), TINY)
-
-
-def test_a_new_field_is_not_mixed_with_what_the_old_one_made(
-        tiny_run: TrainingRun, tmp_path: Path) -> None:
-    run = replace(tiny_run, out=shutil.copytree(tiny_run.out, tmp_path / 'out'))
-    (run.out / 'panoramas_3').mkdir()
-    (run.out / 'memory_work').mkdir()
-    for name in ('field.npz', 'field.json'):
-        (run.out / name).unlink()
-    fit_field_step(run)
-    assert (run.out / 'field.npz').exists()
-    for name in ('outpainter.ckpt', 'memory.json', 'panoramas_3', 'memory_work', 'field.ckpt'):
-        assert not (run.out / name).exists()
 
 
 def test_renderings_are_compared_at_the_exposure_of_the_photo() -> None:

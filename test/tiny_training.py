@@ -9,6 +9,7 @@ from neo_ros.outpaint.network import NetworkConfig
 from neo_ros.pipeline import Progress, train, TrainingRun
 from neo_ros.scenes.demo_captures import write_demo_scene
 from neo_ros.scenes.pose_sampling import SamplingConfig
+import onnx
 
 TINY = Experiment(
     seed=3, field=FieldConfig(steps=400, voxels=20_000, pixels_per_step=512, device='cpu'),
@@ -26,3 +27,8 @@ def train_tiny(scene: Path, out: Path, experiment: Experiment = TINY,
                cache_gb: float = 0.0) -> TrainingRun:
     """Train on a scene of `write_tiny_scene`."""
     return train(scene, experiment, out, progress, cache_gb)
+
+
+def graph_of(run: TrainingRun) -> bytes:
+    """Return the model's graph with its weights, without the card and its times."""
+    return bytes(onnx.load(str(run.model_path)).graph.SerializeToString())
