@@ -46,8 +46,8 @@ def memory_step(run: 'TrainingRun', field: RadianceField) -> None:
                         run.fitted.T_world_cam)
         memory = bake_memory(
             field, photos, run.expansion, make_sampler(run, field), config, run.experiment.seed,
-            lambda done, total: run.progress('memory', done, total, ''),
-            run.out / WORK / f'keyframes_{config.distance}')
+            run.out / WORK / f'keyframes_{config.distance}',
+            lambda done, total: run.progress('memory', done, total, ''))
         memory.landmarks = landmarks
         memory.write(path)
         seconds = time.monotonic() - started

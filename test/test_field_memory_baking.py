@@ -157,7 +157,7 @@ def stand_in_field(field: RadianceField, origin: np.ndarray, rays: np.ndarray) -
                      np.ones(depth.shape, np.float32), (rays[..., 2] > -0.8).astype(np.float32))
 
 
-def bake_with_post(work: Path | None = None) -> SceneMemory:
+def bake_with_post(work: Path) -> SceneMemory:
     """Bake one keyframe of the room with the post from photos around it."""
     poses = [planar(2.1, 1.95, yaw).T_world_cam for yaw in range(0, 360, 45)]
     photos = Photos(np.stack([(PHOTO_GAIN * look(T, PHOTO)).astype(np.uint8) for T in poses]),
@@ -167,12 +167,12 @@ def bake_with_post(work: Path | None = None) -> SceneMemory:
     field = RadianceField.empty(8, POSITION, np.ones(3), 0.2, 0)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(memory_baking, 'render_rays', stand_in_field)
-        return bake_memory(field, photos, EXPANSION, sampler, MemoryConfig(), 0, work=work)
+        return bake_memory(field, photos, EXPANSION, sampler, MemoryConfig(), 0, work)
 
 
 @pytest.fixture(scope='module')
-def baked() -> SceneMemory:
-    return bake_with_post()
+def baked(tmp_path_factory: pytest.TempPathFactory) -> SceneMemory:
+    return bake_with_post(tmp_path_factory.mktemp('baked'))
 
 
 def test_finished_keyframes_are_not_baked_again(

@@ -57,13 +57,12 @@ class Photos:
 
 
 def bake_memory(field: RadianceField, photos: Photos, expansion: ViewExpansion,
-                sampler: PoseSampler, config: MemoryConfig, seed: int,
-                progress: Callable[[int, int], None] = lambda done, total: None,
-                work: Optional[Path] = None) -> SceneMemory:
+                sampler: PoseSampler, config: MemoryConfig, seed: int, work: Path,
+                progress: Callable[[int, int], None] = lambda done, total: None) -> SceneMemory:
     """
     Render and colour the keyframes of `keyframe_positions`, and take glances from them.
 
-    Where there is a folder `work`, finished keyframes lie in it, and are not made again.
+    Finished keyframes lie in the folder `work`, and are not made again.
     """
     random = np.random.default_rng([seed, 3])
     band = view_band(expansion.target,
@@ -79,17 +78,16 @@ def bake_memory(field: RadianceField, photos: Photos, expansion: ViewExpansion,
         progress(index + 1, total)
     frames: list[tuple[bytes, bytes, Glances]] = []
     for index, position in enumerate(positions):
-        kept = work / f'{index:06d}.npz' if work is not None else None
-        finished = None if kept is None else _read_finished(kept)
-        if finished is None:
+        path = work / f'{index:06d}.npz'
+        frame = _read_finished(path)
+        if frame is None:
             # One is 70 MB for a camera of 640 pixels: it is compressed at once.
             keyframe = _bake_keyframe(field, photos, seen, np.stack(gains), position, band,
                                       expansion.target.fx)
-            seen_there = keyframe_glances([keyframe], band, expansion.source, _headings(sampler))
-            finished = (*compress(keyframe), seen_there)
-            if kept is not None:
-                _write_finished(kept, *finished)
-        frames.append(finished)
+            frame = (*compress(keyframe), keyframe_glances(
+                [keyframe], band, expansion.source, _headings(sampler)))
+            _write_finished(path, *frame)
+        frames.append(frame)
         progress(len(photos.images) + index + 1, total)
     textures, depths, glances = zip(*frames)
     glances = (*glances, _photo_glances(photos, expansion.source))
