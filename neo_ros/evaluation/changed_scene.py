@@ -4,8 +4,8 @@ What happens where the camera contradicts what the model remembers: the flat wit
     python -m neo_ros.evaluation.changed_scene models/demo_flat.onnx
 
 Renders walks before and after somebody moved four chairs and widens both. Prints, over
-the frames in which a change crosses the border of the camera's view: whether the pose holds, and
-whether the confidence falls where the wide image is now wrong.
+the frames in which a change crosses the border of the camera's view: whether the pose holds, how
+much of the change the wide image shows, and whether the confidence falls where it is now wrong.
 """
 from dataclasses import asdict, dataclass
 import json
@@ -33,13 +33,16 @@ class ChangeScores:
     Means over the frames with a change across the seam.
 
     guided: share of the frames. unchanged_psnr: of the ring where nothing changed, dB, before
-    and after. confidence: 0 ... 255 in the changed part of the ring near the seam, before and
-    after. auroc: how well the confidence tells changed from unchanged pixels there.
+    and after; changed_psnr: of the rest, after. wrong: share of what changed near the seam that
+    the wide image does not show. confidence: 0 ... 255 in that, before and after. auroc: how well
+    the confidence tells it from unchanged pixels there.
     """
 
     frames: int
     guided: float
     unchanged_psnr: tuple[float, float]
+    changed_psnr: float
+    wrong: float
     confidence: tuple[float, float]
     auroc: float
 
@@ -52,21 +55,27 @@ def score_change(extrapolator: FovExtrapolator, walks: list[list[CameraPose]]) -
     expansion = extrapolator.expansion
     ring = expansion.extrapolated_mask
     near = _near_seam(expansion.observed, ring.shape, NEAR_SEAM * expansion.source.width)
-    rows, ranked = [], []
+    rows, shares, confidence, ranked = [], [], [], []
     for (truth, wide, sure, _), (new_truth, new_wide, new_sure, guided) in pairs:
         changed = np.abs(new_truth.astype(float) - truth).mean(-1) > CHANGED
         sides = (changed & near & ring, changed & near & ~ring)
         if min(side.sum() for side in sides) < LEAST_PIXELS:
             continue
-        outside, same = sides[0], ring & ~changed
+        same, outside = ring & ~changed, ring & changed
         rows.append((guided, psnr(truth[same], wide[same]), psnr(new_truth[same], new_wide[same]),
-                     sure[outside].mean(), new_sure[outside].mean()))
-        ranked.append(auroc(255.0 - new_sure[outside], 255.0 - new_sure[near & same]))
-    if not rows:
+                     psnr(new_truth[outside], new_wide[outside])))
+        wrong = sides[0] & (np.abs(new_wide.astype(float) - new_truth).mean(-1) > CHANGED)
+        shares.append(wrong.sum() / sides[0].sum())
+        if wrong.sum() < LEAST_PIXELS:
+            continue
+        confidence.append((sure[wrong].mean(), new_sure[wrong].mean()))
+        ranked.append(auroc(255.0 - new_sure[wrong], 255.0 - new_sure[near & same]))
+    if not ranked:
         raise ValueError('walks: no frame shows a moved chair across the border of its view')
-    guided, psnr_before, psnr_after, sure_before, sure_after = np.mean(rows, 0).tolist()
-    return ChangeScores(len(rows), guided, (psnr_before, psnr_after), (sure_before, sure_after),
-                        float(np.mean(ranked)))
+    guided, psnr_before, psnr_after, changed_psnr = np.mean(rows, 0).tolist()
+    sure_before, sure_after = np.mean(confidence, 0).tolist()
+    return ChangeScores(len(rows), guided, (psnr_before, psnr_after), changed_psnr,
+                        float(np.mean(shares)), (sure_before, sure_after), float(np.mean(ranked)))
 
 
 def _walk(extrapolator: FovExtrapolator, flat: DemoFlat, walks: list[list[CameraPose]]

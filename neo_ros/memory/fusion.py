@@ -18,6 +18,8 @@ MOST_HEALED = 24.0
 SEAM, CONTRADICTED, CONTRADICTION = 0.35, 0.65, 10.0
 SLOPE = 0.37
 STRETCHED = 4.4
+# And where the last images tell, instead of the seam: so much of what they differ.
+SEEN_BEFORE = 0.5
 LEAST_ERROR = 1.0
 # Gaps are filled from their surroundings, over squares of these sides, pixels: the smallest first,
 # the largest for the gaps in the largest view that a model may have.
@@ -40,6 +42,11 @@ def fuse(image: np.ndarray, guide: Guide, network_image: np.ndarray | None,
     inside = guide.known[rows, columns]
     difference = cv2.subtract(image, guide.image[rows, columns], dtype=cv2.CV_32F)
     correction, error = _carried_outward(difference, inside, expansion)
+    if guide.seen_before is not None:
+        seen, weight = guide.seen_before
+        correction = correction * (1 - weight[..., None]) + seen
+        error *= 1 - weight
+        error += SEEN_BEFORE * np.abs(seen).mean(-1) + LEAST_ERROR * weight
     wide = cv2.add(guide.image, correction, dtype=cv2.CV_8U)
     unknown = ~guide.known
     if network_image is not None:

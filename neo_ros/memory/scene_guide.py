@@ -11,6 +11,7 @@ from neo_ros.memory.alignment import agreement, Aligner, PhotoLevel
 from neo_ros.memory.compiled import ALL_THREADS
 from neo_ros.memory.landmarks import Location, Locator
 from neo_ros.memory.local_features import Features
+from neo_ros.memory.recent_images import RecentImages, SeenBefore
 from neo_ros.memory.rendering import GuideView, MemoryRenderer
 from neo_ros.memory.scene_memory import SceneMemory
 from numba import get_num_threads, set_num_threads
@@ -55,7 +56,8 @@ class Guide:
     What the memory shows in the wide view of an image.
 
     image float32 RGB (H, W, 3) in 0 ... 255, in the exposure of the image; known, stretched bool
-    (H, W), see GuideView; pose of the camera; agreement of memory and image in [-1, 1].
+    (H, W), see GuideView; pose of the camera; agreement of memory and image in [-1, 1]; seen
+    before: where the last images knew better than the memory, None where none did.
     """
 
     image: np.ndarray
@@ -63,6 +65,7 @@ class Guide:
     stretched: np.ndarray
     pose: CameraPose
     agreement: float
+    seen_before: SeenBefore | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +98,7 @@ class SceneGuide:
         self._threads = min(threads or ALL_THREADS, ALL_THREADS)
         self.renderer = MemoryRenderer(memory)
         self.aligner = Aligner(self.renderer, expansion.source)
+        self._recent = RecentImages(expansion)
         self._locator = (None if memory.landmarks is None
                          else Locator(memory.landmarks, expansion.source))
         pictures = memory.glances.pictures
@@ -105,6 +109,7 @@ class SceneGuide:
 
     def reset(self) -> None:
         """Forget the frames so far."""
+        self._recent.forget()
         self._last: CameraPose | None = None
         self._motion = np.eye(4)
         self._since_search, self._since_landmarks = SEARCH_EVERY, LANDMARKS_EVERY
@@ -132,9 +137,12 @@ class SceneGuide:
         self._motion = (last.inverse() @ best.pose.T_world_cam
                         if last is not None and best is followed else np.eye(4))
         self._last = best.pose
-        known = best.view.depth > 0
-        self._expose(best.view.image, known, image)
-        return Guide(best.view.image, known, best.view.stretched, best.pose, best.agreement)
+        view, known = best.view, best.view.depth > 0
+        gain = self._expose(view.image, known, image)
+        solid = np.where(view.stretched, 0, view.depth)
+        seen_before = self._recent.bring(solid, best.pose, gain)
+        self._recent.keep(image, view.image, solid, best.pose, gain)
+        return Guide(view.image, known, view.stretched, best.pose, best.agreement, seen_before)
 
     def _search_is_due(self, best: Sight | None) -> bool:
         if best is None:
@@ -150,7 +158,10 @@ class SceneGuide:
             view = self.renderer.render(pose, self.expansion.source, SHOWN)
             photo = self.aligner.photo(view.image)
             self.aligner.align(photo, pose, rounds=1)
-            self.aligner.agreement(photo, pose)
+            wide = self._look(photo, pose).view
+            shown = (wide.depth, pose, np.ones(3, np.float32))
+            self._recent.keep(self.expansion.crop(wide.image).astype(np.uint8), wide.image, *shown)
+            self._recent.bring(*shown)
         self.reset()
 
     def _follow(self, image: np.ndarray, photo: list[PhotoLevel], last: CameraPose) -> Sight:
@@ -248,8 +259,8 @@ class SceneGuide:
                     break
         return chosen
 
-    def _expose(self, guide: np.ndarray, known: np.ndarray, image: np.ndarray) -> None:
-        """Give the guide, float32 RGB (H, W, 3), brightness and colour balance of the image."""
+    def _expose(self, guide: np.ndarray, known: np.ndarray, image: np.ndarray) -> np.ndarray:
+        """Give the guide, float32 RGB (H, W, 3), the image's exposure; return the gain (3,)."""
         rows, columns = self.expansion.observed
         every = max(image.shape[1] // SAMPLES, 1)
         some = (slice(None, None, every), slice(None, None, every))
@@ -259,6 +270,7 @@ class SceneGuide:
         line = guide.reshape(len(guide), -1)
         line *= np.tile(gain, guide.shape[1])
         np.minimum(line, 255, out=line)
+        return gain
 
 
 @contextmanager

@@ -1,0 +1,122 @@
+"""What the camera has just seen, and looks past now: the last images correct the memory."""
+from typing import NamedTuple
+
+import cv2
+from neo_ros.geometry import CameraPose, ViewExpansion
+from neo_ros.memory.alignment import FINEST
+from neo_ros.memory.recent_kernels import bring_differences
+import numpy as np
+
+# Images that are kept. A new one is kept beside the one before if surfaces have moved by this
+# share of its width; otherwise in its place.
+KEPT = 8
+MOVED = 0.1
+# Images after which what was seen is forgotten: nobody knows whether it is still there.
+FORGOTTEN = 150
+# Grey levels by which image and memory differ where the image is no longer trusted: there may be
+# somebody who moves. The mean over squares of so many pixels counts.
+UNTRUSTED, AROUND = 24.0, 9
+# Of an image whose Laplacian is this much weaker than the memory's only coarse differences count,
+# smoothed by so many pixels: what it does not show because it is blurred is still there.
+BLURRED, COARSE = 0.75, 2.0
+
+
+class SeenBefore(NamedTuple):
+    """
+    By how much the last images differ from the memory, in the wide view of the present one.
+
+    weight float32 (H, W) in [0, 1], 0 where none of them saw the surface; difference float32
+    (H, W, 3), grey levels in the exposure of the present image, times the weight.
+    """
+
+    difference: np.ndarray
+    weight: np.ndarray
+
+
+class RecentImages:
+    """The last images of one camera that follows a scene memory, at most `FINEST` pixels wide."""
+
+    def __init__(self, expansion: ViewExpansion) -> None:
+        scale = min(1.0, FINEST / expansion.source.width)
+        self._source, self._target = expansion.source.scaled(scale), expansion.target.scaled(scale)
+        self._observed = expansion.observed
+        self._size = (expansion.target.width, expansion.target.height)
+        self._rays = self._target.pixel_rays()
+        self._ring = cv2.resize(expansion.extrapolated_mask.view(np.uint8),
+                                (self._target.width, self._target.height),
+                                interpolation=cv2.INTER_NEAREST_EXACT)
+        shape = (KEPT, self._source.height, self._source.width)
+        self._differences = np.zeros((*shape, 3), np.float32)
+        self._depths, self._trusts = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+        self._poses = [CameraPose(np.eye(4))] * KEPT
+        self._gains, self._numbers = np.ones((KEPT, 3), np.float32), [0] * KEPT
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget all images."""
+        self._order: list[int] = []  # The newest first.
+        self._number = 0
+
+    def keep(self, image: np.ndarray, shown: np.ndarray, depth: np.ndarray, pose: CameraPose,
+             gain: np.ndarray) -> None:
+        """
+        Keep an image, uint8 RGB (h, w, 3), of this pose.
+
+        shown, depth: what the memory shows in its wide view, float32 RGB (H, W, 3) in the image's
+        exposure, which is the memory's times gain (3,), and float32 (H, W) metres, 0 = unknown.
+        """
+        self._number += 1
+        if len(self._order) > 1 and self._moved(*self._order[:2]) < MOVED:
+            slot = self._order.pop(0)
+        else:
+            slot = self._order.pop() if len(self._order) == KEPT else len(self._order)
+        self._order.insert(0, slot)
+        size = (self._source.width, self._source.height)
+        now, remembered = (cv2.resize(picture.astype(np.float32), size,
+                                      interpolation=cv2.INTER_AREA)
+                           for picture in (image, shown[self._observed]))
+        difference: np.ndarray = now - remembered
+        if _sharpness(now) < BLURRED * _sharpness(remembered):
+            difference = cv2.GaussianBlur(difference, (0, 0), COARSE)
+        self._differences[slot] = difference
+        self._depths[slot] = cv2.resize(depth[self._observed], size,
+                                        interpolation=cv2.INTER_NEAREST_EXACT)
+        largest = cv2.blur(np.abs(difference).max(-1), (AROUND, AROUND))
+        self._trusts[slot] = np.clip(2 * (1 - largest / UNTRUSTED), 0, 1)
+        self._poses[slot], self._gains[slot], self._numbers[slot] = pose, gain, self._number
+
+    def _moved(self, one: int, other: int) -> float:
+        """Return by which share of the width surfaces move from one kept image to another."""
+        T = self._poses[one].inverse() @ self._poses[other].T_world_cam
+        known = self._depths[one][self._depths[one] > 0]
+        away = float(np.median(known)) if len(known) else 1.0
+        angle = np.arccos(np.clip((np.trace(T[:3, :3]) - 1) / 2, -1, 1))
+        return float((np.linalg.norm(T[:3, 3]) / away + angle)
+                     * self._source.fx / self._source.width)
+
+    def bring(self, depth: np.ndarray, pose: CameraPose, gain: np.ndarray) -> SeenBefore | None:
+        """Show what they saw in the wide view from a pose; None: nothing. Arguments as `keep`."""
+        self._order = [slot for slot in self._order
+                       if self._number - self._numbers[slot] < FORGOTTEN]
+        if not self._order:
+            return None
+        size = (self._target.width, self._target.height)
+        small = cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST_EXACT) * self._ring
+        T = np.stack([self._poses[slot].inverse() @ pose.T_world_cam for slot in self._order])
+        brought = np.empty((*small.shape, 3), np.float32)
+        weight = np.empty(small.shape, np.float32)
+        camera = self._source
+        bring_differences(
+            self._rays, small, np.array(self._order), T[:, :3, :3].astype(np.float32),
+            T[:, :3, 3].astype(np.float32), gain / self._gains[self._order],
+            np.float32(camera.fx), np.float32(camera.fy), np.float32(camera.cx),
+            np.float32(camera.cy), self._differences, self._depths, self._trusts, brought, weight)
+        if size == self._size:
+            return SeenBefore(brought, weight)
+        return SeenBefore(cv2.resize(brought, self._size, interpolation=cv2.INTER_LINEAR),
+                          cv2.resize(weight, self._size, interpolation=cv2.INTER_LINEAR))
+
+
+def _sharpness(image: np.ndarray) -> float:
+    """Return how much an image, float32 (h, w, 3), changes between neighbours."""
+    return float(cv2.Laplacian(image, cv2.CV_32F).std())

@@ -1,0 +1,84 @@
+"""The compiled loop that brings what the last images showed into the present wide view."""
+from neo_ros.memory.compiled import njit
+from neo_ros.memory.kernels import CLOSEST, FAST
+from numba import prange
+import numpy as np
+
+# A surface counts as seen by an image if the depth there is the same within this share.
+SAME_DEPTH = 0.03
+# Beside the border of an image it counts less, over so many pixels.
+FEATHER = np.float32(4)
+# Two images that differ by so many grey levels from one another contradict each other.
+CONTRADICTING = np.float32(12)
+# What one image adds, as a share of what is still open: the memory is an estimate, too.
+SHARE = np.float32(0.6)
+ENOUGH = np.float32(0.98)
+
+
+@njit(parallel=True, **FAST)
+def bring_differences(rays, depth, order, R, t, gains, fx, fy, cx, cy, differences, depths,
+                      trusts, brought, weight):
+    """
+    Look up, for every pixel of a view, how images that saw its surface differed from the memory.
+
+    rays (H, W, 3) of the view, z = 1; depth (H, W) metres, 0 = not asked for. order (n,): which
+    of the N images, the newest first; R (n, 3, 3), t (n, 3) from the view to them; gains (n, 3)
+    from their exposure to the view's. fx to cy: their camera. differences (N, h, w, 3) grey
+    levels; depths (N, h, w) metres, 0 = unknown; trusts (N, h, w) in [0, 1]. A difference that
+    is not trusted counts where another image, from another pose, has the same.
+    Fills weight (H, W) in [0, 1] and brought (H, W, 3), the mean difference times the weight.
+    """
+    images, height, width = len(order), depths.shape[1], depths.shape[2]
+    zero, half, one = np.float32(0), np.float32(0.5), np.float32(1)
+    for y in prange(depth.shape[0]):
+        found = np.empty((images, 3), np.float32)
+        shares, sure = np.empty(images, np.float32), np.empty(images, np.float32)
+        for x in range(depth.shape[1]):
+            weight[y, x] = 0
+            for c in range(3):
+                brought[y, x, c] = 0
+            d = depth[y, x]
+            if d <= 0:
+                continue
+            px, py, pz = rays[y, x, 0] * d, rays[y, x, 1] * d, rays[y, x, 2] * d
+            count = 0
+            for k in range(images):
+                z = R[k, 2, 0] * px + R[k, 2, 1] * py + R[k, 2, 2] * pz + t[k, 2]
+                if z < CLOSEST:
+                    continue
+                u = fx * (R[k, 0, 0] * px + R[k, 0, 1] * py + R[k, 0, 2] * pz + t[k, 0]) / z + cx
+                v = fy * (R[k, 1, 0] * px + R[k, 1, 1] * py + R[k, 1, 2] * pz + t[k, 1]) / z + cy
+                inside = min(min(u, width - u), min(v, height - v)) - half
+                if not inside > 0:
+                    continue
+                own = order[k]
+                if abs(depths[own, int(v), int(u)] - z) > SAME_DEPTH * z:
+                    continue
+                shares[count] = min(inside / FEATHER, one)
+                sure[count] = trusts[own, int(v), int(u)]
+                x0, y0 = min(int(u - half), width - 2), min(int(v - half), height - 2)
+                ax, ay = u - half - x0, v - half - y0
+                for c in range(3):
+                    top = (one - ax) * differences[own, y0, x0, c] \
+                        + ax * differences[own, y0, x0 + 1, c]
+                    low = (one - ax) * differences[own, y0 + 1, x0, c] \
+                        + ax * differences[own, y0 + 1, x0 + 1, c]
+                    found[count, c] = gains[k, c] * ((one - ay) * top + ay * low)
+                count += 1
+            total = zero
+            for k in range(count):
+                trust = sure[k]
+                for other in range(count):
+                    if trust < 1 and other != k:
+                        apart = zero
+                        for c in range(3):
+                            apart = max(apart, abs(found[k, c] - found[other, c]))
+                        same = min(one, 2 * max(one - apart / CONTRADICTING, zero))
+                        trust = max(trust, shares[other] * same)
+                share = SHARE * shares[k] * trust * (one - total)
+                total += share
+                for c in range(3):
+                    brought[y, x, c] += share * found[k, c]
+                if total > ENOUGH:
+                    break
+            weight[y, x] = total

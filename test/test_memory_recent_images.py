@@ -1,0 +1,182 @@
+"""What the camera has just seen beside its present view."""
+from typing import Any
+
+from box_room import box_memory, EXPANSION, planar, SOURCE, view
+import cv2
+from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
+from neo_ros.memory import recent_images
+from neo_ros.memory.compiled import ALL_THREADS
+from neo_ros.memory.guided_view import GuidedView
+from neo_ros.memory.recent_images import RecentImages, SeenBefore
+from neo_ros.memory.scene_guide import SceneGuide
+import numpy as np
+import pytest
+
+BEFORE, NOW = planar(1.9, 1.7, 35), planar(1.95, 1.7, 60)
+RING = EXPANSION.extrapolated_mask
+ONE = np.ones(3, np.float32)
+GREY = np.full((128, 128, 3), 100, np.float32)
+
+
+def depth_at(pose: CameraPose, camera: Intrinsics = EXPANSION.target) -> np.ndarray:
+    return view(pose, camera)[1].astype(np.float32)
+
+
+def keep(recent: RecentImages, pose: CameraPose, difference: Any, gain: float = 1.0) -> None:
+    """Keep an image that is brighter than the memory's grey by so much, a number or (h, w)."""
+    image = EXPANSION.crop(GREY) + np.broadcast_to(difference, (64, 64))[..., None]
+    recent.keep(image.astype(np.uint8), GREY, depth_at(pose), pose, gain * ONE)
+
+
+def shows(pose: CameraPose, seen_from: CameraPose, border: float) -> np.ndarray:
+    """Return which pixels of a wide view, bool (H, W), another image shows, but for its border."""
+    points = EXPANSION.target.pixel_rays() * depth_at(pose)[..., None]
+    T = seen_from.inverse() @ pose.T_world_cam
+    there = points @ T[:3, :3].T + T[:3, 3]
+    where = np.nan_to_num(SOURCE.project(there), nan=-1e3)
+    return ((where > border) & (where < 64 - border)).all(-1) & (there[..., 2] > 0)
+
+
+def brought(recent: RecentImages, pose: CameraPose = NOW) -> SeenBefore:
+    seen = recent.bring(depth_at(pose), pose, ONE)
+    assert seen is not None
+    return seen
+
+
+def test_a_difference_is_shown_where_its_surface_is_now() -> None:
+    recent = RecentImages(EXPANSION)
+    assert recent.bring(depth_at(NOW), NOW, ONE) is None
+    keep(recent, BEFORE, np.tile(np.arange(64) // 6, (64, 1)))
+    difference, weight = brought(recent)
+    inside, around = (shows(NOW, BEFORE, border) & RING for border in (6, -1))
+    assert inside.sum() > 500
+    assert (weight[inside] > 0.5).mean() > 0.97  # Depth is looked up to the pixel.
+    assert np.all(weight[~around] == 0)
+    inside &= weight > 0
+    # By the column in which the surface was.
+    points = EXPANSION.target.pixel_rays() * depth_at(NOW)[..., None]
+    T = BEFORE.inverse() @ NOW.T_world_cam
+    columns = SOURCE.project(points @ T[:3, :3].T + T[:3, 3])[..., 0]
+    error = difference[..., 0][inside] / weight[inside] - columns[inside] / 6
+    assert np.abs(error).max() < 1.2
+
+
+def test_what_is_hidden_from_there_is_not_shown() -> None:
+    recent = RecentImages(EXPANSION)
+    recent.keep(EXPANSION.crop(GREY).astype(np.uint8), GREY, 0.5 * depth_at(BEFORE), BEFORE, ONE)
+    assert not brought(recent).weight.any()
+
+
+@pytest.mark.parametrize('second, trusted', [
+    (None, False), (60, True), (-60, False)], ids=['seen once', 'seen twice', 'contradicted'])
+def test_a_large_difference_has_to_be_seen_from_two_poses(second: int | None, trusted: bool
+                                                          ) -> None:
+    recent = RecentImages(EXPANSION)
+    keep(recent, BEFORE, 60)
+    if second is not None:
+        keep(recent, planar(1.9, 1.7, 47), second)
+    weight = brought(recent).weight
+    assert (weight > 0.3).any() == weight.any() == trusted
+
+
+def test_a_difference_is_brought_to_the_present_exposure() -> None:
+    recent = RecentImages(EXPANSION)
+    keep(recent, BEFORE, 8, gain=0.5)
+    difference, weight = brought(recent)
+    assert difference[weight > 0] / weight[weight > 0][:, None] == pytest.approx(16, abs=1e-3)
+
+
+def test_a_blurred_image_takes_no_detail_away() -> None:
+    detailed = 10 + 0.8 * view(BEFORE, EXPANSION.target)[0].astype(np.float32)
+    detailed[::2] += 8
+    blurred = cv2.GaussianBlur(detailed, (0, 0), 1.5)
+    brings = []
+    for image, memory in ((detailed, blurred), (blurred, detailed)):
+        recent = RecentImages(EXPANSION)
+        recent.keep(EXPANSION.crop(image).astype(np.uint8), memory, depth_at(BEFORE), BEFORE, ONE)
+        seen = brought(recent)
+        assert seen.weight.any()
+        brings.append(np.abs(seen.difference)[seen.weight > 0].mean())
+    assert brings[1] < 0.7 * brings[0]  # The two differ by as much.
+
+
+def test_a_standing_camera_keeps_its_last_image_alone() -> None:
+    recent = RecentImages(EXPANSION)
+    for difference in (0, 2, 4, 6):
+        keep(recent, BEFORE, difference)
+    seen = brought(recent)
+    # The first one and the last one: the new one counts more.
+    sure = seen.weight > 0.8
+    assert (seen.difference[sure] / seen.weight[sure][:, None]).mean() == pytest.approx(
+        6 * 0.6 / 0.84, abs=0.01)
+
+
+def test_only_so_many_images_are_kept_and_none_for_long(monkeypatch: pytest.MonkeyPatch) -> None:
+    recent = RecentImages(EXPANSION)
+    for step in range(3 * recent_images.KEPT):
+        keep(recent, planar(1.9, 1.7, 35 + 15 * step), 5)
+    assert len(recent._order) == recent_images.KEPT
+    recent.forget()
+    assert recent.bring(depth_at(NOW), NOW, ONE) is None
+    monkeypatch.setattr(recent_images, 'FORGOTTEN', 3)
+    keep(recent, BEFORE, 5)
+    keep(recent, NOW, 5)
+    assert brought(recent).weight.any()
+    for _ in range(2):
+        keep(recent, NOW, 5)
+    assert not brought(recent).weight.any()
+
+
+def test_a_large_camera_is_followed_at_less_resolution() -> None:
+    large = ViewExpansion.to_size(Intrinsics.from_hfov(300, 200, np.pi / 2), 500, 360)
+    recent = RecentImages(large)
+    grey = np.full((360, 500, 3), 100, np.float32)
+    recent.keep(np.full((200, 300, 3), 107, np.uint8), grey, depth_at(BEFORE, large.target),
+                BEFORE, ONE)
+    seen = recent.bring(depth_at(NOW, large.target), NOW, ONE)
+    assert seen is not None and seen.weight.shape == (360, 500)
+    sure = seen.weight > 0.55
+    assert sure.any()
+    assert np.abs(seen.difference[sure] / seen.weight[sure][:, None] - 7).max() < 0.1
+
+
+def painted(pose: CameraPose) -> np.ndarray:
+    """Return the wide view of the room after a part of its walls was painted lighter."""
+    image, depth = view(pose, EXPANSION.target)
+    rays = EXPANSION.target.pixel_rays() @ pose.T_world_cam[:3, :3].T
+    x, y, _ = np.moveaxis(pose.position + rays * depth[..., None], -1, 0)
+    paint = np.exp(-((x - 5) ** 2 + (y - 2.6) ** 2) / 0.3) * 90
+    return np.clip(image + paint[..., None], 0, 255).astype(np.uint8)
+
+
+def test_what_has_changed_is_shown_where_the_camera_has_just_seen_it() -> None:
+    guided = GuidedView(SceneGuide(box_memory(), EXPANSION))
+    for step in range(10):  # It turns away from the new paint.
+        pose = planar(1.9 + 0.01 * step, 1.7, 20 - 7 * step)
+        truth = painted(pose)
+        image = np.ascontiguousarray(EXPANSION.crop(truth))
+        guide = guided.guide(image)
+    assert guide is not None
+    wide, _ = guided.fuse(image, guide, None)
+    changed = RING & (np.abs(truth.astype(int) - view(pose, EXPANSION.target)[0]).max(-1) > 25)
+    assert changed.sum() > 50
+    error = np.abs(wide.astype(int) - truth)[changed].mean()
+    assert error < 0.4 * np.abs(guide.image - truth)[changed].mean()
+    assert np.array_equal(EXPANSION.crop(wide), image)
+    guided.reset()
+    fresh = guided.guide(image)
+    assert fresh is not None and fresh.seen_before is None
+
+
+@pytest.mark.skipif(ALL_THREADS < 2, reason='one processor')
+def test_the_number_of_threads_changes_no_bit() -> None:
+    seen = []
+    for threads in (1, 2):
+        guide = SceneGuide(box_memory(), EXPANSION, threads)
+        for step in range(5):
+            found = guide.guide(np.ascontiguousarray(
+                EXPANSION.crop(painted(planar(1.9, 1.7, 20 - 7 * step)))))
+        assert found is not None and found.seen_before is not None
+        seen.append(found.seen_before)
+    assert seen[0].weight.any()
+    assert all(np.array_equal(one, other) for one, other in zip(*seen))
