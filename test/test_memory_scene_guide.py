@@ -10,7 +10,7 @@ from neo_ros.memory import alignment, scene_guide
 from neo_ros.memory.alignment import agreement, Aligner
 from neo_ros.memory.compiled import ALL_THREADS
 from neo_ros.memory.rendering import GuideView, MemoryRenderer
-from neo_ros.memory.scene_guide import SceneGuide
+from neo_ros.memory.scene_guide import better, SceneGuide, Sight
 from neo_ros.paths import share_dir
 from neo_ros.runtime import FovExtrapolator
 from numba import get_num_threads
@@ -119,6 +119,18 @@ def test_a_kidnapped_camera_is_found_again() -> None:
     elsewhere = planar(3.0, 2.0, 200)
     found = guide.guide(photo_at(elsewhere))
     assert found is not None and apart(found.pose, elsewhere)[0] < 0.03
+
+
+@pytest.mark.parametrize('one, other', [
+    ((True, False, 0.86), (False, False, 0.9)), ((True, True, 0.7), (True, False, 0.95)),
+    ((True, True, 0.9), (True, True, 0.8)), ((True, False, 0.97), (True, False, 0.96))],
+    ids=['believed', 'landmarks', 'agrees more', 'agrees more without landmarks'])
+def test_the_better_of_two_poses(one: tuple[bool, bool, float], other: tuple[bool, bool, float]
+                                 ) -> None:
+    sights = [Sight(TRUE_POSE, MemoryRenderer(MEMORY).render(TRUE_POSE, SOURCE), agrees, believed,
+                    located) for believed, located, agrees in (one, other)]
+    assert better(*sights) is better(*sights[::-1]) is sights[0]
+    assert better(None, sights[1]) is sights[1] and better(sights[1], None) is sights[1]
 
 
 def test_a_jump_is_no_motion(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -44,9 +44,11 @@ def fuse(image: np.ndarray, guide: Guide, network_image: np.ndarray | None,
     correction, error = _carried_outward(difference, inside, expansion)
     if guide.seen_before is not None:
         seen, weight = guide.seen_before
-        correction = correction * (1 - weight[..., None]) + seen
-        error *= 1 - weight
-        error += SEEN_BEFORE * np.abs(seen).mean(-1) + LEAST_ERROR * weight
+        rest = 1 - weight
+        correction = cv2.add(cv2.multiply(correction, cv2.merge([rest] * 3)), seen)
+        error = cv2.add(cv2.multiply(error, rest), cv2.transform(
+            np.abs(seen), np.full((1, 3), SEEN_BEFORE / 3, np.float32)))
+        error = cv2.scaleAdd(weight, LEAST_ERROR, error)
     wide = cv2.add(guide.image, correction, dtype=cv2.CV_8U)
     unknown = ~guide.known
     if network_image is not None:

@@ -56,8 +56,8 @@ class Guide:
     What the memory shows in the wide view of an image.
 
     image float32 RGB (H, W, 3) in 0 ... 255, in the exposure of the image; known, stretched bool
-    (H, W), see GuideView; pose of the camera; agreement of memory and image in [-1, 1]; seen
-    before: where the last images knew better than the memory, None where none did.
+    (H, W), see GuideView; pose of the camera; agreement of memory and image in [-1, 1];
+    seen_before: by how much the last images differ from it, None if none shows any of it.
     """
 
     image: np.ndarray
@@ -73,17 +73,18 @@ class Sight:
     """
     A pose, what the memory shows from it, and how well that agrees with the image.
 
-    believed: good enough to be shown.
+    believed: good enough to be shown; located: landmarks speak for the pose.
     """
 
     pose: CameraPose
     view: GuideView
     agreement: float
     believed: bool
+    located: bool = False
 
-    def rank(self) -> tuple[bool, float]:
+    def rank(self) -> tuple[bool, bool, float]:
         """Return what tells the better of two sights."""
-        return self.believed, self.agreement
+        return self.believed, self.located, self.agreement
 
 
 class SceneGuide:
@@ -287,11 +288,12 @@ def _parallel_loops(threads: int) -> Iterator[None]:
 
 def located(sight: Sight) -> Sight:
     """Return what is seen from a pose that landmarks speak for: believed, unless all differs."""
-    return replace(sight, believed=sight.believed or sight.agreement >= LEAST_LOCATED)
+    return replace(sight, believed=sight.believed or sight.agreement >= LEAST_LOCATED,
+                   located=True)
 
 
 def better(one: Sight | None, other: Sight | None) -> Sight | None:
-    """Return the sight that is believed, or else the one that agrees more with the image."""
+    """Return the one that is believed; of such, that landmarks speak for; then, agrees more."""
     if one is None or other is None:
         return one or other
     return max(one, other, key=Sight.rank)
