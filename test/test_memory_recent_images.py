@@ -4,7 +4,7 @@ from typing import Any
 from box_room import box_memory, EXPANSION, planar, SOURCE, view
 import cv2
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
-from neo_ros.memory import recent_images
+from neo_ros.memory import recent_images, scene_guide
 from neo_ros.memory.compiled import ALL_THREADS
 from neo_ros.memory.guided_view import GuidedView
 from neo_ros.memory.recent_images import RecentImages, SeenBefore
@@ -166,6 +166,19 @@ def test_what_has_changed_is_shown_where_the_camera_has_just_seen_it() -> None:
     guided.reset()
     fresh = guided.guide(image)
     assert fresh is not None and fresh.seen_before is None
+
+
+def test_a_camera_that_was_lost_begins_anew() -> None:
+    guide = SceneGuide(box_memory(), EXPANSION)
+    images = [np.ascontiguousarray(EXPANSION.crop(painted(planar(1.9, 1.7, 20 - 7 * step))))
+              for step in range(3)]
+    seen = [guide.guide(image) for image in images]
+    assert seen[2] is not None and seen[2].seen_before is not None
+    noise = np.random.default_rng(0).integers(0, 256, images[0].shape).astype(np.uint8)
+    assert guide.guide(noise) is None
+    found = [guide.guide(images[2]) for _ in range(scene_guide.SEARCH_EVERY)]
+    first = next(one for one in found if one is not None)
+    assert first.seen_before is None
 
 
 @pytest.mark.skipif(ALL_THREADS < 2, reason='one processor')

@@ -45,10 +45,10 @@ def fuse(image: np.ndarray, guide: Guide, network_image: np.ndarray | None,
     if guide.seen_before is not None:
         seen, weight = guide.seen_before
         rest = 1 - weight
-        correction = cv2.add(cv2.multiply(correction, cv2.merge([rest] * 3)), seen)
-        error = cv2.add(cv2.multiply(error, rest), cv2.transform(
-            np.abs(seen), np.full((1, 3), SEEN_BEFORE / 3, np.float32)))
-        error = cv2.scaleAdd(weight, LEAST_ERROR, error)
+        correction = cv2.multiply(correction, cv2.merge([rest] * 3))
+        cv2.add(correction, seen, dst=correction)
+        size = cv2.transform(np.abs(seen), np.full((1, 3), SEEN_BEFORE / 3, np.float32))
+        error = cv2.scaleAdd(weight, LEAST_ERROR, cv2.add(cv2.multiply(error, rest), size))
     wide = cv2.add(guide.image, correction, dtype=cv2.CV_8U)
     unknown = ~guide.known
     if network_image is not None:

@@ -72,9 +72,8 @@ class RecentImages:
             slot = self._order.pop() if len(self._order) == KEPT else len(self._order)
         self._order.insert(0, slot)
         size = (self._source.width, self._source.height)
-        now, remembered = (cv2.resize(picture.astype(np.float32), size,
-                                      interpolation=cv2.INTER_AREA)
-                           for picture in (image, shown[self._observed]))
+        now = cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.float32)
+        remembered = cv2.resize(shown[self._observed], size, interpolation=cv2.INTER_AREA)
         difference: np.ndarray = now - remembered
         if _sharpness(now) < BLURRED * _sharpness(remembered):
             difference = cv2.GaussianBlur(difference, (0, 0), COARSE)

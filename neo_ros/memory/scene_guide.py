@@ -133,6 +133,7 @@ class SceneGuide:
             best = better(best, self._search(image, photo))
         if best is None or not best.believed:
             self._led = 0
+            self._recent.forget()  # Nobody knows for how long.
             return None
         # What was searched for has not moved there: it was taken there.
         self._motion = (last.inverse() @ best.pose.T_world_cam
