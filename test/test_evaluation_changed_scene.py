@@ -46,3 +46,4 @@ def test_confidence_falls_where_a_chair_was_moved(tmp_path: Path) -> None:
     assert scores.unchanged_psnr[1] > scores.unchanged_psnr[0] - 1
     assert scores.confidence[1] < scores.confidence[0] - 20
     assert scores.auroc > 0.65
+    assert 5 < scores.changed_psnr < scores.unchanged_psnr[1] and 0 < scores.wrong < 1

@@ -1,10 +1,14 @@
 """Fusing camera image, guide and network."""
+from dataclasses import replace
+
 from box_room import box_memory, EXPANSION, planar, view
 from neo_ros.geometry import Intrinsics, ViewExpansion
-from neo_ros.memory.fusion import fuse, LEAST_ERROR
+from neo_ros.memory.fusion import fuse, LEAST_ERROR, SEEN_BEFORE
 from neo_ros.memory.guided_view import GuidedView
+from neo_ros.memory.recent_images import SeenBefore
 from neo_ros.memory.scene_guide import Guide, SceneGuide
 import numpy as np
+import pytest
 
 POSE = planar(1.9, 1.7, 35)
 WIDE = view(POSE, EXPANSION.target)[0]
@@ -94,3 +98,16 @@ def test_confidence_falls_where_the_image_contradicts_the_memory() -> None:
     _, error = fuse(changed, guide_of(WIDE), NETWORK, EXPANSION)
     beside, opposite = error[52:76, 98:104].mean(), error[52:76, 24:30].mean()
     assert beside > 3 * opposite
+
+
+def test_what_was_just_seen_corrects_the_guide_and_its_error() -> None:
+    grey = np.full(WIDE.shape, 100, np.float32)
+    weight = np.zeros(RING.shape, np.float32)
+    weight[8:24, 8:24], weight[100:, 100:] = 1, 0.5
+    seen = SeenBefore(20 * np.repeat(weight[..., None], 3, axis=2), weight)
+    wide, error = fuse(EXPANSION.crop(grey).astype(np.uint8),
+                       replace(guide_of(grey), seen_before=seen), NETWORK, EXPANSION)
+    assert np.all(wide[8:24, 8:24] == 120) and np.all(wide[101:, 101:] == 110)
+    assert np.all(wide[30:60, :20] == 100)
+    assert error[12:20, 12:20] * 255 == pytest.approx(SEEN_BEFORE * 20 + LEAST_ERROR)
+    assert error[40, 10] * 255 == pytest.approx(LEAST_ERROR)

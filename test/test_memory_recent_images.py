@@ -1,13 +1,14 @@
 """What the camera has just seen beside its present view."""
 from typing import Any
 
-from box_room import box_memory, EXPANSION, planar, SOURCE, view
+from box_room import box_memory, EXPANSION, planar, view
 import cv2
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
 from neo_ros.memory import recent_images, scene_guide
 from neo_ros.memory.compiled import ALL_THREADS
 from neo_ros.memory.guided_view import GuidedView
 from neo_ros.memory.recent_images import RecentImages, SeenBefore
+from neo_ros.memory.recent_kernels import bring_differences
 from neo_ros.memory.scene_guide import SceneGuide
 import numpy as np
 import pytest
@@ -28,13 +29,11 @@ def keep(recent: RecentImages, pose: CameraPose, difference: Any, gain: float = 
     recent.keep(image.astype(np.uint8), GREY, depth_at(pose), pose, gain * ONE)
 
 
-def shows(pose: CameraPose, seen_from: CameraPose, border: float) -> np.ndarray:
-    """Return which pixels of a wide view, bool (H, W), another image shows, but for its border."""
-    points = EXPANSION.target.pixel_rays() * depth_at(pose)[..., None]
+def there(expansion: ViewExpansion, pose: CameraPose, seen_from: CameraPose) -> np.ndarray:
+    """Return where another image shows the surfaces of a wide view, pixels (H, W, 2)."""
+    points = expansion.target.pixel_rays() * depth_at(pose, expansion.target)[..., None]
     T = seen_from.inverse() @ pose.T_world_cam
-    there = points @ T[:3, :3].T + T[:3, 3]
-    where = np.nan_to_num(SOURCE.project(there), nan=-1e3)
-    return ((where > border) & (where < 64 - border)).all(-1) & (there[..., 2] > 0)
+    return np.nan_to_num(expansion.source.project(points @ T[:3, :3].T + T[:3, 3]), nan=-1e3)
 
 
 def brought(recent: RecentImages, pose: CameraPose = NOW) -> SeenBefore:
@@ -43,47 +42,95 @@ def brought(recent: RecentImages, pose: CameraPose = NOW) -> SeenBefore:
     return seen
 
 
+def ramp_error(expansion: ViewExpansion, count: int) -> float:
+    """
+    Return by how much what is brought is wrong at most, of a ramp of a level a column.
+
+    The image is `count` columns wide as it is kept; those at the right hold the ramp.
+    """
+    source, target = expansion.source, expansion.target
+    step, middle = source.width / count, 0.8 * source.width
+    ramp = (np.arange(source.width) + 0.5 - middle) / step
+    recent = RecentImages(expansion)
+    grey = np.full((target.height, target.width, 3), 100, np.float32)
+    image = 100 + np.broadcast_to(np.clip(ramp, -11, 11)[:, None],
+                                  (source.height, source.width, 3))
+    shown = grey.copy()
+    shown[expansion.observed] += np.rint(image) - image  # So that nothing is rounded.
+    recent.keep(np.rint(image).astype(np.uint8), shown, depth_at(BEFORE, target), BEFORE, ONE)
+    seen = recent.bring(depth_at(NOW, target), NOW, ONE)
+    assert seen is not None and seen.weight.shape == (target.height, target.width)
+    where = there(expansion, NOW, BEFORE)
+    expected = (where[..., 0] - middle) / step
+    sure = (seen.weight > 0.55) & (np.abs(expected) < 9)
+    assert sure.sum() > 300
+    return float(np.abs(seen.difference[sure] / seen.weight[sure][:, None]
+                        - expected[sure][:, None]).max())
+
+
 def test_a_difference_is_shown_where_its_surface_is_now() -> None:
+    assert RecentImages(EXPANSION).bring(depth_at(NOW), NOW, ONE) is None
+    assert ramp_error(EXPANSION, 64) < 0.05
+
+
+def test_a_large_camera_is_followed_at_less_resolution() -> None:
+    large = ViewExpansion.to_size(Intrinsics.from_hfov(301, 203, np.pi / 2), 501, 363)
+    assert ramp_error(large, 128) < 0.5  # The depth of a wide pixel is its nearest neighbour's.
+
+
+def test_the_whole_of_what_was_seen_is_shown() -> None:
     recent = RecentImages(EXPANSION)
-    assert recent.bring(depth_at(NOW), NOW, ONE) is None
-    keep(recent, BEFORE, np.tile(np.arange(64) // 6, (64, 1)))
-    difference, weight = brought(recent)
-    inside, around = (shows(NOW, BEFORE, border) & RING for border in (6, -1))
-    assert inside.sum() > 500
+    keep(recent, BEFORE, 5)
+    weight = brought(recent).weight
+    where = there(EXPANSION, NOW, BEFORE)
+    inside, around = (((where > border) & (where < 64 - border)).all(-1) & RING
+                      for border in (6, -1))
+    assert inside.sum() > 500 and not weight[EXPANSION.observed].any()
     assert (weight[inside] > 0.5).mean() > 0.97  # Depth is looked up to the pixel.
     assert np.all(weight[~around] == 0)
-    inside &= weight > 0
-    # By the column in which the surface was.
-    points = EXPANSION.target.pixel_rays() * depth_at(NOW)[..., None]
-    T = BEFORE.inverse() @ NOW.T_world_cam
-    columns = SOURCE.project(points @ T[:3, :3].T + T[:3, 3])[..., 0]
-    error = difference[..., 0][inside] / weight[inside] - columns[inside] / 6
-    assert np.abs(error).max() < 1.2
+
+
+def test_what_the_memory_does_not_know_is_no_difference() -> None:
+    recent = RecentImages(EXPANSION)
+    image, depth, shown = GREY.astype(np.uint8), depth_at(BEFORE), GREY.copy()
+    shown[:, 70:78], depth[:, 70:78] = 0, 0
+    recent.keep(EXPANSION.crop(image), shown, depth, BEFORE, ONE)
+    assert np.all(brought(recent).difference == 0)
 
 
 def test_what_is_hidden_from_there_is_not_shown() -> None:
     recent = RecentImages(EXPANSION)
     recent.keep(EXPANSION.crop(GREY).astype(np.uint8), GREY, 0.5 * depth_at(BEFORE), BEFORE, ONE)
-    assert not brought(recent).weight.any()
+    assert recent.bring(depth_at(NOW), NOW, ONE) is None
 
 
-@pytest.mark.parametrize('second, trusted', [
-    (None, False), (60, True), (-60, False)], ids=['seen once', 'seen twice', 'contradicted'])
-def test_a_large_difference_has_to_be_seen_from_two_poses(second: int | None, trusted: bool
-                                                          ) -> None:
+@pytest.mark.parametrize('yaw, second, trusted', [
+    (None, 0, False), (47, 60, True), (47, -60, False), (35, 60, False), (36, 60, False)],
+    ids=['seen once', 'seen twice', 'contradicted', 'seen from one pose', 'from nearly one pose'])
+def test_a_large_difference_has_to_be_seen_from_two_poses(yaw: float | None, second: int,
+                                                          trusted: bool) -> None:
     recent = RecentImages(EXPANSION)
     keep(recent, BEFORE, 60)
-    if second is not None:
-        keep(recent, planar(1.9, 1.7, 47), second)
-    weight = brought(recent).weight
-    assert (weight > 0.3).any() == weight.any() == trusted
+    if yaw is not None:
+        keep(recent, planar(1.9, 1.7, yaw), second)
+    seen = recent.bring(depth_at(NOW), NOW, ONE)
+    assert (seen is not None and bool((seen.weight > 0.3).any())) == trusted
+    assert trusted or seen is None
 
 
-def test_a_difference_is_brought_to_the_present_exposure() -> None:
+@pytest.mark.parametrize('gain', [0.5, 2.0])
+def test_a_difference_is_brought_to_the_present_exposure(gain: float) -> None:
     recent = RecentImages(EXPANSION)
-    keep(recent, BEFORE, 8, gain=0.5)
+    keep(recent, BEFORE, 4, gain)
     difference, weight = brought(recent)
-    assert difference[weight > 0] / weight[weight > 0][:, None] == pytest.approx(16, abs=1e-3)
+    shown = difference[weight > 0] / weight[weight > 0][:, None]
+    assert shown == pytest.approx(4 / gain, abs=1e-3)
+
+
+def test_what_is_trusted_does_not_depend_on_the_light() -> None:
+    recent = RecentImages(EXPANSION)
+    keep(recent, BEFORE, 12, gain=0.25)  # 48 grey levels of the memory.
+    assert recent.bring(depth_at(NOW), NOW, ONE) is None
 
 
 def test_a_blurred_image_takes_no_detail_away() -> None:
@@ -100,15 +147,14 @@ def test_a_blurred_image_takes_no_detail_away() -> None:
     assert brings[1] < 0.7 * brings[0]  # The two differ by as much.
 
 
-def test_a_standing_camera_keeps_its_last_image_alone() -> None:
+def test_a_standing_camera_keeps_its_first_and_its_last_image() -> None:
     recent = RecentImages(EXPANSION)
     for difference in (0, 2, 4, 6):
         keep(recent, BEFORE, difference)
     seen = brought(recent)
-    # The first one and the last one: the new one counts more.
-    sure = seen.weight > 0.8
-    assert (seen.difference[sure] / seen.weight[sure][:, None]).mean() == pytest.approx(
-        6 * 0.6 / 0.84, abs=0.01)
+    sure = seen.weight > 0.8399
+    assert seen.difference[sure] / seen.weight[sure][:, None] == pytest.approx(
+        6 * 0.6 / 0.84, abs=1e-3)
 
 
 def test_only_so_many_images_are_kept_and_none_for_long(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -124,20 +170,21 @@ def test_only_so_many_images_are_kept_and_none_for_long(monkeypatch: pytest.Monk
     assert brought(recent).weight.any()
     for _ in range(2):
         keep(recent, NOW, 5)
-    assert not brought(recent).weight.any()
+    assert recent.bring(depth_at(NOW), NOW, ONE) is None  # NOW alone, which is no ring.
 
 
-def test_a_large_camera_is_followed_at_less_resolution() -> None:
-    large = ViewExpansion.to_size(Intrinsics.from_hfov(300, 200, np.pi / 2), 500, 360)
-    recent = RecentImages(large)
-    grey = np.full((360, 500, 3), 100, np.float32)
-    recent.keep(np.full((200, 300, 3), 107, np.uint8), grey, depth_at(BEFORE, large.target),
-                BEFORE, ONE)
-    seen = recent.bring(depth_at(NOW, large.target), NOW, ONE)
-    assert seen is not None and seen.weight.shape == (360, 500)
-    sure = seen.weight > 0.55
-    assert sure.any()
-    assert np.abs(seen.difference[sure] / seen.weight[sure][:, None] - 7).max() < 0.1
+def test_a_camera_that_stood_for_long_keeps_images_as_ever(monkeypatch: pytest.MonkeyPatch
+                                                           ) -> None:
+    monkeypatch.setattr(recent_images, 'FORGOTTEN', 4)
+    recent = RecentImages(EXPANSION)
+    for step in range(20):
+        yaw = 35 + 15 * max(0, step - 12) - 15 * max(0, 4 - step)  # Comes, stands, goes.
+        pose = planar(1.9, 1.7, yaw)
+        recent.bring(depth_at(pose), pose, ONE)
+        keep(recent, pose, 5)
+        assert len(set(recent._order)) == len(recent._order)
+        assert np.allclose(recent._poses[recent._order[0]].T_world_cam, pose.T_world_cam)
+    assert len(recent._order) == 5  # The last one and four before it.
 
 
 def painted(pose: CameraPose) -> np.ndarray:
@@ -166,6 +213,17 @@ def test_what_has_changed_is_shown_where_the_camera_has_just_seen_it() -> None:
     guided.reset()
     fresh = guided.guide(image)
     assert fresh is not None and fresh.seen_before is None
+
+
+def test_nothing_is_compiled_while_a_camera_is_followed() -> None:
+    guide = SceneGuide(box_memory(), EXPANSION)
+    guide.warm_up()
+    compiled = len(bring_differences.signatures)
+    for step in range(3):
+        image = EXPANSION.crop(painted(planar(1.9, 1.7, 20 - 7 * step)))
+        found = guide.guide(np.ascontiguousarray(image))
+    assert found is not None and found.seen_before is not None
+    assert len(bring_differences.signatures) == compiled > 0
 
 
 def test_a_camera_that_was_lost_begins_anew() -> None:

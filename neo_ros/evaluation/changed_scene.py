@@ -34,8 +34,8 @@ class ChangeScores:
 
     guided: share of the frames. unchanged_psnr: of the ring where nothing changed, dB, before
     and after; changed_psnr: of the rest, after. wrong: share of what changed near the seam that
-    the wide image does not show. confidence: 0 ... 255 in that, before and after. auroc: how well
-    the confidence tells it from unchanged pixels there.
+    the wide image does not show. confidence: 0 ... 255 in that, before and after; auroc: how well
+    the confidence tells it from unchanged pixels there; of the frames that have some, or NaN.
     """
 
     frames: int
@@ -70,12 +70,14 @@ def score_change(extrapolator: FovExtrapolator, walks: list[list[CameraPose]]) -
             continue
         confidence.append((sure[wrong].mean(), new_sure[wrong].mean()))
         ranked.append(auroc(255.0 - new_sure[wrong], 255.0 - new_sure[near & same]))
-    if not ranked:
+    if not rows:
         raise ValueError('walks: no frame shows a moved chair across the border of its view')
     guided, psnr_before, psnr_after, changed_psnr = np.mean(rows, 0).tolist()
-    sure_before, sure_after = np.mean(confidence, 0).tolist()
+    nothing = [(np.nan, np.nan)]
+    sure_before, sure_after = np.mean(confidence or nothing, 0).tolist()
     return ChangeScores(len(rows), guided, (psnr_before, psnr_after), changed_psnr,
-                        float(np.mean(shares)), (sure_before, sure_after), float(np.mean(ranked)))
+                        float(np.mean(shares)), (sure_before, sure_after),
+                        float(np.mean(ranked or np.nan)))
 
 
 def _walk(extrapolator: FovExtrapolator, flat: DemoFlat, walks: list[list[CameraPose]]

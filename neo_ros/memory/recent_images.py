@@ -25,8 +25,8 @@ class SeenBefore(NamedTuple):
     """
     By how much the last images differ from the memory, in the wide view of the present one.
 
-    weight float32 (H, W) in [0, 1], 0 where none of them saw the surface; difference float32
-    (H, W, 3), grey levels in the exposure of the present image, times the weight.
+    weight float32 (H, W) in [0, 1], 0 where none of them saw the surface, never 0 all over;
+    difference float32 (H, W, 3), the weight times grey levels in the present image's exposure.
     """
 
     difference: np.ndarray
@@ -49,7 +49,7 @@ class RecentImages:
         self._differences = np.zeros((*shape, 3), np.float32)
         self._depths, self._trusts = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
         self._poses = [CameraPose(np.eye(4))] * KEPT
-        self._gains, self._numbers = np.ones((KEPT, 3), np.float32), [0] * KEPT
+        self._numbers = [0] * KEPT
         self.forget()
 
     def forget(self) -> None:
@@ -69,20 +69,25 @@ class RecentImages:
         if len(self._order) > 1 and self._moved(*self._order[:2]) < MOVED:
             slot = self._order.pop(0)
         else:
-            slot = self._order.pop() if len(self._order) == KEPT else len(self._order)
+            if len(self._order) == KEPT:
+                self._order.pop()
+            slot = next(slot for slot in range(KEPT) if slot not in self._order)
         self._order.insert(0, slot)
         size = (self._source.width, self._source.height)
+        away = depth[self._observed]
+        known = cv2.resize((away > 0).astype(np.float32), size, interpolation=cv2.INTER_AREA)
+        self._depths[slot] = np.where(known > 0.999, cv2.resize(
+            away, size, interpolation=cv2.INTER_NEAREST_EXACT), 0)
         now = cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.float32)
-        remembered = cv2.resize(shown[self._observed], size, interpolation=cv2.INTER_AREA)
-        difference: np.ndarray = now - remembered
+        remembered = np.where(self._depths[slot][..., None] > 0, cv2.resize(
+            shown[self._observed], size, interpolation=cv2.INTER_AREA), now)
+        difference: np.ndarray = (now - remembered) / gain
         if _sharpness(now) < BLURRED * _sharpness(remembered):
             difference = cv2.GaussianBlur(difference, (0, 0), COARSE)
         self._differences[slot] = difference
-        self._depths[slot] = cv2.resize(depth[self._observed], size,
-                                        interpolation=cv2.INTER_NEAREST_EXACT)
         largest = cv2.blur(np.abs(difference).max(-1), (AROUND, AROUND))
         self._trusts[slot] = np.clip(2 * (1 - largest / UNTRUSTED), 0, 1)
-        self._poses[slot], self._gains[slot], self._numbers[slot] = pose, gain, self._number
+        self._poses[slot], self._numbers[slot] = pose, self._number
 
     def _moved(self, one: int, other: int) -> float:
         """Return by which share of the width surfaces move from one kept image to another."""
@@ -97,19 +102,23 @@ class RecentImages:
         """Show what they saw in the wide view from a pose; None: nothing. Arguments as `keep`."""
         self._order = [slot for slot in self._order
                        if self._number - self._numbers[slot] < FORGOTTEN]
-        if not self._order:
+        order = self._order
+        if not order:
             return None
+        twins = len(order) > 1 and self._moved(*order[:2]) < MOVED
         size = (self._target.width, self._target.height)
         small = cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST_EXACT) * self._ring
-        T = np.stack([self._poses[slot].inverse() @ pose.T_world_cam for slot in self._order])
+        T = np.stack([self._poses[slot].inverse() @ pose.T_world_cam for slot in order])
         brought = np.empty((*small.shape, 3), np.float32)
         weight = np.empty(small.shape, np.float32)
         camera = self._source
         bring_differences(
-            self._rays, small, np.array(self._order), T[:, :3, :3].astype(np.float32),
-            T[:, :3, 3].astype(np.float32), gain / self._gains[self._order],
-            np.float32(camera.fx), np.float32(camera.fy), np.float32(camera.cx),
-            np.float32(camera.cy), self._differences, self._depths, self._trusts, brought, weight)
+            self._rays, small, np.array(order), twins, T[:, :3, :3].astype(np.float32),
+            T[:, :3, 3].astype(np.float32), gain, np.float32(camera.fx), np.float32(camera.fy),
+            np.float32(camera.cx), np.float32(camera.cy), self._differences, self._depths,
+            self._trusts, brought, weight)
+        if not weight.any():
+            return None
         if size == self._size:
             return SeenBefore(brought, weight)
         return SeenBefore(cv2.resize(brought, self._size, interpolation=cv2.INTER_LINEAR),

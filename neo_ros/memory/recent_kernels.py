@@ -16,16 +16,17 @@ ENOUGH = np.float32(0.98)
 
 
 @njit(parallel=True, **FAST)
-def bring_differences(rays, depth, order, R, t, gains, fx, fy, cx, cy, differences, depths,
+def bring_differences(rays, depth, order, twins, R, t, gain, fx, fy, cx, cy, differences, depths,
                       trusts, brought, weight):
     """
     Look up, for every pixel of a view, how images that saw its surface differed from the memory.
 
     rays (H, W, 3) of the view, z = 1; depth (H, W) metres, 0 = not asked for. order (n,): which
-    of the N images, the newest first; R (n, 3, 3), t (n, 3) from the view to them; gains (n, 3)
-    from their exposure to the view's. fx to cy: their camera. differences (N, h, w, 3) grey
-    levels; depths (N, h, w) metres, 0 = unknown; trusts (N, h, w) in [0, 1]. A difference that
-    is not trusted counts where another image, from another pose, has the same.
+    of the N images, the newest first; `twins`: the first two are from one pose, or nearly so,
+    and cannot confirm each other; R (n, 3, 3), t (n, 3) from the view to them; gain (3,) from
+    the memory's exposure to the view's. fx to cy: their camera. differences (N, h, w, 3) grey
+    levels, exposed as the memory; depths (N, h, w) metres, 0 = unknown; trusts (N, h, w) in
+    [0, 1]. A difference that is not trusted counts where another image has the same.
     Fills weight (H, W) in [0, 1] and brought (H, W, 3), the mean difference times the weight.
     """
     images, height, width = len(order), depths.shape[1], depths.shape[2]
@@ -33,6 +34,7 @@ def bring_differences(rays, depth, order, R, t, gains, fx, fy, cx, cy, differenc
     for y in prange(depth.shape[0]):
         found = np.empty((images, 3), np.float32)
         shares, sure = np.empty(images, np.float32), np.empty(images, np.float32)
+        which = np.empty(images, np.int64)
         for x in range(depth.shape[1]):
             weight[y, x] = 0
             for c in range(3):
@@ -54,6 +56,7 @@ def bring_differences(rays, depth, order, R, t, gains, fx, fy, cx, cy, differenc
                 own = order[k]
                 if abs(depths[own, int(v), int(u)] - z) > SAME_DEPTH * z:
                     continue
+                which[count] = k
                 shares[count] = min(inside / FEATHER, one)
                 sure[count] = trusts[own, int(v), int(u)]
                 x0, y0 = min(int(u - half), width - 2), min(int(v - half), height - 2)
@@ -63,13 +66,13 @@ def bring_differences(rays, depth, order, R, t, gains, fx, fy, cx, cy, differenc
                         + ax * differences[own, y0, x0 + 1, c]
                     low = (one - ax) * differences[own, y0 + 1, x0, c] \
                         + ax * differences[own, y0 + 1, x0 + 1, c]
-                    found[count, c] = gains[k, c] * ((one - ay) * top + ay * low)
+                    found[count, c] = (one - ay) * top + ay * low
                 count += 1
             total = zero
             for k in range(count):
                 trust = sure[k]
                 for other in range(count):
-                    if trust < 1 and other != k:
+                    if trust < 1 and other != k and not (twins and which[k] + which[other] == 1):
                         apart = zero
                         for c in range(3):
                             apart = max(apart, abs(found[k, c] - found[other, c]))
@@ -78,7 +81,7 @@ def bring_differences(rays, depth, order, R, t, gains, fx, fy, cx, cy, differenc
                 share = SHARE * shares[k] * trust * (one - total)
                 total += share
                 for c in range(3):
-                    brought[y, x, c] += share * found[k, c]
+                    brought[y, x, c] += share * gain[c] * found[k, c]
                 if total > ENOUGH:
                     break
             weight[y, x] = total

@@ -133,8 +133,9 @@ class SceneGuide:
             best = better(best, self._search(image, photo))
         if best is None or not best.believed:
             self._led = 0
-            self._recent.forget()  # Nobody knows for how long.
             return None
+        if best is not followed:
+            self._recent.forget()  # The poses before may have been wrong.
         # What was searched for has not moved there: it was taken there.
         self._motion = (last.inverse() @ best.pose.T_world_cam
                         if last is not None and best is followed else np.eye(4))
