@@ -113,9 +113,23 @@ def test_the_seam_is_the_band_at_the_window(measure, monkeypatch):
     assert seam == pytest.approx(1.25)
 
 
-# Taken after this code gave Alex 0.722 / 0.138 and VGG 0.569 / 0.422 on ex_ref against ex_p0 and
-# ex_p1 of richzhang/PerceptualSimilarity, as published. Those pictures are not ours to ship and do
-# not come with the weights, so the figures themselves are in no test.
+@pytest.mark.parametrize('backbone, expected', [
+    ('alex', (0.722, 0.138)), ('vgg', (0.569, 0.422))], ids=['alex', 'vgg'])
+def test_the_published_pictures_have_the_published_distances(backbone, expected):
+    folder = lpips.cache_folder() / 'lpips'
+    needed = [folder / name for name in (perceptual._WEIGHTS[backbone][0], 'ex_ref.png',
+                                         'ex_p0.png', 'ex_p1.png')]
+    absent = [path.name for path in needed if not path.is_file()]
+    if absent:  # The pictures are not ours to ship and do not come with the weights.
+        pytest.skip(f'{", ".join(absent)} of richzhang/PerceptualSimilarity not in {folder}')
+    truth, *others = (cv2.cvtColor(cv2.imread(str(path)), cv2.COLOR_BGR2RGB)
+                      for path in needed[1:])
+    measure = lpips.Lpips(backbone, folder)
+    found = [scores(measure, truth, other)[0] for other in others]
+    assert found == pytest.approx(expected, abs=1e-3)
+
+
+# Taken after the published distances held.
 @pytest.mark.parametrize('backbone, expected', [
     ('alex', (0.25985, 0.22572)), ('vgg', (0.31234, 0.29506))], ids=['alex', 'vgg'])
 def test_the_published_weights_give_the_verified_distance(backbone, expected):
