@@ -56,6 +56,7 @@ class RecentImages:
         """Forget all images."""
         self._order: list[int] = []  # The newest first.
         self._number = 0
+        self._twins = False  # The newest is from the pose of the one before, or nearly so.
 
     def keep(self, image: np.ndarray, shown: np.ndarray, depth: np.ndarray, pose: CameraPose,
              gain: np.ndarray) -> None:
@@ -66,7 +67,7 @@ class RecentImages:
         exposure, which is the memory's times gain (3,), and float32 (H, W) metres, 0 = unknown.
         """
         self._number += 1
-        if len(self._order) > 1 and self._moved(*self._order[:2]) < MOVED:
+        if self._twins and len(self._order) > 1:
             slot = self._order.pop(0)
         else:
             if len(self._order) == KEPT:
@@ -74,10 +75,10 @@ class RecentImages:
             slot = next(slot for slot in range(KEPT) if slot not in self._order)
         self._order.insert(0, slot)
         size = (self._source.width, self._source.height)
-        away = depth[self._observed]
-        known = cv2.resize((away > 0).astype(np.float32), size, interpolation=cv2.INTER_AREA)
+        window = depth[self._observed]
+        known = cv2.resize((window > 0).astype(np.float32), size, interpolation=cv2.INTER_AREA)
         self._depths[slot] = np.where(known > 0.999, cv2.resize(
-            away, size, interpolation=cv2.INTER_NEAREST_EXACT), 0)
+            window, size, interpolation=cv2.INTER_NEAREST_EXACT), 0)
         now = cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.float32)
         remembered = np.where(self._depths[slot][..., None] > 0, cv2.resize(
             shown[self._observed], size, interpolation=cv2.INTER_AREA), now)
@@ -88,6 +89,7 @@ class RecentImages:
         largest = cv2.blur(np.abs(difference).max(-1), (AROUND, AROUND))
         self._trusts[slot] = np.clip(2 * (1 - largest / UNTRUSTED), 0, 1)
         self._poses[slot], self._numbers[slot] = pose, self._number
+        self._twins = len(self._order) > 1 and self._moved(*self._order[:2]) < MOVED
 
     def _moved(self, one: int, other: int) -> float:
         """Return by which share of the width surfaces move from one kept image to another."""
@@ -105,7 +107,6 @@ class RecentImages:
         order = self._order
         if not order:
             return None
-        twins = len(order) > 1 and self._moved(*order[:2]) < MOVED
         size = (self._target.width, self._target.height)
         small = cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST_EXACT) * self._ring
         T = np.stack([self._poses[slot].inverse() @ pose.T_world_cam for slot in order])
@@ -113,7 +114,7 @@ class RecentImages:
         weight = np.empty(small.shape, np.float32)
         camera = self._source
         bring_differences(
-            self._rays, small, np.array(order), twins, T[:, :3, :3].astype(np.float32),
+            self._rays, small, np.array(order), self._twins, T[:, :3, :3].astype(np.float32),
             T[:, :3, 3].astype(np.float32), gain, np.float32(camera.fx), np.float32(camera.fy),
             np.float32(camera.cx), np.float32(camera.cy), self._differences, self._depths,
             self._trusts, brought, weight)
