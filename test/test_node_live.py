@@ -12,6 +12,7 @@ from neo_ros.bags import BagReader, replay, write_demo_bag
 from neo_ros.messages import camera_info_fields, image_fields
 from neo_ros.node.extrapolator_node import ExtrapolatorNode
 from neo_ros.runtime import FovExtrapolator
+import numba
 import numpy as np
 import onnxruntime
 import pytest
@@ -80,6 +81,19 @@ def test_a_guided_walk_gives_the_bytes_of_its_replay(graph, tmp_path):
     status = camera.wait_for_diagnosis(DiagnosticStatus.OK, 'widening')
     assert status['guided by the scene memory'] == '100%'
     assert status['model has a scene memory'] == 'yes'
+
+
+def test_threads_wait_for_one_another_asleep(graph, tmp_path, monkeypatch):
+    model = write_box_model(tmp_path)
+    FovExtrapolator.load(model)
+    if numba.threading_layer() != 'omp':
+        pytest.skip(f"numba's threads are those of {numba.threading_layer()} here, not OpenMP's")
+    for name in ('OMP_WAIT_POLICY', 'GOMP_SPINCOUNT'):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv('OMP_DISPLAY_ENV', 'VERBOSE')
+    _, process = started(graph, model)
+    end(process)
+    assert "GOMP_SPINCOUNT = '0'" in process.stdout.read()
 
 
 def test_bad_messages_are_counted_and_good_ones_pass(graph, model):
