@@ -86,7 +86,7 @@ class RecentImages:
         if _sharpness(now) < BLURRED * _sharpness(remembered):
             difference = cv2.GaussianBlur(difference, (0, 0), COARSE)
         self._differences[slot] = difference
-        # Of three colours at a time a maximum along the last axis takes ten times as long.
+        # A maximum along an axis of three takes NumPy seven times as long.
         largest = cv2.blur(np.maximum.reduce(cv2.split(np.abs(difference))), (AROUND, AROUND))
         self._trusts[slot] = np.clip(2 * (1 - largest / UNTRUSTED), 0, 1)
         self._poses[slot], self._numbers[slot] = pose, self._number
