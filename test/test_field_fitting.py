@@ -15,12 +15,12 @@ CAMERA = Intrinsics.from_hfov(24, 20, 1.6)
 YAWS = np.linspace(0, 2 * np.pi, 12, endpoint=False)
 POSES = [standing(0.5 * np.cos(3 * yaw), 0.4 * np.sin(2 * yaw), yaw) for yaw in YAWS]
 SETTINGS: dict[str, Any] = {
-    'voxels': 8000, 'steps': 60, 'pixels_per_step': 256, 'margin': 1.5, 'subrays': 2,
+    'voxels': 8000, 'steps': 60, 'pixels_per_step': 256, 'margin': 1.5,
     'sh_degree': 1, 'exposure': True, 'smooth_density': 1e-4, 'smooth_colour': 1e-4}
 
 
 # Enough for a fit that can be looked at.
-PLAIN: dict[str, Any] = {'voxels': 30_000, 'pixels_per_step': 1024, 'subrays': 1,
+PLAIN: dict[str, Any] = {'voxels': 30_000, 'pixels_per_step': 1024,
                          'sh_degree': 0, 'smooth_density': 0.0, 'smooth_colour': 0.0}
 
 
@@ -64,6 +64,21 @@ def unbroken(images: np.ndarray) -> FieldTrainer:
 def test_a_seed_decides_every_bit(images: np.ndarray, unbroken: FieldTrainer) -> None:
     assert_same_state(trained(images), unbroken)
     assert (trained(images, 3, seed=1).field.grid != trained(images, 3).field.grid).any()
+
+
+def test_rays_go_through_the_centres_of_the_pixels(
+        images: np.ndarray, unbroken: FieldTrainer) -> None:
+    photo, target, rays_o, rays_d = unbroken.sample_rays()
+    pixel = []
+    for T_world_cam, ray in zip(np.stack([POSES[i].T_world_cam for i in photo]), rays_d):
+        x, y, z = ray @ T_world_cam[:3, :3]
+        pixel.append((CAMERA.fx * x / z + CAMERA.cx, CAMERA.fy * y / z + CAMERA.cy))
+    column, row = np.array(pixel).T
+    np.testing.assert_allclose(column % 1, 0.5, atol=1e-4)
+    np.testing.assert_allclose(row % 1, 0.5, atol=1e-4)
+    np.testing.assert_array_equal(rays_o, unbroken.origins[photo])
+    np.testing.assert_array_equal(
+        np.rint(target * 255), images[photo, row.astype(int), column.astype(int)])
 
 
 # 3, 10 and 24 are steps at which the grid is refined next.
@@ -145,7 +160,7 @@ def test_gains_find_the_exposure_of_the_photos(images: np.ndarray) -> None:
 
 
 def looking_at(field: RadianceField, images: np.ndarray, **changes: Any) -> FieldTrainer:
-    result = trainer(images, pixels_per_step=4096, subrays=1, **changes)
+    result = trainer(images, pixels_per_step=4096, **changes)
     result.field, result.random = field, np.random.default_rng(0)
     return result
 
@@ -179,7 +194,7 @@ def test_a_field_that_shows_nothing_yet_keeps_its_box(images: np.ndarray) -> Non
 
 def test_what_no_photo_shows_is_not_covered(images: np.ndarray) -> None:
     result = looking_at(room_field(40_000), images)
-    result.intrinsics = CAMERA.scaled(4)
+    result.rays = CAMERA.scaled(4).pixel_rays()
     ahead = np.stack([standing(-0.3, y, 0.0).T_world_cam for y in (-0.5, 0.0, 0.5)])
     result.rotations = ahead[:, :3, :3].astype(np.float32)
     result.origins = ahead[:, :3, 3].astype(np.float32)
@@ -200,7 +215,6 @@ def test_a_fit_that_left_nothing_says_so(images: np.ndarray) -> None:
     ({'steps': 9}, 'expected steps >= 10'),
     ({'voxels': 10}, 'voxels >= 1000'),
     ({'pixels_per_step': 0}, 'pixels_per_step >= 1'),
-    ({'subrays': 0}, 'expected subrays >= 1'),
     ({'margin': 0.0}, 'margin > 0'),
     ({'learning_rate': float('nan')}, 'learning_rate > 0'),
     ({'shell': -0.1}, 'expected shell and near >= 0'),

@@ -8,7 +8,7 @@ from plain_field import plain_samples, random_rays, room_field
 import pytest
 import torch
 
-PIXELS, SUBRAYS = 40, 2
+RAYS = 80
 
 
 class Batch(NamedTuple):
@@ -34,15 +34,8 @@ class Gradients(NamedTuple):
 @pytest.fixture
 def batch() -> Batch:
     random = np.random.default_rng(3)
-    rays_o, rays_d = random_rays(PIXELS * SUBRAYS, 2)
-    # The rays of a pixel are neighbours.
-    rays_o, rays_d = rays_o.reshape(PIXELS, SUBRAYS, 3), rays_d.reshape(PIXELS, SUBRAYS, 3)
-    rays_o[:, 1] = rays_o[:, 0]
-    rays_d[:, 1] = rays_d[:, 0] + 0.03
-    rays_d /= np.linalg.norm(rays_d, axis=-1, keepdims=True)
-    return Batch(rays_o.reshape(-1, 3), rays_d.reshape(-1, 3),
-                 random.random(PIXELS * SUBRAYS, np.float32),
-                 *(random.random((PIXELS, 3), np.float32) for _ in range(3)))
+    return Batch(*random_rays(RAYS, 2), random.random(RAYS, np.float32),
+                 *(random.random((RAYS, 3), np.float32) for _ in range(3)))
 
 
 def foggy_field(sh_degree: int) -> RadianceField:
@@ -60,9 +53,9 @@ def differentiate(field: RadianceField, batch: Batch, distortion: float = 0,
     cell, count = np.empty((rays, limit), np.int64), np.empty(rays, np.int64)
     frac, d_rgb = (np.empty((rays, limit, 3), np.float32) for _ in range(2))
     d_density = np.empty((rays, limit), np.float32)
-    error, d_gain = np.empty(PIXELS, np.float32), np.empty((PIXELS, 3), np.float32)
+    error, d_gain = np.empty(RAYS, np.float32), np.empty((RAYS, 3), np.float32)
     fitting_kernels.differentiate_rays(
-        batch.rays_o, batch.rays_d, batch.target, batch.gain, batch.jitter, SUBRAYS,
+        batch.rays_o, batch.rays_d, batch.target, batch.gain, batch.jitter,
         batch.background, field.grid, np.array(field.shape), field.skip, field.box, field.step,
         field.near, field.shift, field.terms, np.float32(distortion), np.float32(pointwise),
         np.float32(sparsity), cell, frac, d_density, d_rgb, count, error, d_gain)
@@ -80,20 +73,19 @@ def scatter(field: RadianceField, samples: Any, threads: int) -> tuple[np.ndarra
 
 def plain_loss(field: RadianceField, grid: torch.Tensor, gain: torch.Tensor, batch: Batch,
                distortion: float, pointwise: float, sparsity: float) -> torch.Tensor:
-    """Sum over pixels of the loss that the kernel's docstring states."""
+    """Sum over rays of the loss that the kernel's docstring states."""
     samples = plain_samples(field, grid, batch.rays_o, batch.rays_d, batch.jitter)
     target, background = (torch.from_numpy(values).double()
                           for values in (batch.target, batch.background))
-    behind = background.repeat_interleave(SUBRAYS, 0) * samples.light[:, None]
+    behind = background * samples.light[:, None]
     rays = (samples.weight[..., None] * samples.colour).sum(1) + behind
-    error = (gain * rays.unflatten(0, (-1, SUBRAYS)).mean(1) - target).square().sum()
+    error = (gain * rays - target).square().sum()
     place = samples.depth / (samples.depth + 1)
     away = (place[:, :, None] - place[:, None, :]).abs()
     spread = torch.einsum('ri,rij,rj->', samples.weight, away, samples.weight)
-    own = (gain.repeat_interleave(SUBRAYS, 0)[:, None] * samples.colour
-           - target.repeat_interleave(SUBRAYS, 0)[:, None]).square().sum(-1)
-    return error + (distortion * spread + pointwise * (samples.weight * own).sum()
-                    + sparsity * samples.alpha.sum()) / SUBRAYS
+    own = (gain[:, None] * samples.colour - target[:, None]).square().sum(-1)
+    return (error + distortion * spread + pointwise * (samples.weight * own).sum()
+            + sparsity * samples.alpha.sum())
 
 
 @pytest.mark.parametrize('sh_degree', [0, 1], ids=['matt', 'shiny'])

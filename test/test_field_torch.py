@@ -27,7 +27,7 @@ POSES = np.stack([standing(0.4 * np.cos(3 * yaw), 0.3 * np.sin(2 * yaw), yaw).T_
                   for yaw in np.linspace(0, 2 * np.pi, 12, endpoint=False)])
 # Every part of the loss.
 ALL: dict[str, Any] = {
-    'voxels': 8000, 'steps': 40, 'pixels_per_step': 128, 'margin': 1.5, 'subrays': 2,
+    'voxels': 8000, 'steps': 40, 'pixels_per_step': 512, 'margin': 1.5,
     'sh_degree': 1, 'exposure': True, 'smooth_density': 1e-4, 'smooth_colour': 1e-4}
 # What is quick to fit, to a picture of the room.
 QUICK: dict[str, Any] = {'voxels': 4000, 'steps': 40, 'pixels_per_step': 256, 'margin': 1.5,
@@ -114,9 +114,9 @@ def test_both_fits_take_the_same_steps(photos: np.ndarray) -> None:
         assert a['psnr'] == pytest.approx(b['psnr'], abs=1e-4)
         assert a['shape'] == b['shape']
         np.testing.assert_array_equal(a['updates'], b['updates'])
-        # Adam magnifies rounding where a gradient is hardly more than that: not all, but nearly.
-        close = np.isclose(a['grid'], b['grid'], atol=2e-3)
-        assert close.mean() > 0.999
+        # Adam magnifies rounding where a gradient is hardly more than that, step by step.
+        close = np.isclose(a['grid'], b['grid'], atol=1e-4 if step == 1 else 2e-3)
+        assert close.mean() > (0.9999 if step == 1 else 0.999)
         np.testing.assert_allclose(a['log_gain'], b['log_gain'], atol=1e-5)
 
 

@@ -42,7 +42,7 @@ def measure_field(machine: Machine, effort: Effort) -> Iterator[Record]:
         return Work(count * SAMPLE_FLOPS, count * SAMPLE_BYTES,
                     min(count * SAMPLE_BYTES, field.grid.nbytes))
 
-    rays = trainer.config.pixels_per_step * trainer.config.subrays
+    rays = trainer.config.pixels_per_step
     yield _with_rays(Record.of('field', 'step of the fit', times, {
         'voxels': len(field.grid), 'samples_per_ray': samples}), rays).with_floor(
             work(rays, BACKWARD), machine, 0)

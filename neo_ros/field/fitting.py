@@ -24,7 +24,6 @@ class FieldConfig:
     steps: int = 6000               # optimiser steps; not read where `minutes` is given
     minutes: Optional[float] = None  # of fitting time, instead of steps
     pixels_per_step: int = 4096     # pixels in a batch
-    subrays: int = 1                # rays whose mean makes a pixel; more = sharper, slower
     sh_degree: int = 0              # view dependence: 0 none (matt), 1 or 2 for shiny scenes
     margin: float = 3.0             # metres around the cameras that the first guess covers
     shell: float = 0.2              # relative thickness of the contracted outside
@@ -49,9 +48,9 @@ class FieldConfig:
                               f'got {self.steps}, {self.voxels}, {self.pixels_per_step}')
         if self.minutes is not None and not 0 < self.minutes < math.inf:
             raise ConfigError(f'field.minutes: expected a number > 0, got {self.minutes}')
-        if self.subrays < 1 or not (self.margin > 0 and self.learning_rate > 0):
-            raise ConfigError('field: expected subrays >= 1, margin > 0 and learning_rate > 0, '
-                              f'got {self.subrays}, {self.margin}, {self.learning_rate}')
+        if not (self.margin > 0 and self.learning_rate > 0):
+            raise ConfigError('field: expected margin > 0 and learning_rate > 0, '
+                              f'got {self.margin}, {self.learning_rate}')
         if not (self.shell >= 0 and self.near >= 0):
             raise ConfigError(f'field: expected shell and near >= 0, got {self.shell}, '
                               f'{self.near}')
@@ -69,9 +68,10 @@ class FieldTrainer:
 
     def __init__(self, images: np.ndarray, intrinsics: Intrinsics, T_world_cam: np.ndarray,
                  config: FieldConfig, seed: int) -> None:
-        self.images, self.intrinsics, self.config = images, intrinsics, config
+        self.images, self.config = images, config
         self.rotations = T_world_cam[:, :3, :3].astype(np.float32)
         self.origins = T_world_cam[:, :3, 3].astype(np.float32)
+        self.rays = intrinsics.pixel_rays()  # (H, W, 3)
         self.seed = seed
         self.step = self.stage = self.boxed_at = 0
         self.seconds = self.psnr = 0.0
@@ -90,7 +90,7 @@ class FieldTrainer:
         self.second = np.zeros_like(grid)
         self.touched = np.zeros(len(grid), np.uint8)
         self.updates = np.zeros(len(grid), np.int32)
-        rays = self.config.pixels_per_step * self.config.subrays
+        rays = self.config.pixels_per_step
         limit = self.field.sample_limit
         self.cell = np.empty((rays, limit), np.int64)
         self.frac = np.empty((rays, limit, 3), np.float32)
@@ -99,21 +99,18 @@ class FieldTrainer:
         self.count = np.empty(rays, np.int64)
 
     def sample_rays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Draw pixels; returns photo index (P,), target (P, 3), rays_o and rays_d (P*S, 3)."""
-        count, subrays, camera = (
-            self.config.pixels_per_step, self.config.subrays, self.intrinsics)
-        photo = self.random.integers(len(self.images), size=count)
-        row = self.random.integers(camera.height, size=count)
-        column = self.random.integers(camera.width, size=count)
+        """
+        Draw pixels; returns photo index (P,), target (P, 3), rays_o and rays_d (P, 3).
+
+        A ray goes through its pixel's centre: rays through all of a pixel, each fitted to the
+        pixel's colour, would blur the field by a pixel once more.
+        """
+        photo, row, column = (self.random.integers(size, size=self.config.pixels_per_step)
+                              for size in self.images.shape[:3])
         target = self.images[photo, row, column].astype(np.float32) / 255
-        offset = self.random.random((count, subrays, 2), np.float32)
-        directions = np.ones((count, subrays, 3), np.float32)
-        directions[..., 0] = (column[:, None] + offset[..., 0] - camera.cx) / camera.fx
-        directions[..., 1] = (row[:, None] + offset[..., 1] - camera.cy) / camera.fy
-        directions = np.einsum('pij,psj->psi', self.rotations[photo], directions)
+        directions = np.einsum('pij,pj->pi', self.rotations[photo], self.rays[row, column])
         directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
-        origins = np.repeat(self.origins[photo], subrays, axis=0)
-        return photo, target, origins, directions.reshape(-1, 3)
+        return photo, target, self.origins[photo], directions
 
     @property
     def share(self) -> float:
@@ -145,8 +142,8 @@ class FieldTrainer:
         shape = np.array(field.shape)
         fitting_kernels.differentiate_rays(
             rays_o, rays_d, target, gain, self.random.random(len(rays_o), np.float32),
-            config.subrays, self.random.random((pixels, 3), np.float32), field.grid, shape,
-            field.skip, field.box, field.step, field.near, field.shift, field.terms,
+            self.random.random((pixels, 3), np.float32), field.grid, shape, field.skip,
+            field.box, field.step, field.near, field.shift, field.terms,
             np.float32(config.distortion), np.float32(config.pointwise),
             np.float32(config.sparsity), self.cell, self.frac,
             self.d_density, self.d_rgb, self.count, error, d_gain)
@@ -247,7 +244,7 @@ class FieldTrainer:
                 'field: the photos left nothing in it; are the poses right (OpenGL camera axes, '
                 'metres), and field.steps enough?')
         field.seen = np.zeros(len(field.grid), np.uint8)
-        directions = self.intrinsics.pixel_rays().reshape(-1, 3)
+        directions = self.rays.reshape(-1, 3)
         for rotation, origin in zip(self.rotations, self.origins):
             rays_d = directions @ rotation.T
             rays_d /= np.linalg.norm(rays_d, axis=-1, keepdims=True)

@@ -12,71 +12,61 @@ import numpy as np
 
 
 @njit(parallel=True, **FAST)
-def differentiate_rays(rays_o, rays_d, target, gain, jitter, subrays, background, grid, shape,
-                       skip, box, step, near, shift, terms, distortion, pointwise, sparsity,
-                       cell, frac, d_density, d_rgb, count, error, d_gain):
+def differentiate_rays(rays_o, rays_d, target, gain, jitter, background, grid, shape, skip, box,
+                       step, near, shift, terms, distortion, pointwise, sparsity, cell, frac,
+                       d_density, d_rgb, count, error, d_gain):
     """
-    Render pixels and emit the gradient of every sample (no gradient is added here).
+    Render rays and emit the gradient of every sample (no gradient is added here).
 
-    A pixel is the mean of `subrays` consecutive rays; target and gain are per pixel (P, 3).
-    Loss per pixel: squared error of the colour, `distortion` times the distortion loss of
-    mip-NeRF 360 (eq. 15, its first sum), `pointwise` times the samples' own weighted squared error
-    (DirectVoxGO, section 4), and `sparsity` times the sum of the samples' opacities.
+    target, gain and background are per ray (R, 3). Loss per ray: squared error of the colour,
+    `distortion` times the distortion loss of mip-NeRF 360 (eq. 15, its first sum), `pointwise`
+    times the samples' own weighted squared error (DirectVoxGO, section 4), and `sparsity` times
+    the sum of the samples' opacities.
     Outputs, per ray r and sample i: cell (R, S), frac (R, S, 3), d_density (R, S),
-    d_rgb (R, S, 3) with respect to the sigmoid's argument; count (R,); per pixel: error (P,),
-    d_gain (P, 3).
+    d_rgb (R, S, 3) with respect to the sigmoid's argument; count (R,), error (R,), d_gain (R, 3).
     """
-    pixels = target.shape[0]
+    rays = target.shape[0]
     limit = cell.shape[1]
     chunk = 32
-    for block in prange((pixels + chunk - 1) // chunk):
-        alpha = np.empty((subrays, limit), np.float32)
-        depth = np.empty((subrays, limit), np.float32)
-        raw = np.empty((subrays, limit), np.float32)
-        rgb = np.empty((subrays, limit, 3), np.float32)
+    for block in prange((rays + chunk - 1) // chunk):
+        alpha = np.empty(limit, np.float32)
+        depth = np.empty(limit, np.float32)
+        raw = np.empty(limit, np.float32)
+        rgb = np.empty((limit, 3), np.float32)
         value = np.empty(limit, np.float32)
         basis = np.empty(terms, np.float32)
         blend = np.empty(3 * terms, np.float32)
         mean = np.empty(3, np.float32)
         slope = np.empty(3, np.float32)
-        rest = np.empty(subrays, np.float32)
-        for p in range(block * chunk, min((block + 1) * chunk, pixels)):
+        for r in range(block * chunk, min((block + 1) * chunk, rays)):
+            n, light = march(
+                rays_o[r, 0], rays_o[r, 1], rays_o[r, 2],
+                rays_d[r, 0], rays_d[r, 1], rays_d[r, 2], jitter[r], grid, shape, skip,
+                box, step, near, shift, cell[r], frac[r], alpha, depth, raw)
+            count[r] = n
+            sh_basis(rays_d[r, 0], rays_d[r, 1], rays_d[r, 2], basis)
             mean[:] = 0
-            for s in range(subrays):
-                r = p * subrays + s
-                n, light = march(
-                    rays_o[r, 0], rays_o[r, 1], rays_o[r, 2],
-                    rays_d[r, 0], rays_d[r, 1], rays_d[r, 2], jitter[r], grid, shape, skip,
-                    box, step, near, shift, cell[r], frac[r], alpha[s], depth[s], raw[s])
-                count[r] = n
-                rest[s] = light
-                sh_basis(rays_d[r, 0], rays_d[r, 1], rays_d[r, 2], basis)
-                left = np.float32(1)
-                for i in range(n):
-                    weight = left * alpha[s, i]
-                    left *= 1 - alpha[s, i]
-                    if weight < MIN_WEIGHT:
-                        rgb[s, i, 0] = -1
-                        continue
-                    sample_colour(grid, shape, cell[r, i], frac[r, i, 0], frac[r, i, 1],
-                                  frac[r, i, 2], basis, blend, rgb[s, i])
-                    for channel in range(3):
-                        mean[channel] += weight * rgb[s, i, channel]
+            left = np.float32(1)
+            for i in range(n):
+                weight = left * alpha[i]
+                left *= 1 - alpha[i]
+                if weight < MIN_WEIGHT:
+                    rgb[i, 0] = -1
+                    continue
+                sample_colour(grid, shape, cell[r, i], frac[r, i, 0], frac[r, i, 1],
+                              frac[r, i, 2], basis, blend, rgb[i])
                 for channel in range(3):
-                    mean[channel] += light * background[p, channel]
-            error[p] = 0
+                    mean[channel] += weight * rgb[i, channel]
+            error[r] = 0
             for channel in range(3):
-                colour = mean[channel] / subrays
-                difference = gain[p, channel] * colour - target[p, channel]
-                error[p] += difference * difference
-                d_gain[p, channel] = 2 * difference * colour
-                slope[channel] = 2 * difference * gain[p, channel] / subrays
-            for s in range(subrays):
-                r = p * subrays + s
-                _ray_gradient(count[r], rest[s], alpha[s], depth[s], raw[s], rgb[s],
-                              slope, gain[p], target[p], background[p], step,
-                              distortion / subrays, pointwise / subrays, sparsity / subrays,
-                              value, d_density[r], d_rgb[r])
+                colour = mean[channel] + light * background[r, channel]
+                difference = gain[r, channel] * colour - target[r, channel]
+                error[r] += difference * difference
+                d_gain[r, channel] = 2 * difference * colour
+                slope[channel] = 2 * difference * gain[r, channel]
+            _ray_gradient(n, light, alpha, depth, raw, rgb, slope, gain[r], target[r],
+                          background[r], step, distortion, pointwise, sparsity, value,
+                          d_density[r], d_rgb[r])
 
 
 @njit(**FAST)

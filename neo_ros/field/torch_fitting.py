@@ -48,14 +48,13 @@ class TorchFieldTrainer(FieldTrainer):
         photo, target, rays_o, rays_d = self.sample_rays()
         pixels = len(target)
         gain = np.exp(self.log_gain[photo])
-        jitter = self.random.random(len(rays_o), np.float32).reshape(pixels, -1)
+        jitter = self.random.random(pixels, np.float32)
         background = self.random.random((pixels, 3), np.float32)
         rank, processes = (distributed.get_rank(), distributed.get_world_size()) if (
             distributed.is_initialized()) else (0, 1)
         mine = slice(rank, None, processes)
         own = (torch.from_numpy(np.ascontiguousarray(array[mine])).to(self.arrays.device)
-               for array in (rays_o.reshape(pixels, -1, 3), rays_d.reshape(pixels, -1, 3),
-                             jitter, target, gain, background))
+               for array in (rays_o, rays_d, jitter, target, gain, background))
         error, d_gain = self._differentiate(*own)
         totals = torch.zeros(pixels, 4, device=self.arrays.device)
         totals[mine, 0], totals[mine, 1:] = error, d_gain
@@ -85,27 +84,25 @@ class TorchFieldTrainer(FieldTrainer):
         """
         Add the loss's gradient to `slope` and mark rows in `hit`.
 
-        Per pixel P with S rays each: rays (P, S, 3), jitter (P, S), the others (P, 3). The loss
-        is that of `fitting_kernels.differentiate_rays`. Returns error (P,) and d_gain (P, 3).
+        jitter (R,), the others (R, 3). The loss is that of `fitting_kernels.differentiate_rays`.
+        Returns error (R,) and d_gain (R, 3).
         """
-        config, arrays, subrays = self.config, self.arrays, jitter.shape[1]
-        directions = rays_d.flatten(0, 1)
-        samples = arrays.march(rays_o.flatten(0, 1), directions, jitter.flatten())
-        ray, pixel = samples.ray, samples.ray // subrays
+        config, arrays = self.config, self.arrays
+        samples = arrays.march(rays_o, rays_d, jitter)
+        ray = samples.ray
         values = arrays.interpolated(samples, torch.arange(len(ray), device=arrays.device))
         values.requires_grad_()
-        weight, light, alpha, distortion = self._weights(samples, values, len(directions))
-        shown = colours(values[:, 1:], sh_basis(directions[ray], arrays.terms))
+        weight, light, alpha, distortion = self._weights(samples, values, len(rays_d))
+        shown = colours(values[:, 1:], sh_basis(rays_d[ray], arrays.terms))
         coloured = torch.where(weight.detach() >= MIN_WEIGHT, weight, 0.0)[:, None]
-        seen = torch.zeros_like(directions).index_add(0, ray, coloured * shown)
-        seen = seen + light[:, None] * background.repeat_interleave(subrays, 0)
-        colour = seen.unflatten(0, (-1, subrays)).mean(1)
+        colour = (torch.zeros_like(rays_d).index_add(0, ray, coloured * shown)
+                  + light[:, None] * background)
         difference = gain * colour - target
         error = (difference ** 2).sum(1)
-        own = gain[pixel] * shown - target[pixel]
+        own = gain[ray] * shown - target[ray]
         rest = (config.distortion * distortion + config.sparsity * alpha.sum()
                 + config.pointwise * (coloured * own ** 2).sum())
-        slope = torch.autograd.grad(error.sum() + rest / subrays, values)[0]
+        slope = torch.autograd.grad(error.sum() + rest, values)[0]
         rows = arrays.rows(samples.base)
         spread = corner_weights(samples.frac)[..., None] * slope[:, None]
         self.slope.index_add_(0, rows.flatten(), spread.flatten(0, 1))
