@@ -96,10 +96,13 @@ print('# Written by make constraints from a fresh environment with the newest of
 for name, version in sorted({
         (found.name.lower(), found.version) for found in distributions()
         if (found.read_text('INSTALLER') or '').strip() == 'pip'
-        and found.name not in ('neo_ros', 'neo-ros', 'pip')}):
+        and found.name not in ('neo_ros', 'neo-ros')}):
     print(f'{name}=={version}')
 endef
 export CREATE_VENV FREEZE PYTHON
 
+# The pip that comes with Python 3.12 gives up where a download of torch's 2 GB breaks off; the
+# constraints' one goes on from there.
 $(VENV)/pyvenv.cfg:
 	@bash -c "$$CREATE_VENV"
+	@$(BIN)/python -m pip install --disable-pip-version-check --quiet $(PIP_VERSIONS) --upgrade pip
