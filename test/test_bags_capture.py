@@ -9,7 +9,7 @@ from capture_files import demo_photos, write_bag
 from neo_ros.bags import BagReader, BagWriter
 from neo_ros.bags.capture import read_bag_capture
 from neo_ros.bags.transforms import PoseTrack
-from neo_ros.errors import BagError
+from neo_ros.errors import BagError, SceneError
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.geometry.camera_pose import T_BODY_OPTICAL
 from neo_ros.scenes.capture_writing import write_capture
@@ -276,6 +276,12 @@ def strange_lens(bag: CameraBag) -> None:
     add_camera(bag, distortion_model='mystery', d=np.full(3, 0.1))
 
 
+def sixteen_bits(bag: CameraBag) -> None:
+    bag.send(RAW, 'sensor_msgs/msg/Image', START, header=bag.header(START, 'optical'),
+             height=24, width=32, encoding='mono16', is_bigendian=0, step=64,
+             data=np.zeros(24 * 64, np.uint8))
+
+
 def no_image(bag: CameraBag) -> None:
     add_tf(bag)
 
@@ -292,6 +298,7 @@ def no_image(bag: CameraBag) -> None:
     (other_clock, {}, 'no image of /cam/image_raw has a pose.*same clock'),
     (no_info, {}, 'expected a camera_info beside /cam/image_raw.*/other/camera_info'),
     (strange_lens, {}, "/cam/camera_info: .*coefficients of plumb_bob.*'mystery'.*rectify"),
+    (sixteen_bits, {}, '/cam/image_raw: .*mono16.*record another topic of this camera'),
     (no_image, {}, 'expected a topic of type sensor_msgs/msg/Image.*/tf'),
 ], ids=lambda value: value.__name__ if callable(value) else '')
 def test_what_is_missing_or_ambiguous_is_named(
@@ -301,6 +308,16 @@ def test_what_is_missing_or_ambiguous_is_named(
         fill(bag)
     with pytest.raises(BagError, match=message):
         read_bag_capture(tmp_path / 'bag', **topics)
+
+
+def test_an_image_of_another_size_is_named_by_its_stamp(tmp_path: Path) -> None:
+    with CameraBag(tmp_path / 'bag') as bag:
+        add_mount(bag)
+        add_tf(bag)
+        add_camera(bag)
+        bag.image(RAW, START + STEP // 2, IMAGES[0][:12])
+    with pytest.raises(SceneError, match='image of 1700000000.050 s: expected 32x24 .* got 32x12'):
+        write_capture(read_bag_capture(tmp_path / 'bag'), tmp_path / 'scene')
 
 
 def test_a_cut_off_bag_gives_what_is_left_of_it(tmp_path: Path) -> None:

@@ -4,10 +4,11 @@ import math
 from pathlib import Path
 
 from capture_files import (
-    demo_photos, Photos, write_bag, write_seven_scenes, write_transforms_capture)
+    demo_photos, Photos, write_bag, write_image, write_seven_scenes, write_transforms_capture)
 from neo_ros.cli.import_scene import import_scene
 from neo_ros.errors import ConfigError, SceneError
-from neo_ros.geometry import CameraPose
+from neo_ros.geometry import CameraPose, Intrinsics
+from neo_ros.scenes.demo_captures import render_demo_views
 from neo_ros.scenes.levelling import stood_up, tilt
 from neo_ros.scenes.scene import read_scene
 import numpy as np
@@ -108,15 +109,34 @@ def test_a_model_that_is_not_in_metres_is_scaled_and_not_turned(tmp_path: Path) 
     (['--format', 'scene', '--scale', '2'], ConfigError, '--scale: for captures'),
     *[(['--scale', value], ConfigError, 'expected a number > 0, got')
       for value in ('0', '-1', 'nan', 'inf')],
+    *[([option, '-5'], ConfigError, f'{option}: expected a number > 0, got -5')
+      for option in ('--keyframe-distance', '--keyframe-angle')],
     (['--size', '64'], ConfigError, '--size: expected only with "demo"'),
     (['--pose-topic', '/odom'], ConfigError, '--pose-topic: expected only with a bag'),
 ], ids=['unknown format', 'another format', 'a scene cannot be levelled', 'nor scaled',
-        'scale 0', 'negative scale', 'no scale', 'infinite scale', 'no demo', 'no bag'])
+        'scale 0', 'negative scale', 'no scale', 'infinite scale', 'negative step',
+        'negative turn', 'no demo', 'no bag'])
 def test_a_wrong_format_is_named(tmp_path: Path, arguments: list[str], error: type[Exception],
                                  message: str) -> None:
     source = write_transforms_capture(tmp_path / 'source', demo_photos())
     with pytest.raises(error, match=message):
         run(source, tmp_path / 'scene', *arguments)
+
+
+def test_photos_become_a_scene_and_stay_where_they_are(tmp_path: Path) -> None:
+    pytest.importorskip('pycolmap', reason='needs pycolmap (the train extra)')
+    camera = Intrinsics.from_hfov(240, 180, math.radians(75))
+    walk = [CameraPose.from_planar(2.2 + 0.09 * i, 1.1, 1.5, 1.2 + 0.03 * i) for i in range(6)]
+    for index, image in enumerate(render_demo_views(camera, walk, workers=1)):
+        write_image(tmp_path / f'room/images/{index}.png', image)
+    before = [path.read_bytes() for path in sorted((tmp_path / 'room/images').iterdir())]
+    with pytest.raises(SceneError, match='another folder than the source'):
+        run(tmp_path / 'room', tmp_path / 'room')
+    output = run(tmp_path / 'room', tmp_path / 'scene')
+    assert '6 of 6 photos' in output and 'arbitrary, not metres' in output
+    assert len(read_scene(tmp_path / 'scene').train) == 6
+    after = [path.read_bytes() for path in sorted((tmp_path / 'room/images').iterdir())]
+    assert after == before
 
 
 def test_the_demo_is_in_metres(tmp_path: Path) -> None:

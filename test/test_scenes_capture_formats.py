@@ -1,6 +1,7 @@
 """Every format gives back the same photos and poses, and says clearly what is wrong."""
 from dataclasses import astuple
 import json
+import math
 from pathlib import Path
 import shutil
 from typing import Callable
@@ -272,13 +273,41 @@ def test_damaged_transforms_are_refused(tmp_path: Path, text: str, message: str)
     ({'camera_model': 'EQUIRECTANGULAR'}, 'camera_model: expected one of'),
     ({'k4': 0.1}, 'k4: expected 0'),
     ({'fl_x': 'wide'}, r'frames\[0\]: camera'),
-    ({'k1': float('nan')}, 'distortion: expected finite'),
-], ids=['model', 'k4', 'word', 'nan'])
+    ({'k1': float('nan')}, r'frames\[0\]: camera: distortion: expected finite'),
+    ({'w': float('inf')}, r'frames\[0\]: camera: cannot convert'),
+    ({'fl_x': None, 'camera_angle_x': 0}, r'frames\[0\]: camera: .*division'),
+], ids=['model', 'k4', 'word', 'nan', 'infinite', 'no angle'])
 def test_cameras_that_cannot_be_used_are_refused(
         tmp_path: Path, camera: dict[str, object], message: str) -> None:
     source = write_transforms_capture(tmp_path / 's', demo_photos(), **camera)
     with pytest.raises(SceneError, match=message):
         read_transforms_capture(source)
+
+
+def test_a_colmap_camera_that_is_none_is_refused_by_its_line(tmp_path: Path) -> None:
+    source = write_colmap_text(tmp_path / 's', demo_photos(), 'SIMPLE_RADIAL',
+                               (60, 32, 24, math.nan))
+    with pytest.raises(SceneError, match='cameras.txt:2: distortion: expected finite'):
+        read_colmap(source)
+
+
+def test_poses_of_colmap_that_are_not_finite_are_left_out(tmp_path: Path) -> None:
+    source = write_colmap_text(tmp_path / 's', demo_photos())
+    path = source / 'sparse/0/images.txt'
+    lines = path.read_text().split('\n')
+    row = next(i for i, line in enumerate(lines) if line.startswith('2 '))
+    lines[row] = ' '.join(['2', 'nan', *lines[row].split()[2:]])
+    path.write_text('\n'.join(lines))
+    capture = read_colmap(source)
+    assert [frame.name for frame in capture.frames] == [f'images/{i}.png' for i in (0, 2, 3, 4)]
+    assert capture.notes == ('1 images have no finite pose and are left out: 1.png',)
+
+
+@pytest.mark.parametrize('folder, source', [('sparse/0', '.'), ('sparse', '0')])
+def test_a_colmap_model_may_be_named_from_within(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: str, source: str) -> None:
+    monkeypatch.chdir(write_colmap_text(tmp_path / 's', demo_photos()) / folder)
+    assert len(read_colmap(Path(source))) == 5
 
 
 def test_colmap_models_that_cannot_be_made_straight_are_refused(tmp_path: Path) -> None:
@@ -330,6 +359,15 @@ def test_pycolmap_writes_what_is_read(tmp_path: Path) -> None:
     for a, b in zip(ours.frames, binary.frames):
         assert a.pose is not None and b.pose is not None and a.lens == b.lens
         np.testing.assert_allclose(a.pose.T_world_cam, b.pose.T_world_cam, atol=1e-12)
+
+
+def test_scannet_intrinsics_that_are_none_are_refused_by_file(tmp_path: Path) -> None:
+    source = write_scannet(tmp_path / 's', demo_photos())
+    matrix = np.diag([math.nan, 58.5, 1, 1])
+    matrix[:2, 2] = 32, 24
+    write_matrix(source / 'intrinsic/intrinsic_color.txt', matrix)
+    with pytest.raises(SceneError, match='intrinsic_color.txt: fx: expected a finite'):
+        read_scannet(source)
 
 
 def test_scannet_intrinsics_of_another_size_are_refused(tmp_path: Path) -> None:

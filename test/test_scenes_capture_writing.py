@@ -95,6 +95,14 @@ def test_an_image_listed_twice_is_refused(tmp_path: Path, source: Path) -> None:
         write_capture(twice, tmp_path / 'scene')
 
 
+def test_images_that_no_import_wrote_are_left_alone(tmp_path: Path, source: Path) -> None:
+    own = write_image(tmp_path / 'mine/images/3.png', demo_photos().images[0])
+    before = own.read_bytes()
+    with pytest.raises(SceneError, match='mine: expected no images .* got images/3.png; choose'):
+        write_capture(read_transforms_capture(source), tmp_path / 'mine')
+    assert own.read_bytes() == before and len(list((tmp_path / 'mine').rglob('*'))) == 2
+
+
 def test_a_scene_is_not_written_over_its_source(source: Path) -> None:
     before = (source / 'images/0.png').read_bytes()
     with pytest.raises(SceneError, match='another folder than the source'):

@@ -74,6 +74,16 @@ def test_pictures_of_another_capture_are_not_taken_for_done(tmp_path: Path) -> N
                                   picture(CAMERA, 77))
 
 
+def test_images_that_no_import_wrote_are_left_alone(tmp_path: Path) -> None:
+    write_capture(tmp_path / 'source', 2)
+    own = tmp_path / 'mine/images/1.png'
+    own.parent.mkdir(parents=True)
+    own.write_bytes(b'the only one')
+    with pytest.raises(SceneError, match='mine: expected no images .* got images/1.png'):
+        import_transforms(tmp_path / 'source', tmp_path / 'mine')
+    assert own.read_bytes() == b'the only one'
+
+
 def test_pictures_of_two_captures_never_meet_the_poses_of_the_other(tmp_path: Path) -> None:
     other = write_transforms_capture(tmp_path / 'other', demo_photos(3))
     scene = tmp_path / 'scene'

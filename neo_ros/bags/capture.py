@@ -89,7 +89,9 @@ def read_bag_capture(path: Path, image_topic: Optional[str] = None,
         raise BagError(f'{path}: expected a camera_info beside {image.name}, the poses need the '
                        'calibration that belongs to them; the bag has '
                        f'{describe_topics(_info_topics(path))}')
-    return Capture(tuple(frames), tuple(notes), _stream(path, image, places), origin_of(path),
+    stream = _stream(path, image, places)
+    next(stream([0]), None)  # What cannot be decoded at all is refused before anything is written.
+    return Capture(tuple(frames), tuple(notes), stream, origin_of(path),
                    z_up=pose_at is not None)  # REP-103
 
 
@@ -241,7 +243,12 @@ def _stream(path: Path, image: BagTopic, places: Sequence[int]) -> ImageStream:
                         if message.topic == image)
             for place, message in enumerate(messages):
                 if place in wanted:
-                    yield wanted.pop(place), decode_image(message.read(), image.msgtype)
+                    try:
+                        picture = decode_image(message.read(), image.msgtype)
+                    except ImageRejected as error:
+                        raise BagError(f'{path}: {image.name}: {error}; convert the images, or '
+                                       'record another topic of this camera') from error
+                    yield wanted.pop(place), picture
                 if not wanted:
                     return
 

@@ -2,7 +2,7 @@
 from pathlib import Path
 from typing import Annotated, Any, Optional
 
-from neo_ros.errors import ConfigError
+from neo_ros.errors import ConfigError, SceneError
 import typer
 
 FORMATS = 'scene, transforms, colmap, scannet, 7scenes, trajectory, bag, photos or video'
@@ -120,8 +120,12 @@ def _import_capture(source: Path, scene: Path, format_: Any, image_topic: Option
     from neo_ros.scenes.keyframes import keyframes
     from neo_ros.scenes.levelling import CLEARLY_TILTED, level as level_world, scaled, tilt
 
-    if scale is not None and not (math.isfinite(scale) and scale > 0):
-        raise ConfigError(f'--scale: expected a number > 0, got {scale}')
+    for option, value in (('--scale', scale), ('--keyframe-distance', keyframe_distance),
+                          ('--keyframe-angle', keyframe_angle)):
+        if value is not None and not (math.isfinite(value) and value > 0):
+            raise ConfigError(f'{option}: expected a number > 0, got {value:g}')
+    if source.resolve() == scene.resolve():
+        raise SceneError(f'{scene}: expected another folder than the source')
     notes = []
     if format_ == CaptureFormat.BAG:
         from neo_ros.bags.capture import read_bag_capture

@@ -4,7 +4,7 @@ import json
 import logging
 from pathlib import Path
 import shutil
-from typing import Any, Optional, Sequence
+from typing import Any, Iterable, Optional, Sequence
 
 import cv2
 from neo_ros.errors import SceneError
@@ -108,7 +108,9 @@ def _with_lenses(capture: Capture) -> Capture:
         size = next((image.shape[1::-1] for _, image in capture.images(range(len(capture)))
                      if image is not None), None)
     if size is None:
-        raise SceneError(f'none of the {len(capture)} images can be read')
+        first = capture.frames[0]
+        raise SceneError(f'none of the {len(capture)} images can be read, from '
+                         f'{first.file or first.name} on; are the files whole?')
     lens = Lens(Intrinsics.from_hfov(*size, 1.0))
     return replace(capture, frames=tuple(
         replace(frame, lens=lens) for frame in capture.frames))
@@ -142,7 +144,7 @@ def _write_image(frame: CapturedFrame, image: np.ndarray, straightener: Straight
     camera = frame.lens.intrinsics
     if image.shape[:2] != (camera.height, camera.width):
         raise SceneError(
-            f'{frame.file or frame.name}: expected {camera.width}x{camera.height} pixels as its '
+            f'{_where(frame)}: expected {camera.width}x{camera.height} pixels as its '
             f'camera says, got {image.shape[1]}x{image.shape[0]}; photos are never resized')
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -155,6 +157,13 @@ def _write_image(frame: CapturedFrame, image: np.ndarray, straightener: Straight
     except OSError as error:
         raise SceneError(f'{target}: cannot write: {error.strerror}; '
                          'choose another scene folder') from error
+
+
+def _where(frame: CapturedFrame) -> str:
+    """Name an image as the source does: the name in a scene means nothing to its user."""
+    if frame.file is None and frame.stamp_ns is not None:
+        return f'the image of {frame.stamp_ns / 1e9:.3f} s'
+    return str(frame.file or frame.name)
 
 
 def _claim(folder: Path, capture: Capture, pinhole: Intrinsics) -> None:
@@ -171,18 +180,33 @@ def _claim(folder: Path, capture: Capture, pinhole: Intrinsics) -> None:
         found = None
     if found == wanted:
         return
+    check_own(folder, _image_names(capture))
     try:
         # First of all: the earlier poses must never meet other pictures.
         clear_earlier_import(folder)
         (folder / 'transforms_train.json').unlink(missing_ok=True)
-        for frame in capture.frames:
-            for name in (frame.name, frame.name + '.png'):
-                (folder / name).unlink(missing_ok=True)
+        for name in _image_names(capture):
+            (folder / name).unlink(missing_ok=True)
         folder.mkdir(parents=True, exist_ok=True)
         note.write_text(json.dumps(wanted))
     except OSError as error:
         raise SceneError(f'{folder}: cannot write: {error.strerror}; '
                          'choose another scene folder') from error
+
+
+def check_own(folder: Path, names: Iterable[str]) -> None:
+    """Raise SceneError for images that no import wrote: they may be the only ones."""
+    if (folder / NOTE_FILE).is_file() or (folder / 'transforms_train.json').is_file():
+        return
+    for name in names:
+        if (folder / name).exists():
+            raise SceneError(f'{folder}: expected no images that another program wrote, got '
+                             f'{name}; choose another scene folder, or move them away')
+
+
+def _image_names(capture: Capture) -> list[str]:
+    """Return all names that images of this capture may get."""
+    return [name for frame in capture.frames for name in (frame.name, frame.name + '.png')]
 
 
 def _numbers(xyz: np.ndarray) -> str:

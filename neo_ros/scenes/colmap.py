@@ -5,6 +5,7 @@ COLMAP's cameras have OpenCV axes and pixel centres at +0.5, as here; its poses 
 camera. Its world is neither in metres nor level unless someone aligned it.
 """
 from dataclasses import dataclass, replace
+import os
 from pathlib import Path
 import struct
 from typing import BinaryIO, Iterator, Optional, Sequence
@@ -51,6 +52,7 @@ def read_colmap(source: Path) -> Capture:
     if model is None:
         raise SceneError(f'{source}: expected cameras.bin and images.bin (or .txt) here, in '
                          'sparse/ or in sparse/0/')
+    model = Path(os.path.abspath(model))  # '.' has neither parents nor a name.
     places = [folder / name for folder in (source, *model.parents[:2]) for name in IMAGE_FOLDERS]
     images = next((place for place in places if place.is_dir()), source)
     capture = read_colmap_model(model, images)
@@ -74,7 +76,7 @@ def read_colmap_model(model: Path, image_folder: Path) -> Capture:
     """
     cameras, images = (_read_binary(model) if (model / 'cameras.bin').is_file()
                        else _read_text(model))
-    frames, missing = [], []
+    frames, missing, lost = [], [], []
     for image in sorted(images, key=lambda image: natural_key(image.name)):
         where = f'{model}: image {image.name}'
         lens = cameras.get(image.camera_id)
@@ -82,6 +84,9 @@ def read_colmap_model(model: Path, image_folder: Path) -> Capture:
             raise SceneError(f'{where}: expected its camera {image.camera_id} in the model')
         if not (image_folder / image.name).is_file():
             missing.append(image.name)
+            continue
+        if not np.isfinite(image.quaternion_wxyz + image.translation).all():
+            lost.append(image.name)
             continue
         w, x, y, z = image.quaternion_wxyz
         try:
@@ -92,12 +97,19 @@ def read_colmap_model(model: Path, image_folder: Path) -> Capture:
             raise SceneError(f'{where}: {error}') from error
         frames.append(CapturedFrame(
             f'images/{image.name}', pose, lens, file=image_folder / image.name))
+    if not frames and lost:
+        raise SceneError(f'{model}: none of its {len(images)} images has a finite pose and a file '
+                         f'in {image_folder}')
     if not frames:
         raise SceneError(f'{model}: none of its {len(images)} images is in {image_folder}: '
                          f'{listed(missing) or "the model is empty"}')
-    notes = ((f'{len(missing)} images of the model are missing and left out: '
-              f'{listed(missing)}',) if missing else ())
-    return Capture(tuple(frames), notes)
+    notes = []
+    if missing:
+        notes.append(f'{len(missing)} images of the model are missing and left out: '
+                     f'{listed(missing)}')
+    if lost:
+        notes.append(f'{len(lost)} images have no finite pose and are left out: {listed(lost)}')
+    return Capture(tuple(frames), tuple(notes))
 
 
 def _lens(model: str, width: int, height: int, params: Sequence[float], where: str) -> Lens:
@@ -111,9 +123,9 @@ def _lens(model: str, width: int, height: int, params: Sequence[float], where: s
         distortion = (*distortion, *(0.0,) * (4 - len(distortion)))  # and no p1, p2
     try:
         intrinsics = Intrinsics(width, height, *focal, *centre)
+        return Lens(intrinsics, distortion, fisheye=model.endswith('FISHEYE'))
     except GeometryError as error:
         raise SceneError(f'{where}: {error}') from error
-    return Lens(intrinsics, distortion, fisheye=model.endswith('FISHEYE'))
 
 
 def _read_text(model: Path) -> tuple[dict[int, Lens], list[_ModelImage]]:

@@ -8,7 +8,7 @@ from typing import Callable
 
 from neo_ros.errors import SceneError
 from neo_ros.paths import whole_file
-from neo_ros.scenes.capture_writing import check_near_origin, NOTE_FILE
+from neo_ros.scenes.capture_writing import check_near_origin, check_own, NOTE_FILE
 from neo_ros.scenes.posed_images import PosedImages, read_rgb_image
 from neo_ros.scenes.scene import clear_earlier_import
 from neo_ros.scenes.transforms_json import read_input_crop, read_transforms, write_transforms
@@ -41,7 +41,10 @@ def import_transforms(source: Path, scene: Path,
         raise SceneError(f'{source}: expected transforms_train.json or transforms.json')
     for images in found.values():
         check_near_origin(images.image_paths, images.poses)
-    total = sum(len(images) for images in found.values())
+    every = [path for images in found.values() for path in images.image_paths]
+    check_own(scene, (_scene_name(path, source) for path in every
+                      if not _same(path, scene / _scene_name(path, source))))
+    total = len(every)
     done = 0
     copied: dict[str, PosedImages] = {}
     for name, images in found.items():
@@ -57,20 +60,29 @@ def import_transforms(source: Path, scene: Path,
         shutil.copyfile(floor, scene / floor.name)
     for name, images in copied.items():
         write_transforms(scene / names[name], images, read_input_crop(source / name))
+    (scene / NOTE_FILE).unlink(missing_ok=True)
+
+
+def _scene_name(path: Path, source: Path) -> str:
+    parts = Path(os.path.relpath(path, source)).parts
+    return Path(*('beside' if part == '..' else part for part in parts)).as_posix()
+
+
+def _same(path: Path, target: Path) -> bool:
+    return target.exists() and filecmp.cmp(path, target, shallow=False)
 
 
 def _copy_image(path: Path, source: Path, scene: Path, images: PosedImages) -> Path:
     read_rgb_image(path, images.intrinsics)
-    relative = Path(os.path.relpath(path, source))
-    target = scene.joinpath(*('beside' if part == '..' else part for part in relative.parts))
+    target = scene / _scene_name(path, source)
     try:
-        if target.exists() and filecmp.cmp(path, target, shallow=False):
+        if _same(path, target):
             return target
+        target.parent.mkdir(parents=True, exist_ok=True)
         # The poses and the note of an earlier import must never meet other pictures.
         clear_earlier_import(scene, has_floor=(source / 'walkable.json').is_file())
-        for name in ('transforms_train.json', NOTE_FILE):
-            (scene / name).unlink(missing_ok=True)
-        target.parent.mkdir(parents=True, exist_ok=True)
+        (scene / 'transforms_train.json').unlink(missing_ok=True)
+        (scene / NOTE_FILE).write_text('{}')
         with whole_file(target) as partial:
             shutil.copyfile(path, partial)
     except OSError as error:

@@ -28,7 +28,7 @@ class Lens:
 
     def __post_init__(self) -> None:
         if not np.isfinite(self.distortion).all():
-            raise SceneError(f'distortion: expected finite numbers, got {self.distortion}')
+            raise GeometryError(f'distortion: expected finite numbers, got {self.distortion}')
 
     @property
     def is_pinhole(self) -> bool:

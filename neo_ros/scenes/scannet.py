@@ -6,7 +6,7 @@ lost) and intrinsic/intrinsic_color.txt (4x4).
 """
 from pathlib import Path
 
-from neo_ros.errors import SceneError
+from neo_ros.errors import GeometryError, SceneError
 from neo_ros.geometry import Intrinsics
 from neo_ros.scenes.capture import Capture, CapturedFrame, first_photo_size, list_photos, listed
 from neo_ros.scenes.lens import Lens
@@ -56,4 +56,7 @@ def _intrinsics(path: Path, width: int, height: int) -> Intrinsics:
         raise SceneError(
             f'{path}: expected the camera of the {width}x{height} images in color/, got the '
             f'optical centre ({cx:.1f}, {cy:.1f}); scale its first two rows to their size')
-    return Intrinsics(width, height, fx, fy, cx, cy)
+    try:
+        return Intrinsics(width, height, fx, fy, cx, cy)
+    except GeometryError as error:
+        raise SceneError(f'{path}: {error}') from error

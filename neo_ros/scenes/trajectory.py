@@ -18,7 +18,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from neo_ros.errors import GeometryError, SceneError
+from neo_ros.errors import SceneError
 from neo_ros.geometry import Intrinsics
 from neo_ros.scenes.capture import Capture, CapturedFrame, list_photos, listed, natural_key
 from neo_ros.scenes.lens import Lens
@@ -87,7 +87,7 @@ def _camera(source: Path) -> tuple[Intrinsics, bool]:
         axes = values.get('axes', 'opencv')
     except KeyError as error:
         raise SceneError(f'{file}: expected the key {error}') from error
-    except (OSError, TypeError, ValueError, AttributeError, GeometryError) as error:
+    except (OSError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
         raise SceneError(f'{file}: {error}') from error
     if axes not in ('opencv', 'opengl'):
         raise SceneError(f'{file}: axes: expected "opencv" or "opengl", got {axes!r}')

@@ -12,7 +12,7 @@ import os
 from pathlib import Path
 from typing import Any, Optional
 
-from neo_ros.errors import GeometryError, SceneError
+from neo_ros.errors import SceneError
 from neo_ros.geometry import Intrinsics
 from neo_ros.scenes.capture import (
     Capture, CapturedFrame, first_photo_size, listed, natural_key, PHOTO_SUFFIXES)
@@ -102,7 +102,7 @@ def _matrix(entry: dict[str, Any], where: str) -> np.ndarray:
 def _path_id(entry: dict[str, Any], where: str) -> int:
     try:
         return int(entry.get('path_id', 0))
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise SceneError(f'{where}: path_id: {error}') from error
 
 
@@ -128,13 +128,13 @@ def _read_lens(values: dict[str, Any], where: str) -> Lens:
                                 values.get('cx', width / 2), values.get('cy', height / 2))
         k1, k2, k3, k4, p1, p2 = (
             float(values.get(key) or 0) for key in ('k1', 'k2', 'k3', 'k4', 'p1', 'p2'))
+        if model == _FISHEYE or values.get('is_fisheye'):
+            return Lens(intrinsics, (k1, k2, k3, k4), fisheye=True)
+        if k4:
+            # nerfstudio's r^8 term: OpenCV's fourth radial coefficient means something else.
+            raise SceneError(f'{where}: k4: expected 0 for {model or "this camera"}, got {k4}')
+        return Lens(intrinsics, (k1, k2, p1, p2, k3))
     except SceneError:
         raise
-    except (TypeError, ValueError, GeometryError) as error:
+    except (TypeError, ValueError, ArithmeticError) as error:
         raise SceneError(f'{where}: camera: {error}') from error
-    if model == _FISHEYE or values.get('is_fisheye'):
-        return Lens(intrinsics, (k1, k2, k3, k4), fisheye=True)
-    if k4:
-        # nerfstudio's r^8 term: OpenCV's fourth radial coefficient means something else.
-        raise SceneError(f'{where}: k4: expected 0 for {model or "this camera"}, got {k4}')
-    return Lens(intrinsics, (k1, k2, p1, p2, k3))

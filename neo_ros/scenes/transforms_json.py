@@ -44,7 +44,7 @@ def read_transforms(path: Path) -> PosedImages:
             _check_camera_of_frame(frame, document, path)
         except KeyError as error:
             raise SceneError(f'{path}: frames[{index}]: expected the key {error}') from error
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             raise SceneError(f'{path}: frames[{index}]: {error}') from error
         if not image_path.is_file():
             missing.append(frame['file_path'])
@@ -70,7 +70,7 @@ def read_input_crop(path: Path) -> Optional[ViewExpansion]:
     try:
         return ViewExpansion.inside(_read_intrinsics(document, path), int(crop['x']),
                                     int(crop['y']), int(crop['w']), int(crop['h']))
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise SceneError(
             f'{path}: input_crop: expected x, y, w, h in pixels: {error!r}') from error
 
@@ -140,7 +140,7 @@ def _read_intrinsics(document: dict[str, Any], path: Path) -> Intrinsics:
     except KeyError as error:
         raise SceneError(
             f'{path}: expected the key {error} (pixels); {_advice(path)}') from error
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise SceneError(f'{path}: intrinsics: {error}') from error
 
 

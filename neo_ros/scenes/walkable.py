@@ -111,7 +111,8 @@ def read_walkable(path: Path) -> WalkableMap:
                            float(document.get('clearance', 0.0)))
     except KeyError as error:
         raise SceneError(f'{path}: expected the key {error}') from error
-    except (TypeError, ValueError) as error:  # SceneError is a ValueError: the path is added
+    except (TypeError, ValueError, OverflowError) as error:
+        # SceneError is a ValueError: the path is added.
         raise SceneError(f'{path}: {error}') from error
 
 
@@ -125,8 +126,12 @@ def write_walkable(path: Path, walkable: WalkableMap) -> None:
         'note': 'rows[j][i] is the cell with x in origin[0]+[i,i+1)*resolution and y in '
                 'origin[1]+[j,j+1)*resolution; 1 = walkable',
         'rows': [''.join('1' if cell else '0' for cell in row) for row in walkable.cells]}
-    with whole_file(path) as partial:
-        partial.write_text(json.dumps(document, indent=0))
+    try:
+        with whole_file(path) as partial:
+            partial.write_text(json.dumps(document, indent=0))
+    except OSError as error:
+        raise SceneError(f'{path}: cannot write: {error.strerror}; make its folder writable, or '
+                         'make room') from error
 
 
 def _read_rows(rows: list[str], width: int, height: int) -> np.ndarray:
