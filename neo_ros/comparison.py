@@ -59,7 +59,8 @@ def compare(scene_folder: Path, configs: Sequence[Path], out: Path,
         raise ConfigError('minutes, steps: expected one of both, got both')
     names = [path.stem for path in configs]
     if len(set(names)) != len(names):
-        raise ConfigError(f'configs: expected files of different names, got {names}')
+        raise ConfigError(f'configs: expected files of different names, got {names}; a name '
+                          'tells the rows apart: rename one')
     experiments = {
         path.stem + (f'_{length:g}min' if len(minutes) > 1 else ''): _prepared(
             read_experiment(path), length, steps)
@@ -131,9 +132,9 @@ def _trained_row(scene_folder: Path, name: str, experiment: Experiment, folder: 
 def _finished_row(folder: Path, frames: str) -> Optional[Row]:
     try:
         stored = json.loads((folder / 'row.json').read_text())
-    except FileNotFoundError:
-        return None
-    return Row(**stored['row']) if stored.get('frames') == frames else None
+        return Row(**stored['row']) if stored['frames'] == frames else None
+    except (OSError, ValueError, KeyError, TypeError):
+        return None  # Not finished, damaged, or of another version.
 
 
 def _milliseconds(model: FovExtrapolator) -> float:

@@ -14,7 +14,7 @@ from neo_ros.outpaint.export import (
     calibration_factor, check_parity, ExportedFunction, require_parity)
 from neo_ros.outpaint.networks import build_network
 from neo_ros.outpaint.variants import export_variant, Format, FORMATS
-from neo_ros.pipeline import real_frames, TrainingRun
+from neo_ros.pipeline import LEAST_PHOTOS, real_frames, TrainingRun
 from neo_ros.runtime import FovExtrapolator, read_model_card, write_model_card
 from neo_ros.runtime.model_card import Parity
 from neo_ros.training_folder import claim
@@ -47,15 +47,16 @@ def export_variants(run: TrainingRun, formats: Sequence[Format] = FORMATS,
     ModelError where fp32 is not the function that was trained.
     """
     checkpoint = run.out / 'outpainter.ckpt'
-    unfinished = ConfigError(
-        f'{run.out}: expected a finished run; give neo train the same arguments')
-    if not checkpoint.exists() or not run.model_path.exists():
-        raise unfinished
+    missing = [path.name for path in (checkpoint, run.model_path) if not path.exists()]
+    if missing:
+        raise ConfigError(f'{run.out}: expected a finished run, got none with '
+                          f'{" and ".join(missing)}; give neo train the same arguments')
     claim(run.out, run.scene, run.experiment)
     state = read_checkpoint(checkpoint)['trainer']
     done, total = run.experiment.outpaint.progress(state['step'], state['seconds'])
     if done < total:
-        raise unfinished
+        raise ConfigError(f'{run.out}: expected a finished run, got one that is at {done} of '
+                          f'{total}; give neo train the same arguments')
     network = build_network(run.expansion, run.experiment.network)
     network.load_state_dict(state['averaged'])
     network.eval()
@@ -63,7 +64,7 @@ def export_variants(run: TrainingRun, formats: Sequence[Format] = FORMATS,
         run.out / 'field.npz', chosen_device(run.experiment.field.device)))
     if views is None:
         raise ConfigError(f'{run.out}: expected photos held out of the training to measure on, '
-                          'there are too few')
+                          f'got none of {len(run.scene.train)}; import at least {LEAST_PHOTOS}')
     factor = calibration_factor(network, run.expansion, views)
     function = ExportedFunction(network, run.expansion, factor).eval()
     # What is measured here is of other frames than the scores of a card.
@@ -76,12 +77,18 @@ def export_variants(run: TrainingRun, formats: Sequence[Format] = FORMATS,
         write_model_card(path, card)
         model = FovExtrapolator.load(path, threads, guided=False)
         worst, share = check_parity(function, model.expand, real_frames(run, PARITY_FRAMES))
-        if number_format == 'fp32':  # The others round on purpose; their cards say how much.
+        if number_format == 'fp32':  # The others round on purpose.
             require_parity(path, worst, share)
         write_model_card(path, card.model_copy(update={
             'parity': Parity(max_abs_error=worst, share_within_1=share)}))
         models[number_format] = path
-    return _measured(models, run, views, threads)
+    variants = _measured(models, run, views, threads)
+    best = max(variant.ring_psnr for variant in variants)
+    for variant in variants[1:]:
+        write_model_card(variant.path, read_model_card(variant.path).model_copy(update={'scores': {
+            'held_out_ring_psnr': round(variant.ring_psnr, 4),
+            'held_out_ring_psnr_lost': round(best - variant.ring_psnr, 4)}}))
+    return variants
 
 
 def _measured(models: dict[str, Path], run: TrainingRun, views: np.ndarray,

@@ -42,6 +42,8 @@ from torch import nn
 
 # One photo in so many is kept from the field's fit, to see how well it shows new views.
 HELD_OUT_EVERY = 25
+# With fewer photos none is.
+LEAST_PHOTOS = HELD_OUT_EVERY // 2 + 1
 # Photos that tell the node later what images of the scene look like.
 REFERENCE_PHOTOS = 300
 
@@ -207,7 +209,12 @@ def export_step(run: TrainingRun, network: nn.Module,
     file differ.
     """
     path = run.model_path
-    factor = 1.0 if held_out is None else calibration_factor(network, run.expansion, held_out)
+    factor = 1.0
+    if held_out is not None:
+        factor = calibration_factor(network, run.expansion, held_out)
+    else:
+        run.progress('without calibration', 0, 1, 'no photo is held out of fewer than '
+                     f'{LEAST_PHOTOS}: how true the confidence is, nobody measured')
     function = export_onnx(network, run.expansion, path, factor)
     # Until it is measured, the card says the worst of the export.
     card = ModelCard(

@@ -1,5 +1,6 @@
 """Beyond the paper: the scene memory that guides a run's network, with its landmarks."""
 from dataclasses import asdict
+import glob
 import hashlib
 from importlib.util import find_spec
 import json
@@ -8,7 +9,7 @@ import shutil
 import time
 from typing import Optional, TYPE_CHECKING
 
-from neo_ros.errors import SceneError
+from neo_ros.errors import ModelError, SceneError
 from neo_ros.evaluation.output import write_bytes
 from neo_ros.evaluation.photo_bank import read_photo_bank
 from neo_ros.evaluation.sparse_model import read_sparse_model
@@ -55,8 +56,15 @@ def memory_step(run: 'TrainingRun', field: RadianceField) -> None:
         shutil.rmtree(run.out / WORK, ignore_errors=True)
     run.seconds += seconds
     file = MemoryFile(file=path.name, sha256=hashlib.sha256(path.read_bytes()).hexdigest())
-    write_model_card(run.model_path, read_model_card(run.model_path).model_copy(
-        update={'memory': file, 'trained_seconds': run.seconds}))
+    news = {'memory': file, 'trained_seconds': run.seconds}
+    write_model_card(run.model_path, read_model_card(run.model_path).model_copy(update=news))
+    # What `neo export` wrote beside the model is guided by the same memory.
+    for model in run.out.glob(f'{glob.escape(run.model_path.stem)}.*.onnx'):
+        try:
+            card = read_model_card(model)
+        except ModelError:
+            continue  # An export that was broken off.
+        write_model_card(model, card.model_copy(update=news))
 
 
 def memory_seconds(notes: Path, config: MemoryConfig) -> Optional[float]:

@@ -105,7 +105,7 @@ def test_a_broken_training_remembers_its_best(run, monkeypatch):
 
 def test_without_photos_to_validate_on_there_is_no_b1(run):
     run.held_out = None
-    with pytest.raises(ConfigError, match='expected photos to hold out'):
+    with pytest.raises(ConfigError, match='expected at least 13 photos.*leave naive out'):
         train_naive(run)
 
 

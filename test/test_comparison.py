@@ -9,13 +9,15 @@ from neo_ros.checkpoint import read_checkpoint, write_checkpoint
 from neo_ros.cli.main import app
 from neo_ros.comparison import compare, marked_front, Row
 from neo_ros.errors import ConfigError, ModelError
+from neo_ros.field.memory_baking import MemoryConfig
+from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.model_variants import export_variants
 from neo_ros.outpaint.export import ExportedFunction
 from neo_ros.pipeline import TrainingRun
 from neo_ros.runtime import read_model_card
 import numpy as np
 import pytest
-from tiny_training import TINY
+from tiny_training import TINY, train_tiny
 from typer.testing import CliRunner
 
 SHORT = """
@@ -115,8 +117,19 @@ def test_a_finished_run_is_exported_in_other_formats(
     assert cards['fp32'].parity.share_within_1 >= 0.999
     assert cards['int8'].parity.max_abs_error > cards['fp32'].parity.max_abs_error
     assert cards['int8'].scene_id == 'scene' and (cards['fp32'].gflop or 0) > 0
-    # The scores of the model as trained are not those of its variants.
-    assert cards['as trained'].scores and not cards['fp32'].scores and not cards['int8'].scores
+    # The scores of the model as trained, on the test frames, are not those of its variants.
+    lost = {name: max(scores) - found.ring_psnr for name, found in variants.items()}
+    for name in ('fp32', 'int8'):
+        assert cards[name].scores == pytest.approx({
+            'held_out_ring_psnr': variants[name].ring_psnr,
+            'held_out_ring_psnr_lost': lost[name]}, abs=1e-4)
+    assert 'ring_psnr' in cards['as trained'].scores
+    # A memory that is made anew guides all of them.
+    train_tiny(tiny_run.out.parent / 'scene', run.out,
+               replace(TINY, memory=MemoryConfig(distance=1.5)))
+    memory, *others = (read_model_card(found.path).memory for found in variants.values())
+    assert memory is not None and memory != cards['int8'].memory and others == [memory] * 2
+    assert SceneMemory.read(run.out / 'scene.memory', memory.sha256)
 
 
 def test_an_fp32_variant_with_a_wrong_confidence_is_refused(
@@ -137,12 +150,12 @@ def test_other_settings_and_unfinished_runs_are_not_exported(
     with pytest.raises(ConfigError, match='got a run of'):
         export_variants(other)
     unfinished = TrainingRun(tiny_run.scene, TINY, tmp_path / 'out', tiny_run.progress)
-    with pytest.raises(ConfigError, match='expected a finished run'):
+    with pytest.raises(ConfigError, match='got none with outpainter.ckpt and scene.onnx'):
         export_variants(unfinished)
     # Trained anew, and broken off: the model file is still the old one.
     shutil.copytree(tiny_run.out, unfinished.out)
     state = read_checkpoint(unfinished.out / 'outpainter.ckpt')
     state['trainer']['step'] -= 1
     write_checkpoint(unfinished.out / 'outpainter.ckpt', state)
-    with pytest.raises(ConfigError, match='expected a finished run'):
+    with pytest.raises(ConfigError, match='finished run, got one that is at .* of'):
         export_variants(unfinished)

@@ -278,6 +278,25 @@ def test_a_network_is_never_surer_than_half_a_grey_level(
     assert sure.grad is not None and float(sure.grad) == pytest.approx(pull, abs=1e-6)
 
 
+def test_gradients_are_clipped() -> None:
+    def norm(clip: float) -> float:
+        learning = trainer(clip=clip)
+        learning.train_step(wide_views(0))
+        return math.sqrt(sum(float(weight.grad.square().sum())
+                             for weight in learning.network.parameters()
+                             if weight.grad is not None))
+
+    assert norm(1e-3) == pytest.approx(1e-3, rel=1e-2) and norm(1e3) > 1e-2
+
+
+def test_mat_learns_in_the_default_precision() -> None:
+    learning = OutpaintTrainer(
+        EXPANSION, NetworkConfig(name='mat', patch=4, width=32, depth=2, window=4),
+        OutpaintConfig(steps=30, batch=4, device='cpu'), 0)
+    losses = [learning.train_step(wide_views(0)) for _ in range(30)]
+    assert losses[-1] < 0.95 * losses[0]  # Smoothed: most of the first one is still in it.
+
+
 def test_batch_statistics_are_averaged_too() -> None:
     learning = OutpaintTrainer(
         EXPANSION, NetworkConfig(name='lama', width=8, depth=1, blocks=1),
@@ -343,6 +362,10 @@ def test_a_device_that_is_not_there_is_an_error() -> None:
     ({'occluders': -0.1}, 'outpaint.occluders: expected 0 ... 1'),
     ({'photometric': -1}, 'outpaint.photometric: expected 0 ... inf'),
     ({'perceptual': -1}, 'outpaint.perceptual: expected 0'),
+    *[({name: value}, f'outpaint.{name}: expected a number > 0, got {value}')
+      for name, value in (('learning_rate', -0.002), ('learning_rate', math.nan), ('clip', 0.0))],
+    ({'weight_decay': -1}, 'outpaint.weight_decay: expected 0 ... inf, got -1'),
+    ({'average': 1.5}, 'outpaint.average: expected 0 ... 1, got 1.5'),
     ({'perceptual_window': 16}, 'outpaint.perceptual_window: expected at least 32'),
 ], ids=str)
 def test_settings_out_of_range(changes: dict[str, Any], message: str) -> None:

@@ -73,8 +73,9 @@ def test_sizes_that_do_not_fit_are_named(size: tuple[int, ...], message: str) ->
         check_fits(expansion(*size), SMALL)
 
 
-@pytest.mark.parametrize('changes', [{'patch': -1}, {'width': 0}, {'depth': 0}, {'memory': -1}],
-                         ids=str)
-def test_settings_out_of_range(changes: dict[str, Any]) -> None:
-    with pytest.raises(ConfigError, match='expected sizes >= 1|patch: expected 0'):
+@pytest.mark.parametrize('name, value, least', [
+    ('patch', -1, 0), ('width', 0, 1), ('depth', 0, 1), ('memory', -1, 1)])
+def test_settings_out_of_range(name: str, value: int, least: int) -> None:
+    changes: dict[str, Any] = {name: value}
+    with pytest.raises(ConfigError, match=f'{name}: expected {least} or more, got {value}'):
         NetworkConfig(**changes)

@@ -130,7 +130,7 @@ def test_fewer_recalled_channels_make_a_smaller_network() -> None:
     ({'name': 'gan'}, "network.name: expected one of neo_fast, mat, lama, got 'gan'"),
     ({'recall': -1}, 'network.recall: expected 0 or more, got -1'),
     ({'memory': 1 << 24}, 'at most 1024 MB, .* got .* larger network.patch'),
-    ({'blocks': 0}, 'network: expected sizes >= 1'),
+    ({'blocks': 0}, 'network.blocks: expected 1 or more, got 0'),
     ({'name': 'mat', 'patch': 6}, 'network.patch: mat expects a power of two, got 6'),
     ({'name': 'mat', 'width': 48}, 'network.width: mat expects a multiple of 32, got 48'),
 ], ids=str)

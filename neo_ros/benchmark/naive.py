@@ -13,7 +13,7 @@ import cv2
 from neo_ros.checkpoint import CHECKPOINT_SECONDS, read_checkpoint, write_checkpoint
 from neo_ros.errors import ConfigError
 from neo_ros.outpaint.fitting import OutpaintTrainer
-from neo_ros.pipeline import export_step, TrainingRun
+from neo_ros.pipeline import export_step, LEAST_PHOTOS, TrainingRun
 from neo_ros.scenes.posed_images import PosedImages
 import numpy as np
 
@@ -52,8 +52,9 @@ def train_naive(run: TrainingRun) -> None:
     are exported; the training ends early where it only overfits. A broken-off run goes on.
     """
     if run.held_out is None:
-        raise ConfigError(f'naive: expected photos to hold out, {run.scene.name} has only '
-                          f'{len(run.scene.train)}')
+        raise ConfigError(f'naive: expected at least {LEAST_PHOTOS} photos, so that one is held '
+                          f'out, {run.scene.name} has {len(run.scene.train)}; leave naive out '
+                          'of --methods')
     target, experiment = run.expansion.target, run.experiment
     held_out = np.stack([opaque(as_wide(run.held_out, index, target.width, target.height))
                          for index in range(len(run.held_out))])

@@ -85,7 +85,11 @@ def export_onnx(network: nn.Module, expansion: ViewExpansion, path: Path,
     round_weights(network)
     function = ExportedFunction(network, expansion, error_factor).eval()
     write_graph(function, expansion, path)
-    compact_weights(path)
+    try:
+        compact_weights(path)
+    except OSError as error:
+        raise ModelError(f'{path}: cannot write: {error.strerror}; make room, and give the same '
+                         'command again') from error
     return function
 
 
@@ -95,11 +99,15 @@ def write_graph(function: ExportedFunction, expansion: ViewExpansion, path: Path
     example = torch.zeros(1, source.height, source.width, 3, dtype=torch.uint8)
     # It would warn of every operator of torchvision, which nothing here uses.
     logging.getLogger('torch.onnx._internal.exporter._registration').setLevel(logging.ERROR)
-    with whole_file(path) as partial:
-        torch.onnx.export(function, (example,), str(partial), input_names=['image'],
-                          output_names=['wide', 'confidence'], opset_version=OPSET,
-                          dynamo=True, external_data=False, verbose=False)
-        _clean_graph(partial)
+    try:
+        with whole_file(path) as partial:
+            torch.onnx.export(function, (example,), str(partial), input_names=['image'],
+                              output_names=['wide', 'confidence'], opset_version=OPSET,
+                              dynamo=True, external_data=False, verbose=False)
+            _clean_graph(partial)
+    except OSError as error:
+        raise ModelError(f'{path}: cannot write: {error.strerror}; make room, and give the same '
+                         'command again') from error
 
 
 def _clean_graph(path: Path) -> None:

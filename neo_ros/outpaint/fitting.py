@@ -58,8 +58,13 @@ class OutpaintConfig:
                               f'got {self.steps} and {self.batch}')
         if self.minutes is not None and not 0 < self.minutes < math.inf:
             raise ConfigError(f'outpaint.minutes: expected a number > 0, got {self.minutes}')
-        for name in ('real_centre', 'occluders', 'photometric', 'perceptual', 'validations'):
-            most = 1 if name in ('real_centre', 'occluders') else math.inf
+        for name in ('learning_rate', 'clip'):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ConfigError(
+                    f'outpaint.{name}: expected a number > 0, got {getattr(self, name)}')
+        for name in ('real_centre', 'occluders', 'photometric', 'perceptual', 'validations',
+                     'weight_decay', 'average'):
+            most = 1 if name in ('real_centre', 'occluders', 'average') else math.inf
             if not 0 <= getattr(self, name) <= most:
                 raise ConfigError(
                     f'outpaint.{name}: expected 0 ... {most}, got {getattr(self, name)}')

@@ -39,11 +39,11 @@ class NetworkConfig:
         if self.name not in NETWORKS:
             raise ConfigError(
                 f'network.name: expected one of {", ".join(NETWORKS)}, got {self.name!r}')
-        if min(self.width, self.depth, self.memory, self.blocks, self.window) < 1:
-            raise ConfigError(f'network: expected sizes >= 1, got {self}')
-        for name in ('patch', 'recall'):
-            if getattr(self, name) < 0:
-                raise ConfigError(f'network.{name}: expected 0 or more, got {getattr(self, name)}')
+        for name, least in (('width', 1), ('depth', 1), ('memory', 1), ('blocks', 1),
+                            ('window', 1), ('patch', 0), ('recall', 0)):
+            if getattr(self, name) < least:
+                raise ConfigError(
+                    f'network.{name}: expected {least} or more, got {getattr(self, name)}')
 
 
 def check_fits(expansion: ViewExpansion, config: NetworkConfig) -> int:

@@ -46,9 +46,10 @@ def check_network(expansion: ViewExpansion, config: NetworkConfig) -> None:
 
 def fitting_patch(expansion: ViewExpansion, config: NetworkConfig) -> int:
     """
-    Return the finest patch, from PATCH pixels on, whose cells fit the sizes; mat, lama: PATCH.
+    Return the finest patch of at least PATCH pixels whose cells fit the sizes; mat, lama: PATCH.
 
-    Coarser where the middle of neo_fast would have more than MOST_WEIGHTS.
+    The next below where none of that size fits; coarser where the middle of neo_fast would have
+    more than MOST_WEIGHTS.
     """
     source, finer = expansion.source, config.depth - 1
     common = math.gcd(source.width, source.height, expansion.left, expansion.right,

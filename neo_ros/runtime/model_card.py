@@ -69,7 +69,8 @@ class ModelCard(_Part):
     What a model file says of itself.
 
     `expansion` holds the source intrinsics (pixels, corner at (0, 0)) and the growth at each
-    side; `scores` are means over the held-out test views; `config_hash` names the experiment;
+    side; `scores` are means over the test views, or, of what `neo export` wrote, over photos held
+    out of the training; `config_hash` names the experiment;
     `gflop` is the arithmetic of one image, None in files that do not say; `scene_reference`
     tells images of other scenes apart, None: the model cannot. `memory` is None for a network
     that works alone.
