@@ -71,10 +71,14 @@ def test_other_settings_or_photos_are_measured_anew(flat_scene, tmp_path, monkey
 
     assert is_fitted() and not is_fitted()
     assert is_fitted(replace(EXPERIMENT, seed=7)) and not is_fitted()
+    with monkeypatch.context() as elsewhere:
+        elsewhere.setattr(field_curve, 'host', lambda: 'another machine')
+        assert is_fitted() and not is_fitted()
+    assert not is_fitted()
     photos = sorted((scene / 'train').glob('*'))
     photos[0].write_bytes(photos[1].read_bytes())
     assert is_fitted() and not is_fitted()
-    assert len(json.loads(out.read_text())) == 3
+    assert len(json.loads(out.read_text())) == 4
 
 
 def test_on_a_gpu_the_rival_on_the_cpu_is_left_out(flat_scene, tmp_path, monkeypatch):

@@ -263,6 +263,13 @@ def test_an_unknown_method_is_not_taken_for_another(flat_scene, tmp_path):
     assert not (tmp_path / 'field').exists()
 
 
+def test_guided_without_a_memory_is_refused_before_any_training(flat_scene, tmp_path):
+    with pytest.raises(ConfigError, match='flat: guided needs a scene memory, got .* null'):
+        run_jobs({'flat': job(flat_scene, settings={**SETTINGS, 'memory': None})},
+                 ['naive', 'guided'], tmp_path / 'work', tmp_path / 'rows.json', 'flat', quiet)
+    assert not list(tmp_path.rglob('*.ckpt')) and not (tmp_path / 'rows.json').exists()
+
+
 def test_a_table_says_how_often_the_memory_knew_the_scene(tiny_run):
     frames = TruthFrames(tiny_run.scene.test, tiny_run.expansion)
     results = evaluate('flat', frames, [NeoModel(tiny_run.model_path)])

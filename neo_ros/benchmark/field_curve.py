@@ -25,6 +25,7 @@ from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
 from neo_ros.pipeline import Progress, TrainingRun
 from neo_ros.scenes.scene import read_scene
 import numpy as np
+import torch
 
 # Shows float32 RGB (H, W, 3) in [0, 1] of a view at a pose.
 Renderer = Callable[[Intrinsics, CameraPose], np.ndarray]
@@ -40,8 +41,8 @@ def measure_field_curve(scene: Path, experiment: Experiment, scale: str,
 
     scale: full, half or quarter of the photos. views: test frames, and held-out photos, that
     are looked at, evenly spread. Rows go into the JSON file `out`; those that it has of the same
-    photos, test frames and settings are not measured again. Raises NeoError where scene or
-    settings are wrong.
+    machine, photos, test frames and settings are not measured again. Raises NeoError where scene
+    or settings are wrong.
     """
     make_output_folder(out.parent)
     rows: list[dict[str, Any]] = json.loads(out.read_text()) if out.exists() else []
@@ -52,22 +53,30 @@ def measure_field_curve(scene: Path, experiment: Experiment, scale: str,
         test = TruthFrames(run.scene.test, run.expansion).images
         checksums = split_checksums(run.scene.train, test, run.scene.expansion)
         scorers = list(load_scorers(progress).values())
+        here = _host(experiment)
         for budget in minutes:
             seconds = 60 * budget
             for name, fit in fitters.items():
                 key = {'scene': run.scene.name, 'scale': scale, 'implementation': name,
                        'budget_minutes': budget, 'views': views, 'checksums': checksums,
-                       'config_hash': run.experiment.config_hash}
+                       'config_hash': run.experiment.config_hash, 'host': here}
                 row = next((row for row in rows if key.items() <= row.items()), None)
                 if row is None:
                     stage = f'{run.scene.name}, {name}, {budget:g} min'
                     render, measured = fit(run, seconds, stage)
                     row = {**key, **measured, **score(run, render, views, scorers, stage),
-                           'commit': commit(), 'host': host()}
+                           'commit': commit()}
                     rows.append(row)
                     write_bytes(out, (json.dumps(rows, indent=1) + '\n').encode())
                 seconds = 60 * row['minutes']
     return markdown(rows)
+
+
+def _host(experiment: Experiment) -> str:
+    """Describe the machine, with the GPU if the field is fitted on it."""
+    if chosen_device(experiment.field.device) == 'cuda' and torch.cuda.is_available():
+        torch.cuda.init()  # Only one that is in use is named.
+    return host()
 
 
 def _fitters(experiment: Experiment, progress: Progress) -> dict[str, Fitter]:

@@ -9,6 +9,7 @@ from neo_ros.benchmark.scoring import run_benchmark, write_rows
 from neo_ros.benchmark.suites import config_folder, SPLITS_FILE
 from neo_ros.benchmark.tables import markdown, put_between_markers
 from neo_ros.benchmark.workbench import Job, Workbench
+from neo_ros.errors import ConfigError
 from neo_ros.evaluation.evaluate import MethodScores
 from neo_ros.evaluation.output import make_output_folder, write_bytes
 from neo_ros.paths import share_dir
@@ -30,6 +31,9 @@ def run_jobs(jobs: dict[str, Job], names: Sequence[str], work: Path, rows_file: 
     for name, job in jobs.items():
         folder = work / f'{name}_{job.protocol}_{job.scale}'
         benches.append(Workbench(job, folder, _staged(name, progress)))
+        if 'guided' in names and benches[-1].base.memory is None:
+            raise ConfigError(f'{name}: guided needs a scene memory, got the setting memory: '
+                              'null; leave guided out of --methods, or that setting away')
         if frozen:
             check_split(name, benches[-1].checksums, config_folder() / SPLITS_FILE)
     benchmarks: list[list[MethodScores]] = []
