@@ -164,7 +164,7 @@ def test_adam_steps_touched_rows_as_torch_does() -> None:
         optimizer.step()
         gradient[:10] = 0
         fitting_kernels.adam_step(
-            grid, gradient, first, second, touched, updates, np.float32(0.1), np.float32(0.1))
+            grid, gradient, first, second, touched, updates, np.float32(0.1))
         assert not gradient.any() and not touched.any()
     np.testing.assert_allclose(grid[10:], plain.detach()[10:], atol=1e-5)
     np.testing.assert_array_equal(grid[:10], frozen)

@@ -156,8 +156,7 @@ class FieldTrainer:
                 np.float32(config.smooth_colour * pixels), self.gradient)
         rate = np.float32(config.learning_rate * 0.1 ** self.share)
         fitting_kernels.adam_step(
-            field.grid, self.gradient, self.first, self.second, self.touched, self.updates,
-            rate, rate)
+            field.grid, self.gradient, self.first, self.second, self.touched, self.updates, rate)
         if config.exposure:
             self._update_exposure(photo, d_gain * gain)
         smoothing = 0.98 if self.step else 0.0

@@ -177,7 +177,7 @@ def add_total_variation(grid, shape, touched, weight_density, weight_colour, gra
 
 
 @njit(parallel=True, **FAST)
-def adam_step(grid, gradient, first, second, touched, steps, rate_density, rate_colour):
+def adam_step(grid, gradient, first, second, touched, steps, rate):
     """
     Adam on the touched rows only, then clear their gradients and marks.
 
@@ -200,6 +200,5 @@ def adam_step(grid, gradient, first, second, touched, steps, rate_density, rate_
                 gradient[row, k] = 0
                 first[row, k] = 0.9 * first[row, k] + 0.1 * slope
                 second[row, k] = 0.99 * second[row, k] + 0.01 * slope * slope
-                rate = rate_density if k == 0 else rate_colour
                 grid[row, k] -= (rate * (first[row, k] / correct_first)
                                  / (math.sqrt(second[row, k] / correct_second) + 1e-8))
