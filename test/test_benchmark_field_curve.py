@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-EXPERIMENT = experiment_from({'field': {'voxels': 20_000, 'pixels_per_step': 512}}, 'test')
+EXPERIMENT = experiment_from({'field': {'voxels': 20_000, 'rays_per_step': 512}}, 'test')
 
 
 @pytest.fixture(autouse=True)

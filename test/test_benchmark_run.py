@@ -26,7 +26,7 @@ import numpy as np
 import pytest
 
 SETTINGS = {
-    'field': {'voxels': 20_000, 'pixels_per_step': 512},
+    'field': {'voxels': 20_000, 'rays_per_step': 512},
     'sampling': {'positions': 8}, 'network': {'width': 8, 'memory': 32},
     'outpaint': {'batch': 4}, 'memory': {'distance': 0.6}}
 # Photos of 32 pixels have hardly a point that B3 could triangulate.

@@ -22,7 +22,7 @@ from typer.testing import CliRunner
 
 SHORT = """
 seed: 3
-field: {voxels: 20_000, steps: 400, pixels_per_step: 512}
+field: {voxels: 20_000, steps: 400, rays_per_step: 512}
 sampling: {positions: 4}
 network: %s
 outpaint: {steps: 4, batch: 2, real_centre: 0, validations: 2}

@@ -2,7 +2,7 @@ from typing import Any
 
 from neo_ros.errors import ConfigError, SceneError
 from neo_ros.evaluation.metrics import psnr
-from neo_ros.field.fitting import FieldConfig, FieldTrainer, STAGES
+from neo_ros.field.fitting import FieldConfig, FieldTrainer
 from neo_ros.field.rendering import render_view, to_uint8
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import Intrinsics
@@ -15,13 +15,12 @@ CAMERA = Intrinsics.from_hfov(24, 20, 1.6)
 YAWS = np.linspace(0, 2 * np.pi, 12, endpoint=False)
 POSES = [standing(0.5 * np.cos(3 * yaw), 0.4 * np.sin(2 * yaw), yaw) for yaw in YAWS]
 SETTINGS: dict[str, Any] = {
-    'voxels': 8000, 'steps': 60, 'pixels_per_step': 256, 'margin': 1.5,
-    'sh_degree': 1, 'exposure': True, 'smooth_density': 1e-4, 'smooth_colour': 1e-4}
+    'voxels': 8000, 'steps': 60, 'rays_per_step': 256, 'margin': 1.5,
+    'sh_degree': 1, 'exposure': True}
 
 
 # Enough for a fit that can be looked at.
-PLAIN: dict[str, Any] = {'voxels': 30_000, 'pixels_per_step': 1024,
-                         'sh_degree': 0, 'smooth_density': 0.0, 'smooth_colour': 0.0}
+PLAIN: dict[str, Any] = {'voxels': 30_000, 'rays_per_step': 1024, 'sh_degree': 0}
 
 
 @pytest.fixture(scope='module')
@@ -113,12 +112,35 @@ def test_a_fit_may_end_by_the_clock(images: np.ndarray, monkeypatch: pytest.Monk
     # Seven seconds and a half, an eighth of a second a step.
     assert fit.step == 60 and fit.seconds == 7.5
     assert shares == sorted(shares) and fit.done == (8, 8)
-    assert stages[-1] == len(STAGES) - 1 and sorted(set(stages)) == [0, 1, 2, 3]
+    assert stages[-1] == len(fit.stages) and sorted(set(stages)) == [0, 1, 2, 3]
     monkeypatch.setattr('neo_ros.field.fitting.LEAST_STEPS', 90)
     hurried = trainer(images, minutes=0.125)
     while hurried.done[0] < hurried.done[1]:
         hurried.train_step()
     assert hurried.step == 90 and hurried.stage == 3
+
+
+@pytest.mark.parametrize('voxels, refinements', [(1_500_000, 2), (3_000_000, 2), (24_000_000, 3)])
+def test_a_fine_grid_is_reached_in_steps_of_eight(images: np.ndarray, voxels: int,
+                                                  refinements: int) -> None:
+    fit = trainer(images, voxels=voxels)
+    assert len(fit.stages) == refinements + 1
+    assert len(fit.field.row_of) == pytest.approx(voxels / 8 ** refinements, rel=0.5)
+    sizes = []
+    for fit.stage in range(len(fit.stages) + 1):
+        sizes.append(fit._voxels())
+    assert sizes[0] == sizes[1] and sizes[-1] == voxels
+    assert all(fine // coarse == 8 for coarse, fine in zip(sizes[1:], sizes[2:]))
+
+
+def test_the_last_stage_keeps_no_far_air(images: np.ndarray) -> None:
+    fit = trainer(images, **PLAIN)
+    fit.field, fit.stage, fit.step = room_field(10_000), len(fit.stages) - 1, 40
+    fit._allocate()
+    fit.train_step()
+    assert fit.stage == len(fit.stages)
+    assert len(fit.field.grid) < 0.9 * len(fit.field.row_of)
+    assert (fit.field.row_of[fit.field.skip == 0] >= 0).all()
 
 
 @pytest.mark.parametrize('minutes', [0.0, -1.0, float('nan'), float('inf')])
@@ -160,7 +182,7 @@ def test_gains_find_the_exposure_of_the_photos(images: np.ndarray) -> None:
 
 
 def looking_at(field: RadianceField, images: np.ndarray, **changes: Any) -> FieldTrainer:
-    result = trainer(images, pixels_per_step=4096, **changes)
+    result = trainer(images, rays_per_step=4096, **changes)
     result.field, result.random = field, np.random.default_rng(0)
     return result
 
@@ -194,7 +216,7 @@ def test_a_field_that_shows_nothing_yet_keeps_its_box(images: np.ndarray) -> Non
 
 def test_what_no_photo_shows_is_not_covered(images: np.ndarray) -> None:
     result = looking_at(room_field(40_000), images)
-    result.rays = CAMERA.scaled(4).pixel_rays()
+    result.rays[1] = CAMERA.scaled(4).pixel_rays()
     ahead = np.stack([standing(-0.3, y, 0.0).T_world_cam for y in (-0.5, 0.0, 0.5)])
     result.rotations = ahead[:, :3, :3].astype(np.float32)
     result.origins = ahead[:, :3, 3].astype(np.float32)
@@ -214,7 +236,7 @@ def test_a_fit_that_left_nothing_says_so(images: np.ndarray) -> None:
     ({'sh_degree': 3}, 'field.sh_degree: expected 0, 1 or 2, got 3'),
     ({'steps': 9}, 'expected steps >= 10'),
     ({'voxels': 10}, 'voxels >= 1000'),
-    ({'pixels_per_step': 0}, 'pixels_per_step >= 1'),
+    ({'rays_per_step': 0}, 'rays_per_step >= 4'),
     ({'margin': 0.0}, 'margin > 0'),
     ({'learning_rate': float('nan')}, 'learning_rate > 0'),
     ({'shell': -0.1}, 'expected shell and near >= 0'),

@@ -56,9 +56,10 @@ def differentiate(field: RadianceField, batch: Batch, distortion: float = 0,
     error, d_gain = np.empty(RAYS, np.float32), np.empty((RAYS, 3), np.float32)
     fitting_kernels.differentiate_rays(
         batch.rays_o, batch.rays_d, batch.target, batch.gain, batch.jitter,
-        batch.background, field.grid, np.array(field.shape), field.skip, field.box, field.step,
-        field.near, field.shift, field.terms, np.float32(distortion), np.float32(pointwise),
-        np.float32(sparsity), cell, frac, d_density, d_rgb, count, error, d_gain)
+        batch.background, field.grid, field.row_of, np.array(field.shape), field.skip, field.box,
+        field.step, field.near, field.shift, field.terms, np.float32(distortion),
+        np.float32(pointwise), np.float32(sparsity), cell, frac, d_density, d_rgb, count, error,
+        d_gain)
     samples = (batch.rays_d, cell, frac, d_density, d_rgb, count)
     gradient, touched = scatter(field, samples, 2)
     return Gradients(gradient, touched, error, d_gain), samples
@@ -67,7 +68,7 @@ def differentiate(field: RadianceField, batch: Batch, distortion: float = 0,
 def scatter(field: RadianceField, samples: Any, threads: int) -> tuple[np.ndarray, np.ndarray]:
     gradient, touched = np.zeros_like(field.grid), np.zeros(len(field.grid), np.uint8)
     fitting_kernels.scatter_gradients(
-        *samples, np.array(field.shape), field.terms, threads, gradient, touched)
+        *samples, field.row_of, np.array(field.shape), field.terms, threads, gradient, touched)
     return gradient, touched
 
 
@@ -138,6 +139,20 @@ def test_gradients_agree_with_differences(batch: Batch, column: int) -> None:
             found.grid[row, column], rel=0.03)
 
 
+def test_air_that_is_not_kept_gets_no_gradient_and_changes_none(batch: Batch) -> None:
+    field = room_field(20_000, sh_degree=1)
+    dense, sparse = (field.resampled(30_000, field.centre, field.half_extent, sparse)
+                     for sparse in (False, True))
+    for one in (dense, sparse):
+        one.update_occupancy()
+    kept = sparse.row_of >= 0
+    assert 0.1 < kept.mean() < 0.9
+    expected, found = (differentiate(one, batch, 0.3, 0.2, 0.1)[0] for one in (dense, sparse))
+    np.testing.assert_array_equal(found.grid, expected.grid[kept])
+    np.testing.assert_array_equal(found.error, expected.error)
+    assert np.abs(found.grid).max() > 0.01 and not expected.touched[~kept].any()
+
+
 def test_the_number_of_threads_does_not_change_a_bit(batch: Batch) -> None:
     field = foggy_field(1)
     _, samples = differentiate(field, batch, 0.3, 0.2, 0.1)
@@ -169,22 +184,3 @@ def test_adam_steps_touched_rows_as_torch_does() -> None:
     np.testing.assert_allclose(grid[10:], plain.detach()[10:], atol=1e-5)
     np.testing.assert_array_equal(grid[:10], frozen)
     assert (updates[10:] == 5).all() and not updates[:10].any()
-
-
-def test_total_variation_pulls_towards_the_neighbours() -> None:
-    field = room_field(3000)
-    field.grid[:] = np.random.default_rng(0).uniform(-0.4, 0.4, field.grid.shape)
-    touched = np.ones(len(field.grid), np.uint8)
-    touched[7] = 0
-    gradient = np.zeros_like(field.grid)
-    fitting_kernels.add_total_variation(
-        field.grid, np.array(field.shape), touched, np.float32(2), np.float32(0.5), gradient)
-    volume = torch.tensor(field.grid.reshape(*field.shape, -1), dtype=torch.float64,
-                          requires_grad=True)
-    squares = torch.stack([torch.diff(volume, dim=axis).square().sum((0, 1, 2)) / 2
-                           for axis in range(3)]).sum(0)
-    (2 * squares[0] + 0.5 * squares[1:].sum()).backward()
-    assert volume.grad is not None
-    expected = volume.grad.reshape(field.grid.shape).numpy()
-    expected[7] = 0
-    np.testing.assert_allclose(gradient, expected, atol=1e-4)

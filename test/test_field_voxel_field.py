@@ -9,6 +9,7 @@ from neo_ros.geometry import Intrinsics
 import numpy as np
 from plain_field import CENTRE, room_field, standing, WALLS
 import pytest
+from scipy.ndimage import binary_dilation
 
 VIEW = Intrinsics.from_hfov(48, 40, 1.6)
 shells = st.floats(0.05, 2.0)
@@ -76,6 +77,33 @@ def test_resampling_onto_the_same_grid_changes_nothing() -> None:
     np.testing.assert_allclose(again.grid[inner], field.grid[inner], atol=5e-3)
 
 
+def test_a_sparse_field_keeps_matter_and_the_air_around_it() -> None:
+    field = room_field(30_000, sh_degree=1)
+    dense, sparse = (field.resampled(60_000, CENTRE, WALLS * 1.2, sparse=sparse)
+                     for sparse in (False, True))
+    assert dense.update_occupancy() == sparse.update_occupancy()
+    np.testing.assert_array_equal(sparse.skip, dense.skip)
+    kept = sparse.row_of >= 0
+    assert kept.sum() == len(sparse.grid) < 0.9 * len(dense.grid)
+    np.testing.assert_array_equal(sparse.grid, dense.grid[kept])
+    # Corners of the cells next to occupied ones.
+    near = binary_dilation((dense.skip == 0).reshape(dense.shape), np.ones((3, 3, 3)))
+    cells = np.argwhere(near)
+    corners = np.unique(np.minimum(
+        (cells[:, None] + np.indices((2, 2, 2)).reshape(3, -1).T).reshape(-1, 3),
+        np.array(dense.shape) - 1), axis=0)
+    np.testing.assert_array_equal(np.argwhere(kept.reshape(dense.shape)), corners)
+    for first, second in zip(render_view(dense, VIEW, standing()),
+                             render_view(sparse, VIEW, standing())):
+        np.testing.assert_array_equal(first, second)
+
+
+def test_a_field_that_is_empty_still_is_kept_whole() -> None:
+    field = RadianceField.empty(1000, CENTRE, WALLS, 0.2, 0)
+    finer = field.resampled(4000, CENTRE, WALLS, sparse=True)
+    assert len(finer.grid) == len(finer.row_of) == np.prod(finer.shape)
+
+
 def test_occupancy_counts_the_cells_to_the_nearest_matter() -> None:
     field = RadianceField.empty(8000, CENTRE, WALLS, 0.2, 0)
     field.grid[:, 0] = -10
@@ -87,7 +115,9 @@ def test_occupancy_counts_the_cells_to_the_nearest_matter() -> None:
     low, high = np.array(place) - 1, np.array(place)
     index = np.moveaxis(np.array(np.indices(field.shape)), 0, -1)
     away = np.maximum(np.maximum(low - index, index - high), 0).max(-1)
-    np.testing.assert_array_equal(skip, np.minimum(away, 255))
+    np.testing.assert_array_equal(skip == 0, away == 0)
+    # Never too far, and hardly too short.
+    assert (skip <= away).all() and (skip[away > 0] >= np.maximum(away[away > 0] - 2, 1)).all()
     assert share == pytest.approx(8 / len(field.grid))
 
 
@@ -103,14 +133,15 @@ def test_occupied_means_opaque_enough_in_one_step(factor: float, occupied: bool)
 
 def test_saved_fields_read_back(tmp_path: Path) -> None:
     field = room_field(10_000, sh_degree=1)
+    field = field.resampled(30_000, field.centre, field.half_extent, sparse=True)
     field.near = 0.25
     field.update_occupancy()
-    field.seen = np.random.default_rng(0).integers(0, 2, len(field.grid)).astype(np.uint8)
+    field.seen = np.random.default_rng(0).integers(0, 2, len(field.row_of)).astype(np.uint8)
     field.save(tmp_path / 'field.npz')
     again = RadianceField.load(tmp_path / 'field.npz')
     assert [path.name for path in tmp_path.iterdir()] == ['field.npz']
     assert (again.shape, again.near, again.shell) == (field.shape, 0.25, field.shell)
-    for name in ('grid', 'skip', 'seen', 'centre', 'half_extent'):
+    for name in ('grid', 'row_of', 'skip', 'seen', 'centre', 'half_extent'):
         np.testing.assert_array_equal(getattr(again, name), getattr(field, name))
     for first, second in zip(render_view(field, VIEW, standing()),
                              render_view(again, VIEW, standing())):

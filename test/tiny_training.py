@@ -12,7 +12,7 @@ from neo_ros.scenes.pose_sampling import SamplingConfig
 import onnx
 
 TINY = Experiment(
-    seed=3, field=FieldConfig(steps=400, voxels=20_000, pixels_per_step=512, device='cpu'),
+    seed=3, field=FieldConfig(steps=400, voxels=20_000, rays_per_step=512, device='cpu'),
     sampling=SamplingConfig(positions=8), network=NetworkConfig(width=8, memory=32),
     outpaint=OutpaintConfig(steps=20, batch=4, device='cpu'), memory=MemoryConfig(distance=0.6))
 

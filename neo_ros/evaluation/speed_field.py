@@ -6,10 +6,10 @@ import math
 from neo_ros.evaluation.speed_host import Machine
 from neo_ros.evaluation.speed_record import Effort, Record, time_calls, Work
 from neo_ros.evaluation.speed_stream import measure_stream
-from neo_ros.field.fitting import FieldConfig, FieldTrainer, STAGES
+from neo_ros.field.fitting import FieldConfig, FieldTrainer
 from neo_ros.field.panorama import render_panorama, view_band
 from neo_ros.field.rendering import render_view, to_uint8
-from neo_ros.field.voxel_field import RadianceField
+from neo_ros.field.voxel_field import packed, RadianceField
 from neo_ros.geometry import CameraPose, Intrinsics
 import numpy as np
 
@@ -22,9 +22,10 @@ PHOTOS = 24
 # Raw density of matter above the field's shift, mean and variation: see `box_room`.
 SOFT, SPREAD = 0.4, 1.2
 # Per sample at least: position, 8 trilinear weights, density and colour from 8 corners (multiply
-# and add of 4 values), opacity and compositing; and the corners' 4 float32 from memory.
+# and add of 4 values), opacity and compositing; and the corners' row number and 4 float32 from
+# memory.
 SAMPLE_FLOPS = 12 + 8 * 4 + 8 * 4 * 2 + 12
-SAMPLE_BYTES = 8 * 4 * 4
+SAMPLE_BYTES = 8 * 5 * 4
 # A step goes back through every sample, too: gradients are read and written.
 BACKWARD = 3
 
@@ -40,11 +41,11 @@ def measure_field(machine: Machine, effort: Effort) -> Iterator[Record]:
     def work(rays: int, passes: int = 1) -> Work:
         count = rays * samples * passes
         return Work(count * SAMPLE_FLOPS, count * SAMPLE_BYTES,
-                    min(count * SAMPLE_BYTES, field.grid.nbytes))
+                    min(count * SAMPLE_BYTES, field.grid.nbytes + field.row_of.nbytes))
 
-    rays = trainer.config.pixels_per_step
+    rays = trainer.config.rays_per_step
     yield _with_rays(Record.of('field', 'step of the fit', times, {
-        'voxels': len(field.grid), 'samples_per_ray': samples}), rays).with_floor(
+        'voxels': len(field.row_of), 'samples_per_ray': samples}), rays).with_floor(
             work(rays, BACKWARD), machine, 0)
     # The trainer has its own copy of the grid: what is rendered is the room as it was built.
     poses = room_poses(16)
@@ -128,8 +129,9 @@ def trainer_in(field: RadianceField, effort: Effort) -> FieldTrainer:
     trainer = FieldTrainer(photos, NARROW, np.stack([pose.T_world_cam for pose in poses]),
                            config, SEED)
     trainer.restore(trainer.state() | {
-        'step': config.steps * 3 // 4 + 1, 'stage': len(STAGES) - 1,
-        'grid': field.grid.copy(), 'shape': field.shape, 'skip': field.skip,
+        'step': config.steps * 3 // 4 + 1, 'stage': len(trainer.stages),
+        'grid': field.grid.copy(), 'shape': field.shape, 'stored': packed(field.row_of),
+        'skip': field.skip,
         'centre': field.centre, 'half_extent': field.half_extent,
         'first': np.zeros_like(field.grid), 'second': np.zeros_like(field.grid),
         'updates': np.zeros(len(field.grid), np.int32)})

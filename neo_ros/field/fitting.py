@@ -7,7 +7,7 @@ from typing import Any, Optional
 from neo_ros.errors import ConfigError, SceneError
 from neo_ros.field import fitting_kernels, kernels
 from neo_ros.field.compiled import get_num_threads
-from neo_ros.field.voxel_field import RadianceField
+from neo_ros.field.voxel_field import packed, RadianceField, unpacked
 from neo_ros.geometry import Intrinsics
 import numpy as np
 
@@ -20,10 +20,10 @@ class FieldConfig:
     """How the field is fitted."""
 
     __pydantic_config__ = {'extra': 'forbid'}
-    voxels: int = 3_000_000         # grid points at the last stage
+    voxels: int = 3_000_000         # grid points at the last stage, most of them in air: not kept
     steps: int = 6000               # optimiser steps; not read where `minutes` is given
     minutes: Optional[float] = None  # of fitting time, instead of steps
-    pixels_per_step: int = 4096     # pixels in a batch
+    rays_per_step: int = 4096       # rays in a batch
     sh_degree: int = 0              # view dependence: 0 none (matt), 1 or 2 for shiny scenes
     margin: float = 3.0             # metres around the cameras that the first guess covers
     shell: float = 0.2              # relative thickness of the contracted outside
@@ -32,8 +32,6 @@ class FieldConfig:
     distortion: float = 0.01        # weight of the distortion loss
     pointwise: float = 0.05         # weight of the samples' own colour error
     sparsity: float = 1e-3          # weight of the samples' opacity: clears the air
-    smooth_density: float = 0.0     # total variation of raw density
-    smooth_colour: float = 0.0      # total variation of colour
     exposure: bool = False          # one gain per photo and channel
     # cpu: compiled kernels; cuda; auto: cuda where there is one; torch: what cuda does, on the CPU
     device: str = 'auto'
@@ -43,9 +41,9 @@ class FieldConfig:
             raise ConfigError(f'field.device: expected {", ".join(DEVICES)}, got {self.device!r}')
         if self.sh_degree not in (0, 1, 2):
             raise ConfigError(f'field.sh_degree: expected 0, 1 or 2, got {self.sh_degree}')
-        if self.steps < 10 or self.voxels < 1000 or self.pixels_per_step < 1:
-            raise ConfigError('field: expected steps >= 10, voxels >= 1000, pixels_per_step >= 1, '
-                              f'got {self.steps}, {self.voxels}, {self.pixels_per_step}')
+        if self.steps < 10 or self.voxels < 1000 or self.rays_per_step < 4:
+            raise ConfigError('field: expected steps >= 10, voxels >= 1000, rays_per_step >= 4, '
+                              f'got {self.steps}, {self.voxels}, {self.rays_per_step}')
         if self.minutes is not None and not 0 < self.minutes < math.inf:
             raise ConfigError(f'field.minutes: expected a number > 0, got {self.minutes}')
         if not (self.margin > 0 and self.learning_rate > 0):
@@ -56,8 +54,13 @@ class FieldConfig:
                               f'{self.near}')
 
 
-# Share of the fit at which the grid is refined, and the share of voxels it then has.
-STAGES = ((0.0, 1 / 64), (0.06, 1 / 64), (0.18, 1 / 8), (0.4, 1.0))
+# Grid points of the first stage, about; each refinement makes eight times as many.
+FIRST_VOXELS = 50_000
+# Shares of the fit at which the next stage begins, by the number of refinements: the first stage
+# is begun anew in a better box.
+STAGES = {2: (0.06, 0.18, 0.4), 3: (0.06, 0.14, 0.28, 0.5)}
+# Voxels of later stages are finer than pixels.
+FINE = 3
 OCCUPANCY_EVERY = 100
 # However short the time, with fewer steps a field is fog.
 LEAST_STEPS = 300
@@ -71,14 +74,17 @@ class FieldTrainer:
         self.images, self.config = images, config
         self.rotations = T_world_cam[:, :3, :3].astype(np.float32)
         self.origins = T_world_cam[:, :3, 3].astype(np.float32)
-        self.rays = intrinsics.pixel_rays()  # (H, W, 3)
+        # Through the pixels' centres, and those of their quarters: (H, W, 3), (2 H, 2 W, 3).
+        self.rays = {across: intrinsics.scaled(across).pixel_rays() for across in (1, 2)}
         self.seed = seed
         self.step = self.stage = self.boxed_at = 0
         self.seconds = self.psnr = 0.0
         self.log_gain = np.zeros((len(images), 3), np.float32)
         low, high = self.origins.min(0) - config.margin, self.origins.max(0) + config.margin
+        refinements = round(math.log(config.voxels / FIRST_VOXELS, 8))
+        self.stages = STAGES[min(max(refinements, min(STAGES)), max(STAGES))]
         self.field = RadianceField.empty(
-            int(config.voxels * STAGES[0][1]), (low + high) / 2, (high - low) / 2,
+            self._voxels(), (low + high) / 2, (high - low) / 2,
             config.shell, config.sh_degree, near=config.near)
         self._allocate()
 
@@ -90,7 +96,7 @@ class FieldTrainer:
         self.second = np.zeros_like(grid)
         self.touched = np.zeros(len(grid), np.uint8)
         self.updates = np.zeros(len(grid), np.int32)
-        rays = self.config.pixels_per_step
+        rays = self.config.rays_per_step
         limit = self.field.sample_limit
         self.cell = np.empty((rays, limit), np.int64)
         self.frac = np.empty((rays, limit, 3), np.float32)
@@ -100,17 +106,35 @@ class FieldTrainer:
 
     def sample_rays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """
-        Draw pixels; returns photo index (P,), target (P, 3), rays_o and rays_d (P, 3).
+        Draw pixels; returns photo index (P,), target (P, 3), rays_o and rays_d (R, 3).
 
         A ray goes through its pixel's centre: rays through all of a pixel, each fitted to the
-        pixel's colour, would blur the field by a pixel once more.
+        pixel's colour, would blur the field by a pixel once more. In the fourth stage, whose
+        voxels are finer than pixels, the mean of four is fitted to it; they follow one another.
         """
-        photo, row, column = (self.random.integers(size, size=self.config.pixels_per_step)
-                              for size in self.images.shape[:3])
+        across = self.rays_across
+        photo, row, column = (
+            self.random.integers(size, size=self.config.rays_per_step // across ** 2)
+            for size in self.images.shape[:3])
         target = self.images[photo, row, column].astype(np.float32) / 255
-        directions = np.einsum('pij,pj->pi', self.rotations[photo], self.rays[row, column])
+        part = np.arange(across)
+        rows = (across * row[:, None] + part.repeat(across)).ravel()
+        columns = (across * column[:, None] + np.tile(part, across)).ravel()
+        each = photo.repeat(across ** 2)
+        directions = np.einsum('pij,pj->pi', self.rotations[each],
+                               self.rays[across][rows, columns])
         directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
-        return photo, target, self.origins[photo], directions
+        return photo, target, self.origins[each], directions
+
+    @property
+    def rays_across(self) -> int:
+        """Rays through a pixel, across it and down."""
+        return 2 if self.stage > FINE else 1
+
+    @property
+    def pointwise(self) -> float:
+        """Weight of the samples' own colour error; none has to show a pixel's mean colour."""
+        return self.config.pointwise if self.rays_across == 1 else 0.0
 
     @property
     def share(self) -> float:
@@ -142,18 +166,14 @@ class FieldTrainer:
         shape = np.array(field.shape)
         fitting_kernels.differentiate_rays(
             rays_o, rays_d, target, gain, self.random.random(len(rays_o), np.float32),
-            self.random.random((pixels, 3), np.float32), field.grid, shape, field.skip,
-            field.box, field.step, field.near, field.shift, field.terms,
-            np.float32(config.distortion), np.float32(config.pointwise),
+            self.random.random((pixels, 3), np.float32), field.grid, field.row_of, shape,
+            field.skip, field.box, field.step, field.near, field.shift, field.terms,
+            np.float32(config.distortion), np.float32(self.pointwise),
             np.float32(config.sparsity), self.cell, self.frac,
             self.d_density, self.d_rgb, self.count, error, d_gain)
         fitting_kernels.scatter_gradients(
-            rays_d, self.cell, self.frac, self.d_density, self.d_rgb, self.count, shape,
-            field.terms, get_num_threads(), self.gradient, self.touched)
-        if config.smooth_density or config.smooth_colour:
-            fitting_kernels.add_total_variation(
-                field.grid, shape, self.touched, np.float32(config.smooth_density * pixels),
-                np.float32(config.smooth_colour * pixels), self.gradient)
+            rays_d, self.cell, self.frac, self.d_density, self.d_rgb, self.count,
+            field.row_of, shape, field.terms, get_num_threads(), self.gradient, self.touched)
         rate = np.float32(config.learning_rate * 0.1 ** self.share)
         fitting_kernels.adam_step(
             field.grid, self.gradient, self.first, self.second, self.touched, self.updates, rate)
@@ -173,11 +193,15 @@ class FieldTrainer:
         self.log_gain -= 0.05 * total / np.maximum(seen, 1)
         self.log_gain -= self.log_gain.mean(0)
 
+    def _voxels(self) -> int:
+        """Grid points of the present stage."""
+        return self.config.voxels // 8 ** (len(self.stages) - max(self.stage, 1))
+
     def _refine_when_due(self) -> None:
-        if self.stage + 1 < len(STAGES) and self.share >= STAGES[self.stage + 1][0]:
+        if self.stage < len(self.stages) and self.share >= self.stages[self.stage]:
             self.stage += 1
-            voxels = int(self.config.voxels * STAGES[self.stage][1])
-            self.field = self.field.resampled(voxels, *(self.content_box()))
+            self.field = self.field.resampled(self._voxels(), *self.content_box(),
+                                              sparse=self.stage == len(self.stages))
             if self.stage == 1:
                 self.boxed_at = self.step
             else:
@@ -197,7 +221,8 @@ class FieldTrainer:
         field = self.field
         return {'step': self.step, 'stage': self.stage, 'boxed_at': self.boxed_at,
                 'seconds': self.seconds, 'psnr': self.psnr, 'log_gain': self.log_gain,
-                'grid': field.grid, 'shape': list(field.shape), 'skip': field.skip,
+                'grid': field.grid, 'shape': list(field.shape), 'stored': packed(field.row_of),
+                'skip': field.skip,
                 'centre': field.centre, 'half_extent': field.half_extent,
                 'first': self.first, 'second': self.second, 'updates': self.updates}
 
@@ -209,7 +234,8 @@ class FieldTrainer:
         self.log_gain = arrays['log_gain']
         self.field = RadianceField(
             arrays['grid'], tuple(state['shape']), arrays['centre'], arrays['half_extent'],
-            self.config.shell, near=self.config.near)
+            self.config.shell, near=self.config.near,
+            row_of=unpacked(arrays['stored'], state['shape']))
         self.field.skip = arrays['skip']
         self._allocate()
         self.first, self.second, self.updates = (
@@ -223,7 +249,7 @@ class FieldTrainer:
         a window; those are left to the contracted shell.
         """
         from neo_ros.field.rendering import render_rays
-        _, _, rays_o, rays_d = self.sample_rays()
+        *_, rays_o, rays_d = self.sample_rays()
         rendering = render_rays(self.field, rays_o, rays_d)
         points = rays_o + rendering.depth[:, None] * rays_d
         inside = np.abs(self.field.grid_position(points)).max(-1) * (1 + self.field.shell) < 1
@@ -242,8 +268,8 @@ class FieldTrainer:
             raise SceneError(
                 'field: the photos left nothing in it; are the poses right (OpenGL camera axes, '
                 'metres), and field.steps enough?')
-        field.seen = np.zeros(len(field.grid), np.uint8)
-        directions = self.rays.reshape(-1, 3)
+        field.seen = np.zeros(len(field.row_of), np.uint8)
+        directions = self.rays[1].reshape(-1, 3)
         for rotation, origin in zip(self.rotations, self.origins):
             rays_d = directions @ rotation.T
             rays_d /= np.linalg.norm(rays_d, axis=-1, keepdims=True)
@@ -253,5 +279,5 @@ class FieldTrainer:
     def _mark_seen(self, rays_o: np.ndarray, rays_d: np.ndarray) -> None:
         field = self.field
         kernels.mark_seen(
-            rays_o, rays_d, field.grid, np.array(field.shape), field.skip, field.box, field.step,
-            field.near, field.shift, field.sample_limit, field.seen)
+            rays_o, rays_d, field.grid, field.row_of, np.array(field.shape), field.skip, field.box,
+            field.step, field.near, field.shift, field.sample_limit, field.seen)

@@ -1,5 +1,5 @@
 """
-Compiled loops that fit the voxel field: differentiate, scatter, smooth, Adam.
+Compiled loops that fit the voxel field: differentiate, scatter, Adam.
 
 The layout of the field is that of `kernels`. Every gradient is added by the one thread that owns
 its voxel, in ray order, so results do not depend on the number of threads or their timing.
@@ -10,63 +10,76 @@ from neo_ros.field.compiled import njit, prange
 from neo_ros.field.kernels import FAST, march, MIN_WEIGHT, sample_colour, sh_basis
 import numpy as np
 
+# Adam's corrections of the moments by the number of updates; in the end there is none.
+CORRECTION = 1 - np.array([0.9, 0.99]) ** np.arange(4000)[:, None]
+
 
 @njit(parallel=True, **FAST)
-def differentiate_rays(rays_o, rays_d, target, gain, jitter, background, grid, shape, skip, box,
-                       step, near, shift, terms, distortion, pointwise, sparsity, cell, frac,
-                       d_density, d_rgb, count, error, d_gain):
+def differentiate_rays(rays_o, rays_d, target, gain, jitter, background, grid, row_of, shape,
+                       skip, box, step, near, shift, terms, distortion, pointwise, sparsity,
+                       cell, frac, d_density, d_rgb, count, error, d_gain):
     """
     Render rays and emit the gradient of every sample (no gradient is added here).
 
-    target, gain and background are per ray (R, 3). Loss per ray: squared error of the colour,
-    `distortion` times the distortion loss of mip-NeRF 360 (eq. 15, its first sum), `pointwise`
-    times the samples' own weighted squared error (DirectVoxGO, section 4), and `sparsity` times
-    the sum of the samples' opacities.
+    R rays, P pixels: the R / P rays of a pixel follow one another, and their mean is its colour.
+    target, gain and background are per pixel (P, 3). Loss per ray: squared error of the pixel's
+    colour, `distortion` times the distortion loss of mip-NeRF 360 (eq. 15, its first sum),
+    `pointwise` times the samples' own weighted squared error (DirectVoxGO, section 4), and
+    `sparsity` times the sum of the samples' opacities.
     Outputs, per ray r and sample i: cell (R, S), frac (R, S, 3), d_density (R, S),
-    d_rgb (R, S, 3) with respect to the sigmoid's argument; count (R,), error (R,), d_gain (R, 3).
+    d_rgb (R, S, 3) with respect to the sigmoid's argument; count (R,), and per pixel error (P,),
+    d_gain (P, 3).
     """
-    rays = target.shape[0]
+    pixels = target.shape[0]
+    each = rays_o.shape[0] // pixels
     limit = cell.shape[1]
     chunk = 32
-    for block in prange((rays + chunk - 1) // chunk):
-        alpha = np.empty(limit, np.float32)
-        depth = np.empty(limit, np.float32)
-        raw = np.empty(limit, np.float32)
-        rgb = np.empty((limit, 3), np.float32)
+    for block in prange((pixels + chunk - 1) // chunk):
+        alpha = np.empty((each, limit), np.float32)
+        depth = np.empty((each, limit), np.float32)
+        raw = np.empty((each, limit), np.float32)
+        rgb = np.empty((each, limit, 3), np.float32)
+        light = np.empty(each, np.float32)
         value = np.empty(limit, np.float32)
         basis = np.empty(terms, np.float32)
         blend = np.empty(3 * terms, np.float32)
         mean = np.empty(3, np.float32)
         slope = np.empty(3, np.float32)
-        for r in range(block * chunk, min((block + 1) * chunk, rays)):
-            n, light = march(
-                rays_o[r, 0], rays_o[r, 1], rays_o[r, 2],
-                rays_d[r, 0], rays_d[r, 1], rays_d[r, 2], jitter[r], grid, shape, skip,
-                box, step, near, shift, cell[r], frac[r], alpha, depth, raw)
-            count[r] = n
-            sh_basis(rays_d[r, 0], rays_d[r, 1], rays_d[r, 2], basis)
+        for p in range(block * chunk, min((block + 1) * chunk, pixels)):
             mean[:] = 0
-            left = np.float32(1)
-            for i in range(n):
-                weight = left * alpha[i]
-                left *= 1 - alpha[i]
-                if weight < MIN_WEIGHT:
-                    rgb[i, 0] = -1
-                    continue
-                sample_colour(grid, shape, cell[r, i], frac[r, i, 0], frac[r, i, 1],
-                              frac[r, i, 2], basis, blend, rgb[i])
+            for k in range(each):
+                r = p * each + k
+                n, light[k] = march(
+                    rays_o[r, 0], rays_o[r, 1], rays_o[r, 2],
+                    rays_d[r, 0], rays_d[r, 1], rays_d[r, 2], jitter[r], grid, row_of, shape,
+                    skip, box, step, near, shift, cell[r], frac[r], alpha[k], depth[k], raw[k])
+                count[r] = n
+                sh_basis(rays_d[r, 0], rays_d[r, 1], rays_d[r, 2], basis)
+                left = np.float32(1)
+                for i in range(n):
+                    weight = left * alpha[k, i]
+                    left *= 1 - alpha[k, i]
+                    if weight < MIN_WEIGHT:
+                        rgb[k, i, 0] = -1
+                        continue
+                    sample_colour(grid, row_of, shape, cell[r, i], frac[r, i, 0],
+                                  frac[r, i, 1], frac[r, i, 2], basis, blend, rgb[k, i])
+                    for channel in range(3):
+                        mean[channel] += weight * rgb[k, i, channel]
                 for channel in range(3):
-                    mean[channel] += weight * rgb[i, channel]
-            error[r] = 0
+                    mean[channel] += light[k] * background[p, channel]
+            error[p] = 0
             for channel in range(3):
-                colour = mean[channel] + light * background[r, channel]
-                difference = gain[r, channel] * colour - target[r, channel]
-                error[r] += difference * difference
-                d_gain[r, channel] = 2 * difference * colour
-                slope[channel] = 2 * difference * gain[r, channel]
-            _ray_gradient(n, light, alpha, depth, raw, rgb, slope, gain[r], target[r],
-                          background[r], step, distortion, pointwise, sparsity, value,
-                          d_density[r], d_rgb[r])
+                colour = mean[channel] / each
+                difference = gain[p, channel] * colour - target[p, channel]
+                error[p] += difference * difference
+                d_gain[p, channel] = 2 * difference * colour
+                slope[channel] = 2 * difference * gain[p, channel]
+            for k in range(each):
+                r = p * each + k
+                _ray_gradient(count[r], light[k], alpha[k], depth[k], raw[k], rgb[k], slope,
+                              gain[p], target[p], background[p], step, distortion, pointwise,
+                              sparsity, value, d_density[r], d_rgb[r])
 
 
 @njit(**FAST)
@@ -122,8 +135,8 @@ def _ray_gradient(n, light, alpha, depth, raw, rgb, slope, gain, target, backgro
 
 
 @njit(parallel=True, **FAST)
-def scatter_gradients(rays_d, cell, frac, d_density, d_rgb, count, shape, terms, threads,
-                      gradient, touched):
+def scatter_gradients(rays_d, cell, frac, d_density, d_rgb, count, row_of, shape, terms,
+                      threads, gradient, touched):
     """Add all samples' gradients to `gradient` (V, 1 + 3K) and mark the rows in `touched`."""
     sy, sz = shape[1], shape[2]
     for owner in prange(threads):
@@ -139,9 +152,10 @@ def scatter_gradients(rays_d, cell, frac, d_density, d_rgb, count, shape, terms,
                         slopes[channel * terms + k] = d_rgb[r, i, channel] * basis[k]
                 for corner in range(8):
                     a, b, c = (corner >> 2) & 1, (corner >> 1) & 1, corner & 1
-                    row = cell[r, i] + (a * sy + b) * sz + c
-                    if (row >> 5) % threads != owner:
+                    point = cell[r, i] + (a * sy + b) * sz + c
+                    if (point >> 5) % threads != owner:
                         continue
+                    row = row_of[point]
                     weight = ((fx if a else 1 - fx) * (fy if b else 1 - fy)
                               * (fz if c else 1 - fz))
                     touched[row] = 1
@@ -149,31 +163,6 @@ def scatter_gradients(rays_d, cell, frac, d_density, d_rgb, count, shape, terms,
                     if coloured:
                         for k in range(3 * terms):
                             gradient[row, 1 + k] += weight * slopes[k]
-
-
-@njit(parallel=True, **FAST)
-def add_total_variation(grid, shape, touched, weight_density, weight_colour, gradient):
-    """Pull touched voxels towards their six neighbours (gradient of the squared differences)."""
-    sx, sy, sz = shape[0], shape[1], shape[2]
-    columns = grid.shape[1]
-    for ix in prange(sx):
-        for iy in range(sy):
-            for iz in range(sz):
-                row = (ix * sy + iy) * sz + iz
-                if not touched[row]:
-                    continue
-                for axis in range(3):
-                    size = sx if axis == 0 else (sy if axis == 1 else sz)
-                    here = ix if axis == 0 else (iy if axis == 1 else iz)
-                    stride = sy * sz if axis == 0 else (sz if axis == 1 else 1)
-                    for direction in (-1, 1):
-                        if here + direction < 0 or here + direction >= size:
-                            continue
-                        other = row + direction * stride
-                        gradient[row, 0] += weight_density * min(
-                            max(grid[row, 0] - grid[other, 0], -1), 1)
-                        for k in range(1, columns):
-                            gradient[row, k] += weight_colour * (grid[row, k] - grid[other, k])
 
 
 @njit(parallel=True, **FAST)
@@ -193,8 +182,7 @@ def adam_step(grid, gradient, first, second, touched, steps, rate):
                 continue
             touched[row] = 0
             steps[row] += 1
-            correct_first = 1 - 0.9 ** steps[row]
-            correct_second = 1 - 0.99 ** steps[row]
+            correct_first, correct_second = CORRECTION[min(steps[row], len(CORRECTION) - 1)]
             for k in range(columns):
                 slope = gradient[row, k]
                 gradient[row, k] = 0

@@ -1,10 +1,11 @@
 """
 Compiled loops that look into the voxel field: march, colour, composite, mark.
 
-One voxel is one row of `grid` (V, 1 + 3K) float32: raw density, then K spherical-harmonic
-coefficients for each of R, G, B. Positions are contracted to grid coordinates as in
-DirectVoxGO's unbounded scenes (after mip-NeRF 360): inside the inner box the map is linear, and
-the world outside fills a shell of relative thickness `shell`.
+One grid point is one row of `grid` (V, 1 + 3K) float32: raw density, then K spherical-harmonic
+coefficients for each of R, G, B. `row_of` (X * Y * Z) int32 tells which row, -1 where air is not
+kept: no ray samples it (the links of Plenoxels, Fridovich-Keil et al., CVPR 2022). Positions are
+contracted to grid coordinates as in DirectVoxGO's unbounded scenes (after mip-NeRF 360): inside
+the inner box the map is linear, and the world outside fills a shell of relative thickness `shell`.
 """
 import math
 from typing import Any
@@ -51,7 +52,7 @@ def opacity(density, step):
 
 
 @njit(**FAST)
-def march(ox, oy, oz, dx, dy, dz, jitter, grid, shape, skip, box, step, near, shift,
+def march(ox, oy, oz, dx, dy, dz, jitter, grid, row_of, shape, skip, box, step, near, shift,
           cell, frac, alpha, depth, raw):
     """
     Walk one ray and store its samples in occupied cells.
@@ -101,7 +102,7 @@ def march(ox, oy, oz, dx, dy, dz, jitter, grid, shape, skip, box, step, near, sh
         for corner in range(8):
             a, b, c = (corner >> 2) & 1, (corner >> 1) & 1, corner & 1
             weight = ((fx if a else 1 - fx) * (fy if b else 1 - fy) * (fz if c else 1 - fz))
-            value += weight * grid[base + (a * sy + b) * sz + c, 0]
+            value += weight * grid[row_of[base + (a * sy + b) * sz + c], 0]
         density = value + shift
         a_i = opacity(density, step)  # Interpolated first, activated after.
         cell[count] = base
@@ -120,7 +121,7 @@ def march(ox, oy, oz, dx, dy, dz, jitter, grid, shape, skip, box, step, near, sh
 
 
 @njit(**FAST)
-def sample_colour(grid, shape, base, fx, fy, fz, basis, blend, rgb):
+def sample_colour(grid, row_of, shape, base, fx, fy, fz, basis, blend, rgb):
     """
     Interpolate the coefficients of one sample and evaluate its colour in (0, 1).
 
@@ -132,7 +133,7 @@ def sample_colour(grid, shape, base, fx, fy, fz, basis, blend, rgb):
     for corner in range(8):
         a, b, c = (corner >> 2) & 1, (corner >> 1) & 1, corner & 1
         weight = (fx if a else 1 - fx) * (fy if b else 1 - fy) * (fz if c else 1 - fz)
-        row = base + (a * sy + b) * sz + c
+        row = row_of[base + (a * sy + b) * sz + c]
         if terms == 1:  # Too few for that.
             for k in range(3):
                 blend[k] += weight * grid[row, 1 + k]
@@ -147,8 +148,8 @@ def sample_colour(grid, shape, base, fx, fy, fz, basis, blend, rgb):
 
 
 @njit(parallel=True, **FAST)
-def render_rays(rays_o, rays_d, grid, shape, skip, seen, box, step, near, shift, terms, limit,
-                background, out):
+def render_rays(rays_o, rays_d, grid, row_of, shape, skip, seen, box, step, near, shift, terms,
+                limit, background, out):
     """
     Render unit rays (N, 3) into out (N, 6).
 
@@ -170,8 +171,8 @@ def render_rays(rays_o, rays_d, grid, shape, skip, seen, box, step, near, shift,
         for r in range(block * chunk, min((block + 1) * chunk, n)):
             count, light = march(
                 rays_o[r, 0], rays_o[r, 1], rays_o[r, 2],
-                rays_d[r, 0], rays_d[r, 1], rays_d[r, 2], 0.5, grid, shape, skip, box, step,
-                near, shift, cell, frac, alpha, depth, raw)
+                rays_d[r, 0], rays_d[r, 1], rays_d[r, 2], 0.5, grid, row_of, shape, skip, box,
+                step, near, shift, cell, frac, alpha, depth, raw)
             sh_basis(rays_d[r, 0], rays_d[r, 1], rays_d[r, 2], basis)
             total = np.zeros(6, np.float32)
             left = np.float32(1)
@@ -185,7 +186,7 @@ def render_rays(rays_o, rays_d, grid, shape, skip, seen, box, step, near, shift,
                 total[5] += weight * (seen[cell[i]] > 0)
                 if weight < MIN_SHOWN:
                     continue
-                sample_colour(grid, shape, cell[i], frac[i, 0], frac[i, 1], frac[i, 2],
+                sample_colour(grid, row_of, shape, cell[i], frac[i, 0], frac[i, 1], frac[i, 2],
                               basis, blend, rgb)
                 for channel in range(3):
                     total[channel] += weight * (rgb[channel] - background)
@@ -197,7 +198,7 @@ def render_rays(rays_o, rays_d, grid, shape, skip, seen, box, step, near, shift,
 
 
 @njit(parallel=True, **FAST)
-def mark_seen(rays_o, rays_d, grid, shape, skip, box, step, near, shift, limit, seen):
+def mark_seen(rays_o, rays_d, grid, row_of, shape, skip, box, step, near, shift, limit, seen):
     """Mark every cell that a training ray reaches with light left; marks never race to differ."""
     n = rays_o.shape[0]
     chunk = 64
@@ -210,8 +211,8 @@ def mark_seen(rays_o, rays_d, grid, shape, skip, box, step, near, shift, limit, 
         for r in range(block * chunk, min((block + 1) * chunk, n)):
             count, _ = march(
                 rays_o[r, 0], rays_o[r, 1], rays_o[r, 2],
-                rays_d[r, 0], rays_d[r, 1], rays_d[r, 2], 0.5, grid, shape, skip, box, step,
-                near, shift, cell, frac, alpha, depth, raw)
+                rays_d[r, 0], rays_d[r, 1], rays_d[r, 2], 0.5, grid, row_of, shape, skip, box,
+                step, near, shift, cell, frac, alpha, depth, raw)
             left = 1.0
             for i in range(count):
                 if left < 0.05:
@@ -221,15 +222,19 @@ def mark_seen(rays_o, rays_d, grid, shape, skip, box, step, near, shift, limit, 
 
 
 @njit(parallel=True, **FAST)
-def mark_occupied(grid, shape, step, shift, threshold, occupied):
+def mark_occupied(grid, row_of, shape, step, shift, threshold, occupied):
     """Mark cells (at their low corner's index) where any corner's opacity passes the threshold."""
     sx, sy, sz = shape[0], shape[1], shape[2]
     for ix in prange(sx - 1):
         for iy in range(sy - 1):
             for iz in range(sz - 1):
                 base = (ix * sy + iy) * sz + iz
-                best = grid[base, 0]
-                for corner in range(1, 8):
+                best = np.float32(-np.inf)
+                for corner in range(8):
                     a, b, c = (corner >> 2) & 1, (corner >> 1) & 1, corner & 1
-                    best = max(best, grid[base + (a * sy + b) * sz + c, 0])
+                    row = row_of[base + (a * sy + b) * sz + c]
+                    if row < 0:
+                        best = np.float32(-np.inf)
+                        break
+                    best = max(best, grid[row, 0])
                 occupied[base] = opacity(best + shift, step) > threshold

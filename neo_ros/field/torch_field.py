@@ -22,9 +22,9 @@ class Samples(NamedTuple):
     """
     Samples in occupied cells, N of them, in no order across rays; of one ray, slots count up.
 
-    ray, slot, base int64 (N,): ray, number on the ray, row of the cell's low corner; frac (N, 3)
-    place in the cell; t (N,) metres; before (N,) light that arrives; alpha (N,); light (R,) that
-    is left behind each ray's last sample.
+    ray, slot, base int64 (N,): ray, number on the ray, grid point at the cell's low corner;
+    frac (N, 3) place in the cell; t (N,) metres; before (N,) light that arrives; alpha (N,);
+    light (R,) that is left behind each ray's last sample.
     """
 
     ray: torch.Tensor
@@ -41,14 +41,15 @@ class TorchField:
     """
     The arrays of a radiance field on a device.
 
-    grid (V, 1 + 3K) float32; skip, seen uint8 (V,) as in `RadianceField`. On a CPU the arrays are
-    those of the field itself.
+    grid (V, 1 + 3K) float32; row_of int32, skip and seen uint8 (X * Y * Z,) as in `RadianceField`.
+    On a CPU the arrays are those of the field itself.
     """
 
     def __init__(self, field: RadianceField, device: torch.device) -> None:
         self.device, self.shape, self.limit = device, field.shape, field.sample_limit
         self.source = (field.grid, field.skip, field.seen)
         self.grid = torch.from_numpy(field.grid).to(device)
+        self.row_of = torch.from_numpy(field.row_of).to(device)
         self.skip = torch.from_numpy(field.skip).to(device)
         self.seen = torch.from_numpy(field.seen).to(device)
         self.centre = torch.tensor(field.centre, dtype=torch.float32, device=device)
@@ -68,7 +69,7 @@ class TorchField:
 
     def rows(self, base: torch.Tensor) -> torch.Tensor:
         """Rows of the eight corners of cells (N,): int64 (N, 8)."""
-        return base[:, None] + self.corners
+        return self.row_of[base[:, None] + self.corners].long()
 
     def _locate(self, points: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Return cell (N,), place in it (N, 3), stretch of a step (N,) and whether it exists."""
@@ -176,22 +177,29 @@ class TorchField:
     @torch.no_grad()
     def update_occupancy(self) -> float:
         """Recompute `skip` as `RadianceField.update_occupancy`; returns the occupied share."""
-        raw = self.grid[:, 0].reshape(1, 1, *self.shape)
+        # A cell with a corner that is not kept is air.
+        raw = torch.where(self.row_of >= 0, self.grid[self.row_of, 0], torch.inf)
+        raw = raw.reshape(1, 1, *self.shape)
         best = max_pool3d(raw, 2, stride=1) + self.shift
+        best[best == torch.inf] = -torch.inf
         occupied = torch.zeros_like(raw)
         occupied[..., :-1, :-1, :-1] = 1 - torch.exp(-softplus(best) * self.step) > OCCUPIED_ALPHA
         if not occupied.any():
             self.skip.zero_()
             return 0.0
         share = float(occupied.mean())
-        distance = torch.zeros_like(self.skip).reshape(self.shape)
-        for _ in range(255):
-            missing = occupied[0, 0] == 0
+        blocks = max_pool3d(occupied, 2, ceil_mode=True)
+        distance = torch.zeros_like(blocks)
+        for _ in range(128):
+            missing = blocks == 0
             if not missing.any():
                 break
             distance += missing
-            occupied = max_pool3d(occupied, 3, stride=1, padding=1)
-        self.skip.copy_(distance.flatten())
+            blocks = max_pool3d(blocks, 3, stride=1, padding=1)
+        x, y, z = self.shape
+        skip = (2 * distance - 1).clamp(1, 255).repeat_interleave(2, 2).repeat_interleave(
+            2, 3).repeat_interleave(2, 4)[..., :x, :y, :z]
+        self.skip.copy_(torch.where(occupied > 0, 0, skip).flatten())
         return share
 
 

@@ -48,13 +48,16 @@ class TorchFieldTrainer(FieldTrainer):
         photo, target, rays_o, rays_d = self.sample_rays()
         pixels = len(target)
         gain = np.exp(self.log_gain[photo])
-        jitter = self.random.random(pixels, np.float32)
+        jitter = self.random.random(len(rays_o), np.float32)
         background = self.random.random((pixels, 3), np.float32)
         rank, processes = (distributed.get_rank(), distributed.get_world_size()) if (
             distributed.is_initialized()) else (0, 1)
         mine = slice(rank, None, processes)
-        own = (torch.from_numpy(np.ascontiguousarray(array[mine])).to(self.arrays.device)
-               for array in (rays_o, rays_d, jitter, target, gain, background))
+        # The rays of a pixel follow one another: a row for each pixel.
+        own = (torch.from_numpy(
+            array.reshape(pixels, -1, *array.shape[1:])[mine].reshape(-1, *array.shape[1:])
+        ).to(self.arrays.device)
+            for array in (rays_o, rays_d, jitter, target, gain, background))
         error, d_gain = self._differentiate(*own)
         totals = torch.zeros(pixels, 4, device=self.arrays.device)
         totals[mine, 0], totals[mine, 1:] = error, d_gain
@@ -62,8 +65,6 @@ class TorchFieldTrainer(FieldTrainer):
             distributed.all_reduce(self.slope)
             distributed.all_reduce(self.hit, distributed.ReduceOp.MAX)
             distributed.all_reduce(totals)
-        if config.smooth_density or config.smooth_colour:
-            self._add_total_variation(pixels)
         self._adam(config.learning_rate * 0.1 ** self.share)
         found = totals.cpu().numpy()
         if config.exposure:
@@ -84,8 +85,8 @@ class TorchFieldTrainer(FieldTrainer):
         """
         Add the loss's gradient to `slope` and mark rows in `hit`.
 
-        jitter (R,), the others (R, 3). The loss is that of `fitting_kernels.differentiate_rays`.
-        Returns error (R,) and d_gain (R, 3).
+        rays_o, rays_d (R, 3), jitter (R,), the others (P, 3) per pixel. The loss is that of
+        `fitting_kernels.differentiate_rays`. Returns error (P,) and d_gain (P, 3).
         """
         config, arrays = self.config, self.arrays
         samples = arrays.march(rays_o, rays_d, jitter)
@@ -95,14 +96,16 @@ class TorchFieldTrainer(FieldTrainer):
         weight, light, alpha, distortion = self._weights(samples, values, len(rays_d))
         shown = colours(values[:, 1:], sh_basis(rays_d[ray], arrays.terms))
         coloured = torch.where(weight.detach() >= MIN_WEIGHT, weight, 0.0)[:, None]
-        colour = (torch.zeros_like(rays_d).index_add(0, ray, coloured * shown)
-                  + light[:, None] * background)
+        each = self.rays_across ** 2
+        behind = light[:, None] * background.repeat_interleave(each, 0)
+        colour = (torch.zeros_like(rays_d).index_add(0, ray, coloured * shown) + behind).unflatten(
+            0, (-1, each)).mean(1)
         difference = gain * colour - target
         error = (difference ** 2).sum(1)
-        own = gain[ray] * shown - target[ray]
+        own = gain[ray // each] * shown - target[ray // each]
         rest = (config.distortion * distortion + config.sparsity * alpha.sum()
-                + config.pointwise * (coloured * own ** 2).sum())
-        slope = torch.autograd.grad(error.sum() + rest, values)[0]
+                + self.pointwise * (coloured * own ** 2).sum())
+        slope = torch.autograd.grad(each * error.sum() + rest, values)[0]
         rows = arrays.rows(samples.base)
         spread = corner_weights(samples.frac)[..., None] * slope[:, None]
         self.slope.index_add_(0, rows.flatten(), spread.flatten(0, 1))
@@ -124,22 +127,6 @@ class TorchFieldTrainer(FieldTrainer):
         first, moment = weight.cumsum(1) - weight, (weight * depth).cumsum(1) - weight * depth
         distortion = 2 * (weight * (depth * first - moment)).sum()
         return weight[at], torch.exp(-table.sum(1)), alpha[at], distortion
-
-    @torch.no_grad()
-    def _add_total_variation(self, pixels: int) -> None:
-        """As `fitting_kernels.add_total_variation`."""
-        grid = self.arrays.grid.unflatten(0, self.arrays.shape)
-        pull = torch.zeros_like(grid)
-        for axis in range(3):
-            difference = grid.diff(dim=axis)
-            difference[..., 0].clamp_(-1, 1)
-            low, high = [slice(None)] * 3, [slice(None)] * 3
-            low[axis], high[axis] = slice(None, -1), slice(1, None)
-            pull[tuple(high)] += difference
-            pull[tuple(low)] -= difference
-        pull[..., 0] *= self.config.smooth_density * pixels
-        pull[..., 1:] *= self.config.smooth_colour * pixels
-        self.slope += pull.flatten(0, 2) * self.hit[:, None]
 
     @torch.no_grad()
     def _adam(self, rate: float) -> None:
