@@ -6,7 +6,7 @@ import math
 from neo_ros.evaluation.speed_host import Machine
 from neo_ros.evaluation.speed_record import Effort, Record, time_calls, Work
 from neo_ros.evaluation.speed_stream import measure_stream
-from neo_ros.field.fitting import FieldConfig, FieldTrainer
+from neo_ros.field.fitting import FieldConfig, FieldTrainer, STAGES
 from neo_ros.field.panorama import render_panorama, view_band
 from neo_ros.field.rendering import render_view, to_uint8
 from neo_ros.field.voxel_field import packed, RadianceField
@@ -129,7 +129,7 @@ def trainer_in(field: RadianceField, effort: Effort) -> FieldTrainer:
     trainer = FieldTrainer(photos, NARROW, np.stack([pose.T_world_cam for pose in poses]),
                            config, SEED)
     trainer.restore(trainer.state() | {
-        'step': config.steps * 3 // 4 + 1, 'stage': len(trainer.stages),
+        'step': config.steps * 3 // 4 + 1, 'stage': len(STAGES) - 1,
         'grid': field.grid.copy(), 'shape': field.shape, 'stored': packed(field.row_of),
         'skip': field.skip,
         'centre': field.centre, 'half_extent': field.half_extent,

@@ -54,13 +54,10 @@ class FieldConfig:
                               f'{self.near}')
 
 
-# Grid points of the first stage, about; each refinement makes eight times as many.
-FIRST_VOXELS = 50_000
-# Shares of the fit at which the next stage begins, by the number of refinements: the first stage
-# is begun anew in a better box.
-STAGES = {2: (0.06, 0.18, 0.4), 3: (0.06, 0.14, 0.28, 0.5)}
-# Voxels of later stages are finer than pixels.
-FINE = 3
+# Share of the fit at which the grid is refined, and the share of voxels it then has.
+STAGES = ((0.0, 1 / 64), (0.06, 1 / 64), (0.18, 1 / 8), (0.4, 1.0))
+# From so many on voxels are finer than pixels, mostly.
+FINE_VOXELS = 9_000_000
 OCCUPANCY_EVERY = 100
 # However short the time, with fewer steps a field is fog.
 LEAST_STEPS = 300
@@ -81,10 +78,8 @@ class FieldTrainer:
         self.seconds = self.psnr = 0.0
         self.log_gain = np.zeros((len(images), 3), np.float32)
         low, high = self.origins.min(0) - config.margin, self.origins.max(0) + config.margin
-        refinements = round(math.log(config.voxels / FIRST_VOXELS, 8))
-        self.stages = STAGES[min(max(refinements, min(STAGES)), max(STAGES))]
         self.field = RadianceField.empty(
-            self._voxels(), (low + high) / 2, (high - low) / 2,
+            int(config.voxels * STAGES[0][1]), (low + high) / 2, (high - low) / 2,
             config.shell, config.sh_degree, near=config.near)
         self._allocate()
 
@@ -109,8 +104,8 @@ class FieldTrainer:
         Draw pixels; returns photo index (P,), target (P, 3), rays_o and rays_d (R, 3).
 
         A ray goes through its pixel's centre: rays through all of a pixel, each fitted to the
-        pixel's colour, would blur the field by a pixel once more. In the fourth stage, whose
-        voxels are finer than pixels, the mean of four is fitted to it; they follow one another.
+        pixel's colour, would blur the field by a pixel once more. Where voxels are finer than
+        pixels, the mean of four is fitted to it; they follow one another.
         """
         across = self.rays_across
         photo, row, column = (
@@ -129,7 +124,8 @@ class FieldTrainer:
     @property
     def rays_across(self) -> int:
         """Rays through a pixel, across it and down."""
-        return 2 if self.stage > FINE else 1
+        fine = self.config.voxels >= FINE_VOXELS and self.stage + 1 == len(STAGES)
+        return 2 if fine else 1
 
     @property
     def pointwise(self) -> float:
@@ -193,15 +189,12 @@ class FieldTrainer:
         self.log_gain -= 0.05 * total / np.maximum(seen, 1)
         self.log_gain -= self.log_gain.mean(0)
 
-    def _voxels(self) -> int:
-        """Grid points of the present stage."""
-        return self.config.voxels // 8 ** (len(self.stages) - max(self.stage, 1))
-
     def _refine_when_due(self) -> None:
-        if self.stage < len(self.stages) and self.share >= self.stages[self.stage]:
+        if self.stage + 1 < len(STAGES) and self.share >= STAGES[self.stage + 1][0]:
             self.stage += 1
-            self.field = self.field.resampled(self._voxels(), *self.content_box(),
-                                              sparse=self.stage == len(self.stages))
+            voxels = int(self.config.voxels * STAGES[self.stage][1])
+            self.field = self.field.resampled(voxels, *self.content_box(),
+                                              sparse=self.stage + 1 == len(STAGES))
             if self.stage == 1:
                 self.boxed_at = self.step
             else:
