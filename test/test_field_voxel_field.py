@@ -98,6 +98,16 @@ def test_a_sparse_field_keeps_matter_and_the_air_around_it() -> None:
         np.testing.assert_array_equal(first, second)
 
 
+@pytest.mark.parametrize('device', ['cpu', 'torch'])
+def test_a_sparse_field_that_becomes_empty_is_air(device: str) -> None:
+    field = room_field(10_000).resampled(30_000, CENTRE, WALLS * 1.2, sparse=True)
+    assert len(field.grid) < len(field.row_of)
+    field.grid[:, 0] = -10
+    field.device = device
+    assert field.update_occupancy() == 0 and field.skip.all()
+    assert not render_view(field, VIEW, standing()).opacity.any()
+
+
 def test_a_field_that_is_empty_still_is_kept_whole() -> None:
     field = RadianceField.empty(1000, CENTRE, WALLS, 0.2, 0)
     finer = field.resampled(4000, CENTRE, WALLS, sparse=True)

@@ -130,9 +130,8 @@ def trainer_in(field: RadianceField, effort: Effort) -> FieldTrainer:
                            config, SEED)
     trainer.restore(trainer.state() | {
         'step': config.steps * 3 // 4 + 1, 'stage': len(STAGES) - 1,
-        'grid': field.grid.copy(), 'shape': field.shape, 'stored': packed(field.row_of),
-        'skip': field.skip,
-        'centre': field.centre, 'half_extent': field.half_extent,
+        'grid': field.grid.copy(), 'shape': field.shape, 'kept': packed(field.row_of),
+        'skip': field.skip, 'centre': field.centre, 'half_extent': field.half_extent,
         'first': np.zeros_like(field.grid), 'second': np.zeros_like(field.grid),
         'updates': np.zeros(len(field.grid), np.int32)})
     return trainer

@@ -214,9 +214,8 @@ class FieldTrainer:
         field = self.field
         return {'step': self.step, 'stage': self.stage, 'boxed_at': self.boxed_at,
                 'seconds': self.seconds, 'psnr': self.psnr, 'log_gain': self.log_gain,
-                'grid': field.grid, 'shape': list(field.shape), 'stored': packed(field.row_of),
-                'skip': field.skip,
-                'centre': field.centre, 'half_extent': field.half_extent,
+                'grid': field.grid, 'shape': list(field.shape), 'kept': packed(field.row_of),
+                'skip': field.skip, 'centre': field.centre, 'half_extent': field.half_extent,
                 'first': self.first, 'second': self.second, 'updates': self.updates}
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -228,7 +227,7 @@ class FieldTrainer:
         self.field = RadianceField(
             arrays['grid'], tuple(state['shape']), arrays['centre'], arrays['half_extent'],
             self.config.shell, near=self.config.near,
-            row_of=unpacked(arrays['stored'], state['shape']))
+            row_of=unpacked(arrays['kept'], state['shape']))
         self.field.skip = arrays['skip']
         self._allocate()
         self.first, self.second, self.updates = (

@@ -3,7 +3,8 @@ Compiled loops that look into the voxel field: march, colour, composite, mark.
 
 One grid point is one row of `grid` (V, 1 + 3K) float32: raw density, then K spherical-harmonic
 coefficients for each of R, G, B. `row_of` (X * Y * Z) int32 tells which row, -1 where air is not
-kept: no ray samples it (the links of Plenoxels, Fridovich-Keil et al., CVPR 2022). Positions are
+kept: no ray samples it (the links of Plenoxels, Fridovich-Keil et al., CVPR 2022). Rows count up
+along z, so of two kept points one above the other the second has the next row. Positions are
 contracted to grid coordinates as in DirectVoxGO's unbounded scenes (after mip-NeRF 360): inside
 the inner box the map is linear, and the world outside fills a shell of relative thickness `shell`.
 """
@@ -102,7 +103,7 @@ def march(ox, oy, oz, dx, dy, dz, jitter, grid, row_of, shape, skip, box, step, 
         for corner in range(8):
             a, b, c = (corner >> 2) & 1, (corner >> 1) & 1, corner & 1
             weight = ((fx if a else 1 - fx) * (fy if b else 1 - fy) * (fz if c else 1 - fz))
-            value += weight * grid[row_of[base + (a * sy + b) * sz + c], 0]
+            value += weight * grid[row_of[base + (a * sy + b) * sz] + c, 0]
         density = value + shift
         a_i = opacity(density, step)  # Interpolated first, activated after.
         cell[count] = base
@@ -133,7 +134,7 @@ def sample_colour(grid, row_of, shape, base, fx, fy, fz, basis, blend, rgb):
     for corner in range(8):
         a, b, c = (corner >> 2) & 1, (corner >> 1) & 1, corner & 1
         weight = (fx if a else 1 - fx) * (fy if b else 1 - fy) * (fz if c else 1 - fz)
-        row = row_of[base + (a * sy + b) * sz + c]
+        row = row_of[base + (a * sy + b) * sz] + c
         if terms == 1:  # Too few for that.
             for k in range(3):
                 blend[k] += weight * grid[row, 1 + k]

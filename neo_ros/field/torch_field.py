@@ -185,7 +185,7 @@ class TorchField:
         occupied = torch.zeros_like(raw)
         occupied[..., :-1, :-1, :-1] = 1 - torch.exp(-softplus(best) * self.step) > OCCUPIED_ALPHA
         if not occupied.any():
-            self.skip.zero_()
+            self.skip.fill_(len(self.grid) < len(self.row_of))
             return 0.0
         share = float(occupied.mean())
         blocks = max_pool3d(occupied, 2, ceil_mode=True)

@@ -167,7 +167,7 @@ class RadianceField:
 
         They are those between blocks of 2 x 2 x 2 cells, which are never too large and are found
         in an eighth of the time. A field that is empty still, early in a fit, is searched
-        everywhere.
+        everywhere; a sparse one, which has no rows for that, nowhere.
         """
         if self.device != 'cpu':
             from neo_ros.field.torch_field import on_device
@@ -179,16 +179,16 @@ class RadianceField:
         from scipy.ndimage import distance_transform_cdt
         occupied = self._occupied(self.grid)
         if not occupied.any():
-            self.skip[:] = 0
+            self.skip[:] = len(self.grid) < len(self.row_of)
             return 0.0
-        cells = np.zeros([size + size % 2 for size in self.shape], np.bool_)
-        inside = tuple(slice(size) for size in self.shape)
-        cells[inside] = occupied.reshape(self.shape)
+        cells = np.pad(occupied.reshape(self.shape), [(0, size % 2) for size in self.shape])
         x, y, z = (size // 2 for size in cells.shape)
         blocks = cells.reshape(x, 2, y, 2, z, 2).any(axis=(1, 3, 5))
         distance = np.clip(2 * distance_transform_cdt(~blocks, 'chessboard') - 1, 1, 255)
-        skip = distance.astype(np.uint8).repeat(2, 0).repeat(2, 1).repeat(2, 2)[inside]
-        self.skip = np.where(cells[inside], np.uint8(0), skip).ravel()
+        skip = distance.astype(np.uint8).repeat(2, 0).repeat(2, 1).repeat(2, 2)
+        skip[cells] = 0
+        x, y, z = self.shape
+        self.skip = skip[:x, :y, :z].ravel()
         return float(occupied.mean())
 
     def _occupied(self, grid: np.ndarray) -> np.ndarray:
@@ -207,7 +207,7 @@ class RadianceField:
         """Write the field as .npz; a kill or a full disk in between leaves the old file whole."""
         try:
             with whole_file(path) as partial, partial.open('wb') as file:
-                np.savez(file, grid=self.grid, stored=packed(self.row_of), shape=self.shape,
+                np.savez(file, grid=self.grid, kept=packed(self.row_of), shape=self.shape,
                          centre=self.centre, half_extent=self.half_extent,
                          seen=np.packbits(self.seen),
                          settings=[self.shell, self.step, self.near, self.initial_alpha])
@@ -223,7 +223,7 @@ class RadianceField:
                 shape = tuple(int(n) for n in data['shape'])
                 result = cls(data['grid'], shape, data['centre'],  # type: ignore[arg-type]
                              data['half_extent'], float(shell), float(step), float(near),
-                             float(initial_alpha), unpacked(data['stored'], shape))
+                             float(initial_alpha), unpacked(data['kept'], shape))
                 result.seen = np.unpackbits(data['seen'], count=math.prod(shape))
         except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
             raise SceneError(f'{path}: expected a radiance field: {error}') from error
@@ -234,14 +234,10 @@ class RadianceField:
 
 def dilated(occupied: np.ndarray) -> np.ndarray:
     """Mark the points of occupied cells and of those `AIR_KEPT` around them: bool (X, Y, Z)."""
-    kept = occupied.copy()
-    for axis in range(3):
-        along = np.moveaxis(kept, axis, 0)
-        for _ in range(AIR_KEPT + 1):  # A cell stands at its lowest corner.
-            along[1:] |= along[:-1].copy()
-        for _ in range(AIR_KEPT):
-            along[:-1] |= along[1:].copy()
-    return kept
+    from scipy.ndimage import maximum_filter
+    # A cell stands at its lowest corner: the window begins one further below than it ends above.
+    size = 2 * AIR_KEPT + 2
+    return maximum_filter(occupied.view(np.uint8), size, mode='constant').view(np.bool_)
 
 
 def numbered(kept: np.ndarray) -> np.ndarray:
@@ -255,6 +251,6 @@ def packed(row_of: np.ndarray) -> np.ndarray:
     return np.packbits(row_of >= 0)
 
 
-def unpacked(stored: np.ndarray, shape: Sequence[int]) -> np.ndarray:
+def unpacked(kept: np.ndarray, shape: Sequence[int]) -> np.ndarray:
     """Return `row_of` of what `packed` made."""
-    return numbered(np.unpackbits(stored, count=math.prod(shape)).view(np.bool_))
+    return numbered(np.unpackbits(kept, count=math.prod(shape)).view(np.bool_))
