@@ -20,7 +20,10 @@ ABLATIONS = {
     'no_real_centres': ('base', {'outpaint.real_centre'}),
     'perceptual': ('base', {'outpaint.perceptual'}),
     'source_view': ('no_real_centres', {'outpaint.training_view'}),
-    'redkitchen/all_views': ('redkitchen/sharp_views', {'sampling.sharp_only'})}
+    'redkitchen/all_views': ('redkitchen/sharp_views', {'sampling.sharp_only'}),
+    'redkitchen/no_augmentation': (
+        'redkitchen/sharp_views', {'outpaint.photometric', 'outpaint.occluders'}),
+    'redkitchen/no_real_centres': ('redkitchen/sharp_views', {'outpaint.real_centre'})}
 PHOTO = Intrinsics(64, 48, 40.0, 41.0, 31.0, 25.0)
 
 
