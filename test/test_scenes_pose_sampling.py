@@ -122,7 +122,15 @@ def test_every_place_has_so_many_headings_and_all_places_all_headings() -> None:
     everywhere = np.sort([yaw_pitch_roll(sampler.draw_rotation(random, place))[0]
                           for place in range(400)])
     assert np.diff(everywhere).max() < 0.2
-    assert SamplingConfig().yaws == 72 and SamplingConfig().interval == 0.05
+    assert SamplingConfig().yaws == 72
+
+
+def test_without_a_word_the_grids_are_as_wide_as_the_papers() -> None:
+    floor = PoseSampler.for_walkable(FLOOR, SamplingConfig())
+    around = PoseSampler.around_photos(photos_with([(0, 0, 1.5, 0, 0, 0)]), SamplingConfig())
+    for sampler, metres in ((floor, 0.05), (around, 0.2)):
+        for values in sampler.positions_xy.T:
+            np.testing.assert_allclose(np.diff(np.unique(values.round(6))), metres)
 
 
 def test_the_camera_stands_as_high_as_the_experiment_says() -> None:

@@ -10,6 +10,10 @@ from neo_ros.scenes.walkable import WalkableMap
 import numpy as np
 
 
+# Metres between grid positions in the paper: section 4.1 (best of 0.05 to 1.0), section 4.2.
+FLOOR_INTERVAL, PHOTOS_INTERVAL = 0.05, 0.2
+
+
 @dataclass(frozen=True)
 class SamplingConfig:
     """Where wide training views are rendered."""
@@ -18,7 +22,8 @@ class SamplingConfig:
     # walkable: the scene's floor map; free_space: floor that the photos saw free; photos: as a
     # hand holds a camera, around the photos; auto: walkable where there is a map, else photos
     area: Literal['auto', 'walkable', 'free_space', 'photos'] = 'auto'
-    interval: float = 0.05   # metres between grid positions (paper: 0.05 to 1.0, best 0.05)
+    # metres between grid positions; default: 0.05 on a floor, 0.2 around photos
+    interval: Optional[float] = None
     yaws: int = 72           # headings at a position on the floor, evenly spaced; 0 = any
     robot_radius: float = 0.2  # metres that the camera keeps off the edge of free floor
     camera_height: Optional[float] = None  # z of the camera; default: the map's or the photos'
@@ -27,7 +32,8 @@ class SamplingConfig:
     sharp_only: Optional[bool] = None  # draw blurred views again; default: for `photos` only
 
     def __post_init__(self) -> None:
-        if not (self.interval > 0 and self.radius > 0 and self.positions > 0):
+        if not ((self.interval is None or self.interval > 0) and self.radius > 0
+                and self.positions > 0):
             raise ConfigError(
                 'sampling: expected interval, radius and positions > 0, got '
                 f'{self.interval}, {self.radius}, {self.positions}')
@@ -69,9 +75,10 @@ class PoseSampler:
     def for_walkable(cls, walkable: WalkableMap, config: SamplingConfig) -> 'PoseSampler':
         """3-DoF (section 4.1): a grid over the free floor, fixed height, yaws all around."""
         floor = walkable.kept_off(config.robot_radius)
+        interval = FLOOR_INTERVAL if config.interval is None else config.interval
         centres = floor.centres()
-        low, steps = centres.min(0), np.ptp(centres, axis=0) / config.interval
-        axes = [start + config.interval * np.arange(int(count + 1e-6) + 1)
+        low, steps = centres.min(0), np.ptp(centres, axis=0) / interval
+        axes = [start + interval * np.arange(int(count + 1e-6) + 1)
                 for start, count in zip(low, steps)]
         grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
         height = (floor.camera_height if config.camera_height is None
@@ -87,14 +94,15 @@ class PoseSampler:
         Yaw is uniform between the photos' bounds; height, pitch and roll are Gaussian with the
         photos' mean and deviation. The world's z axis must point up.
         """
+        interval = PHOTOS_INTERVAL if config.interval is None else config.interval
         T = photos.T_world_cam
         xy = T[:, :2, 3]
         low, high = xy.min(0) - config.radius, xy.max(0) + config.radius
-        axes = [np.arange(a, b + config.interval, config.interval) for a, b in zip(low, high)]
+        axes = [np.arange(a, b + interval, interval) for a, b in zip(low, high)]
         near = np.zeros((len(axes[1]), len(axes[0])), bool)
         for photo in xy:  # each looks at the part of the grid around it
-            across, along = (slice(max(int((at - start - config.radius) / config.interval), 0),
-                                   int((at - start + config.radius) / config.interval) + 2)
+            across, along = (slice(max(int((at - start - config.radius) / interval), 0),
+                                   int((at - start + config.radius) / interval) + 2)
                              for at, start in zip(photo, low))
             around = np.stack(np.meshgrid(axes[0][across], axes[1][along]), axis=-1)
             near[along, across] |= np.linalg.norm(photo - around, axis=-1) <= config.radius
