@@ -79,7 +79,7 @@ def test_places_where_nothing_is_are_refused() -> None:
     air.grid[0, 0] = 40
     air.update_occupancy()
     nowhere = pool(air)
-    with pytest.raises(SceneError, match='in a row show nothing that a photo saw .nothing there.'):
+    with pytest.raises(SceneError, match='in a row show nothing to learn from .nothing there.'):
         nowhere.fill(1)
 
 
@@ -147,6 +147,21 @@ def test_blurred_views_are_drawn_again(field: RadianceField, tmp_path: Path) -> 
     assert min(relative_sharpness(view[..., :3]) for view in views) >= sharp.least_sharpness
     assert sharp.summary()['refused_views']['blurred'] > 30
     assert plain.summary()['refused_views'] == {}
+
+
+def test_a_place_where_every_view_is_blurred_is_drawn_again(
+        field: RadianceField, tmp_path: Path) -> None:
+    """Who looks towards the smooth half sees stripes from the striped half alone."""
+    smooth, striped = CENTRE[:2] - [0, 1], CENTRE[:2] + [0, 1]
+    sampler = PoseSampler(np.array([smooth, striped]), (-2.5, 1.6), LEVEL,
+                          (float(CENTRE[2]), 0.0), 8)
+    anywhere = pool(field)
+    anywhere.require_sharpness(photos(field, tmp_path), 1.0)
+    drawn = PanoramaPool(field, sampler, VIEW, 6, seed=0)
+    drawn.least_sharpness = anywhere.least_sharpness
+    drawn.fill(6)
+    assert {tuple(panorama.position[:2]) for panorama in drawn.panoramas} == {tuple(striped)}
+    assert set(drawn.refused) == {'blurred'}
 
 
 def test_the_threshold_allows_for_a_soft_field(field: RadianceField, tmp_path: Path) -> None:

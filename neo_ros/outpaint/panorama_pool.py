@@ -30,8 +30,9 @@ class PanoramaPool:
     Up to `positions` panoramas, rendered one after the other at positions that the sampler draws.
 
     Positions inside matter, where there is nothing, and where photos saw too little are drawn
-    again; so are views of which photos saw too little, and after `require_sharpness` the blurred
-    ones. `refused` counts positions by reason. A cache keeps them in files.
+    again; so are views of which photos saw too little. After `require_sharpness` blurred views
+    are, too, and positions where most are. `refused` counts positions by reason. A cache keeps
+    them in files.
     """
 
     def __init__(self, field: RadianceField, sampler: PoseSampler, view: Intrinsics,
@@ -127,7 +128,7 @@ class PanoramaPool:
             refused.append((reason, position))
         found = ', '.join(sorted({reason for reason, _ in refused}))
         raise SceneError(
-            f'pair stream: {TRIES} positions in a row show nothing that a photo saw ({found}); '
+            f'pair stream: {TRIES} positions in a row show nothing to learn from ({found}); '
             'does the floor map belong to this scene?')
 
     def _refusal(self, panorama: Panorama) -> Optional[str]:
@@ -139,7 +140,11 @@ class PanoramaPool:
         glance = self.view.scaled(16 / self.view.width)
         good = [covered(panorama.cut_view(glance, rotation))
                 for rotation in self.glance_rotations]
-        return None if np.mean(good) >= LEAST_GOOD_VIEWS else 'not seen by photos'
+        if np.mean(good) < LEAST_GOOD_VIEWS:
+            return 'not seen by photos'
+        good = [self._view_refusal(panorama.cut_view(self.view, rotation)) is None
+                for rotation in self.glance_rotations if self.least_sharpness]
+        return 'blurred' if good and np.mean(good) < LEAST_GOOD_VIEWS else None
 
     def _cut(self, index: int, random: np.random.Generator) -> np.ndarray:
         return self.panoramas[index].cut_view(
