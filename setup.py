@@ -10,6 +10,7 @@ ROBOT = [
     'apsw',
     'jinja2',
     'lz4',
+    'matplotlib',
     'mcap',
     'numba',
     'numpy',

@@ -161,6 +161,6 @@ def test_the_page_stands_alone_and_says_what_the_terminal_says(tmp_path: Path) -
     assert any('12 photos are few' in line for line in lines)
     assert '12 photos are few' in page
     assert '4 frames &lt;lost&gt; their pose' in page
-    assert page.count('<img ') >= 6 and page.count('<svg ') == 3
+    assert page.count('<img ') >= 9 and page.count('<img class="plot"') == 3
     assert 'src="http' not in page and 'href=' not in page
     assert 'Places to go back to' in page

@@ -1,12 +1,12 @@
 import base64
 from html.parser import HTMLParser
 import re
+from xml.etree import ElementTree
 
 import cv2
-from hypothesis import given, strategies as st
 from neo_ros.errors import NeoError
 from neo_ros.evaluation.report import Plot, Series, Strip, Table, Text, write_report
-from neo_ros.evaluation.report_plot import plot_svg, ticks
+from neo_ros.evaluation.report_plot import plot_svg
 from neo_ros.evaluation.strips import error_map, frame_strip, outlined, write_strip_png
 from neo_ros.geometry import Intrinsics, ViewExpansion
 import numpy as np
@@ -26,7 +26,7 @@ def smooth(height, width):
 class Tags(HTMLParser):
     """Collect start tags with their attributes, and check that they nest."""
 
-    void = {'meta', 'img', 'line', 'circle', 'polyline'}
+    void = {'meta', 'img'}
 
     def __init__(self):
         super().__init__()
@@ -75,18 +75,21 @@ def test_a_page_is_self_contained_and_holds_every_section(tmp_path):
     assert '<td>20.10<small>19.5 to 20.7</small></td>' in page
     assert page.count('class="strong"') == 1
     images = [attrs for tag, attrs in tags if tag == 'img']
-    assert [(attrs['width'], attrs['height']) for attrs in images] == [
-        ('64', '48'), ('400', '300')]
-    np.testing.assert_array_equal(decoded(images[0]['src']), small)
-    assert images[1]['src'].startswith('data:image/jpeg')
-    assert np.abs(decoded(images[1]['src']).astype(int) - large).mean() < 2
-    assert [attrs['class'] for tag, attrs in tags if tag == 'circle'] == ['dot c0', 'dot c1']
+    assert [(attrs.get('width'), attrs.get('height')) for attrs in images] == [
+        (None, None), ('64', '48'), ('400', '300')]
+    assert images[0]['alt'] == 'Cost'
+    kind, plot = images[0]['src'].split(',')
+    assert kind == 'data:image/svg+xml;base64' and b'</svg>' in base64.b64decode(plot)
+    np.testing.assert_array_equal(decoded(images[1]['src']), small)
+    assert images[2]['src'].startswith('data:image/jpeg')
+    assert np.abs(decoded(images[2]['src']).astype(int) - large).mean() < 2
     assert 'prefers-color-scheme: dark' in page and 'name="viewport"' in page
 
 
 def test_a_page_is_the_same_twice(tmp_path):
     for name in ('a', 'b'):
-        write_report(tmp_path / name, 'Same', [Strip('x', [('y', noise(8, 8))])])
+        write_report(tmp_path / name, 'Same', [
+            Strip('x', [('y', noise(8, 8))]), Plot('p', 'x', 'y', [Series('s', [1, 2], [3, 4])])])
     assert (tmp_path / 'a').read_bytes() == (tmp_path / 'b').read_bytes()
 
 
@@ -96,24 +99,39 @@ def test_unwritable_pages_are_named(tmp_path):
         write_report(tmp_path / 'file/report.html', 'x', [])
 
 
+def drawn_paths(svg, series):
+    """Return the paths and the markers' centres (N, 2) of a series in an SVG file."""
+    spaces = {'svg': 'http://www.w3.org/2000/svg', 'link': 'http://www.w3.org/1999/xlink'}
+    group = ElementTree.fromstring(svg).find(f'.//svg:g[@id="series_{series}"]', spaces)
+    lines = [re.findall(r'[ML] (\S+) (\S+)', path.get('d'))
+             for path in group.findall('svg:path', spaces)]
+    marks = [(use.get('x'), use.get('y')) for use in group.iterfind('.//svg:use', spaces)]
+    return [np.array(line, float) for line in lines], np.array(marks, float)
+
+
 def test_lines_run_through_the_finite_points():
-    svg = plot_svg(Plot('Walk', 'frame', 'dB', [
-        Series('neo', [0, 1, 2, 3], [10.0, float('nan'), 20.0, float('inf')])]))
-    points = re.search('polyline class="line c0" points="([^"]+)"', svg).group(1).split()
-    assert len(points) == 2
-    (x0, y0), (x1, y1) = (map(float, point.split(',')) for point in points)
-    assert x0 < x1 and y0 > y1  # SVG counts y downwards
+    [line], marks = drawn_paths(plot_svg(Plot('Walk', 'frame', 'dB', [
+        Series('neo', [0, 1, 2, 3], [10.0, float('nan'), 20.0, float('inf')])])), 0)
+    np.testing.assert_array_equal(line, marks)
+    assert len(line) == 2
+    assert line[0, 0] < line[1, 0] and line[0, 1] > line[1, 1]  # SVG counts y downwards
 
 
-@given(st.lists(st.floats(-1e6, 1e6).map(lambda value: round(value, 3)), max_size=20))
-def test_ticks_enclose_all_values_evenly(values):
-    marks = ticks(values)
-    assert 2 <= len(marks) <= 9
-    steps = np.diff(marks)
-    assert (steps > 0).all()
-    np.testing.assert_allclose(steps, steps[0], rtol=1e-6)
-    slack = 1e-6 * steps[0]
-    assert all(marks[0] - slack <= value <= marks[-1] + slack for value in values)
+def test_points_are_marked_and_points_of_long_lines_are_not():
+    cloud = plot_svg(Plot('Cost', 'ms', 'dB', [Series('a', [1, 2, 4], [3, 2, 1])], 'points'))
+    lines = plot_svg(Plot('Walk', 'frame', 'dB', [
+        Series('one', [1], [3]), Series('none', [], []), Series('all', range(99), range(99))]))
+    for svg, series, line, marks in (
+            (cloud, 0, 0, 3), (lines, 0, 1, 1), (lines, 1, 0, 0), (lines, 2, 99, 0)):
+        paths, marked = drawn_paths(svg, series)
+        assert (sum(map(len, paths)), len(marked)) == (line, marks)
+
+
+def test_names_are_plain_text():
+    plot = Plot('<t>', 'cost, $', '<b>', [Series('a_1 $x$', [0], [0]), Series('&', [1], [1])])
+    texts = [''.join(node.itertext()).strip() for node in ElementTree.fromstring(
+        plot_svg(plot)).iterfind('.//{http://www.w3.org/2000/svg}text')]
+    assert {'cost, $', '<b>', 'a_1 $x$', '&'} <= set(texts)
 
 
 def test_the_outline_covers_no_observed_pixel():

@@ -6,10 +6,9 @@ from typing import Sequence
 
 import cv2
 import jinja2
-from markupsafe import Markup
 from neo_ros.evaluation.output import write_bytes
 from neo_ros.evaluation.report_page import PAGE
-from neo_ros.evaluation.report_plot import N_COLOURS, Plot, plot_svg, Series
+from neo_ros.evaluation.report_plot import Plot, plot_svg, Series
 from neo_ros.evaluation.strips import Strip
 import numpy as np
 
@@ -57,15 +56,14 @@ def write_report(path: Path, title: str, sections: Sequence[Section]) -> None:
     """
     environment = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True,
                                      undefined=jinja2.StrictUndefined)
-    environment.filters['svg'] = lambda plot: Markup(plot_svg(plot))
-    environment.filters['data_uri'] = data_uri
+    environment.filters['picture_uri'] = picture_uri
+    environment.filters['plot_uri'] = lambda plot: data_uri('svg+xml', plot_svg(plot))
     page = environment.from_string(PAGE).render(
-        title=title, n_colours=N_COLOURS,
-        sections=[(type(section).__name__, section) for section in sections])
+        title=title, sections=[(type(section).__name__, section) for section in sections])
     write_bytes(Path(path), page.encode())
 
 
-def data_uri(image: np.ndarray) -> str:
+def picture_uri(image: np.ndarray) -> str:
     """Encode an RGB uint8 (H, W, 3) picture as a data URI: PNG if small, else JPEG."""
     bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
     if image.shape[0] * image.shape[1] <= _PNG_UP_TO_PIXELS:
@@ -75,4 +73,9 @@ def data_uri(image: np.ndarray) -> str:
         kind, encoded = 'jpeg', cv2.imencode('.jpg', bgr, [
             cv2.IMWRITE_JPEG_QUALITY, 90,
             cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444])[1]
-    return f'data:image/{kind};base64,{base64.b64encode(encoded.tobytes()).decode()}'
+    return data_uri(kind, encoded.tobytes())
+
+
+def data_uri(kind: str, content: bytes) -> str:
+    """Return an image file, png, jpeg or svg+xml, as a data URI."""
+    return f'data:image/{kind};base64,{base64.b64encode(content).decode()}'

@@ -10,12 +10,10 @@ PAGE = """<!doctype html>
 <style>
 :root { color-scheme: light dark;
   --paper: #fff; --card: #f6f7f9; --ink: #18181b; --pale: #5f6672; --rule: #dfe3e8;
-  --mark: #fff4d1; --c0: #0b62c4; --c1: #c2500a; --c2: #16794c; --c3: #8e3aa6; --c4: #8a6d00;
-  --c5: #0c7c8c; --c6: #b3163f; --c7: #55606e; --c8: #5b8c00; --c9: #6b4be0; }
+  --mark: #fff4d1; }
 @media (prefers-color-scheme: dark) { :root {
   --paper: #131519; --card: #1c1f25; --ink: #eceef1; --pale: #9da5b1; --rule: #31363f;
-  --mark: #3a3113; --c0: #66a9f7; --c1: #f49b5c; --c2: #5fcf99; --c3: #d594ea; --c4: #e3c04c;
-  --c5: #5cc9da; --c6: #f5809c; --c7: #b4bdc9; --c8: #a6d24a; --c9: #b3a1ff; } }
+  --mark: #3a3113; } }
 * { box-sizing: border-box; }
 body { margin: 0; background: var(--paper); color: var(--ink);
   font: 16px/1.55 system-ui, -apple-system, "Segoe UI", Roboto, "Noto Sans", sans-serif; }
@@ -44,19 +42,9 @@ figure img { display: block; width: 100%; height: auto; border-radius: 4px;
   background: var(--card); }
 .picture { max-width: 800px; }
 figcaption { color: var(--pale); font-size: .8125rem; margin-top: .25rem; }
-.plot { background: var(--card); border-radius: 8px; padding: .8rem; max-width: 800px; }
-.plot svg { display: block; width: 100%; height: auto; }
-.plot text { fill: var(--pale); font-size: 13px; }
-@media (max-width: 600px) { .plot text { font-size: 20px; } }
-.grid { stroke: var(--rule); }
-.line { fill: none; stroke: var(--c); stroke-width: 2; stroke-linejoin: round; }
-.dot { fill: var(--c); }
-.legend { display: flex; flex-wrap: wrap; gap: .2rem 1.1rem; font-size: .875rem;
-  margin-bottom: .4rem; }
-.legend span::before { content: ""; display: inline-block; width: .7rem; height: .7rem;
-  border-radius: 50%; background: var(--c); margin-right: .4rem; }
-{% for i in range(n_colours) %}.c{{ i }} { --c: var(--c{{ i }}); }
-{% endfor %}footer { margin-top: 3rem; color: var(--pale); font-size: .8125rem; }
+.plot { display: block; width: 100%; max-width: 800px; background: var(--card);
+  border-radius: 8px; padding: .8rem; }
+footer { margin-top: 3rem; color: var(--pale); font-size: .8125rem; }
 </style>
 </head>
 <body>
@@ -81,15 +69,11 @@ figcaption { color: var(--pale); font-size: .8125rem; margin-top: .25rem; }
 {% if section.note %}<p class="note">{{ section.note }}</p>{% endif %}
 {% elif kind == 'Plot' %}
 <h2>{{ section.title }}</h2>
-<div class="plot">
-{% if section.series|length > 1 %}<div class="legend">{% for series in section.series %}
-<span class="c{{ loop.index0 % n_colours }}">{{ series.name }}</span>{% endfor %}</div>{% endif %}
-{{ section|svg }}
-</div>
+<img class="plot" src="{{ section|plot_uri }}" alt="{{ section.title }}">
 {% if section.note %}<p class="note">{{ section.note }}</p>{% endif %}
 {% elif kind == 'Picture' %}
 <h2>{{ section.title }}</h2>
-<figure class="picture"><img src="{{ section.image|data_uri }}"
+<figure class="picture"><img src="{{ section.image|picture_uri }}"
  width="{{ section.image.shape[1] }}" height="{{ section.image.shape[0] }}"
  alt="{{ section.title }}">
 {% if section.note %}<figcaption>{{ section.note }}</figcaption>{% endif %}</figure>
@@ -98,7 +82,8 @@ figcaption { color: var(--pale); font-size: .8125rem; margin-top: .25rem; }
 {%- endif %}</h3>
 <div class="strip">
 {% for label, image in section.images %}
-<figure><img src="{{ image|data_uri }}" width="{{ image.shape[1] }}" height="{{ image.shape[0] }}"
+<figure><img src="{{ image|picture_uri }}"
+ width="{{ image.shape[1] }}" height="{{ image.shape[0] }}"
  alt="{{ section.title }}: {{ label }}"><figcaption>{{ label }}</figcaption></figure>
 {% endfor %}
 </div>
