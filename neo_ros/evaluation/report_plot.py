@@ -60,7 +60,8 @@ def plot_svg(plot: Plot) -> bytes:
         axes.set_xlabel(plot.x_label)
         axes.set_ylabel(plot.y_label)
         if len(plot.series) > 1:
-            figure.legend(loc='outside upper left', ncols=3, frameon=False)
+            # Above the axes: `outside` came with matplotlib 3.7, Ubuntu 24.04 has 3.6.
+            axes.legend(loc='lower left', bbox_to_anchor=(0, 1), ncols=3, frameon=False)
         file = BytesIO()
         figure.savefig(file, format='svg', transparent=True, metadata=dict.fromkeys(
             ('Creator', 'Date', 'Format', 'Type')))
