@@ -192,7 +192,8 @@ def test_a_model_is_evaluated_from_file_to_report(frames, tmp_path):
     assert [frame['frame'] for frame in neo_scores['frames']] == [
         f'wide_{i}.png' for i in range(6)]
     page = (tmp_path / 'out/report.html').read_text()
-    assert page.count('<img ') == 2 * 3 * 4
+    assert page.count('<img class="plot"') == 1
+    assert page.count('<img ') == 1 + 2 * 3 * 4
     assert f'{scores["rows"][0]["ring_psnr"]:.2f}' in page
     worst = min(neo_scores['frames'], key=lambda frame: frame['ring_psnr'])
     assert f'Worst: {worst["frame"]}' in page
