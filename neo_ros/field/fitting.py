@@ -254,7 +254,11 @@ class FieldTrainer:
         return (low + high) / 2, (high - low) / 2 + pad
 
     def finished(self) -> RadianceField:
-        """Return the fitted field with its coverage marked."""
+        """
+        Return the fitted field with its coverage marked, without what no photo reached.
+
+        Nothing says what is there, and poses that no photo was near would look into it.
+        """
         field = self.field
         if field.update_occupancy() == 0:
             raise SceneError(
@@ -266,7 +270,11 @@ class FieldTrainer:
             rays_d = directions @ rotation.T
             rays_d /= np.linalg.norm(rays_d, axis=-1, keepdims=True)
             self._mark_seen(np.broadcast_to(origin, rays_d.shape).copy(), rays_d)
-        return field
+        self._bring_home()
+        return field.of_seen_cells()
+
+    def _bring_home(self) -> None:
+        """Take the field from the device that it was fitted on."""
 
     def _mark_seen(self, rays_o: np.ndarray, rays_d: np.ndarray) -> None:
         field = self.field

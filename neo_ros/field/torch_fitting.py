@@ -13,7 +13,6 @@ from neo_ros.field.fitting import FieldConfig, FieldTrainer
 from neo_ros.field.kernels import MIN_WEIGHT
 from neo_ros.field.torch_field import (
     colours, corner_weights, Samples, sh_basis, torch_device, TorchField)
-from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import Intrinsics
 import numpy as np
 import torch
@@ -158,12 +157,9 @@ class TorchFieldTrainer(FieldTrainer):
                                (self.first, self.second, self.updates)):
             mine.copy_(torch.from_numpy(saved))
 
-    def finished(self) -> RadianceField:
-        """Return the fitted field with its coverage marked."""
-        field = super().finished()
-        field.pull()
-        field.seen, field.mirror = self.arrays.seen.cpu().numpy(), None
-        return field
+    def _bring_home(self) -> None:
+        self.field.pull()
+        self.field.seen = self.arrays.seen.cpu().numpy()
 
     def _mark_seen(self, rays_o: np.ndarray, rays_d: np.ndarray) -> None:
         if self.field.seen is not self.arrays.source[2]:

@@ -6,7 +6,7 @@ activated after, so that surfaces may lie between voxels. Colour is spherical ha
 of an MLP: on a CPU that is what makes the field fit in minutes.
 """
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 import math
 from pathlib import Path
 from typing import Any, Optional
@@ -113,7 +113,7 @@ class RadianceField:
         kept = np.ones(result.shape, np.bool_)
         if sparse:
             raw = self._values_at(result, kept, 1)
-            kept = dilated(result._occupied(raw).reshape(result.shape))
+            kept = dilated(result._occupied(raw).reshape(result.shape), AIR_KEPT)
             kept |= not kept.any()  # A field that is empty still is searched everywhere.
         result.row_of = numbered(kept)
         result.grid = self._values_at(result, kept, self.grid.shape[1])
@@ -153,6 +153,14 @@ class RadianceField:
         norm = np.maximum(np.abs(position).max(-1, keepdims=True), 1e-9)
         squeezed = position / norm * (1 + self.shell - self.shell / norm)
         return np.where(norm > 1, squeezed, position) / (1 + self.shell)
+
+    def of_seen_cells(self) -> 'RadianceField':
+        """Return the field without the points that are a corner of no seen cell."""
+        kept = (self.row_of >= 0) & dilated(self.seen.reshape(self.shape), 0).ravel()
+        result = replace(self, grid=self.grid[self.row_of[kept]], row_of=numbered(kept))
+        result.device, result.seen = self.device, self.seen
+        result.update_occupancy()
+        return result
 
     def is_matter(self, points: np.ndarray) -> np.ndarray:
         """Tell which world points (..., 3) lie in cells that are not empty air: bool (...)."""
@@ -232,12 +240,12 @@ class RadianceField:
         return result
 
 
-def dilated(occupied: np.ndarray) -> np.ndarray:
-    """Mark the points of occupied cells and of those `AIR_KEPT` around them: bool (X, Y, Z)."""
+def dilated(cells: np.ndarray, around: int) -> np.ndarray:
+    """Mark the corners of cells (X, Y, Z) and of so many `around` them: bool (X, Y, Z)."""
     from scipy.ndimage import maximum_filter
     # A cell stands at its lowest corner: the window begins one further below than it ends above.
-    size = 2 * AIR_KEPT + 2
-    return maximum_filter(occupied.view(np.uint8), size, mode='constant').view(np.bool_)
+    size = 2 * around + 2
+    return maximum_filter(cells.view(np.uint8), size, mode='constant').view(np.bool_)
 
 
 def numbered(kept: np.ndarray) -> np.ndarray:
