@@ -124,7 +124,7 @@ def test_the_stream_is_the_same_again_and_cuts_a_little():
     photos = Photos(1)
     photos.read_image = lambda index: ramp
     stream = ResizedPhotos(photos, 64, 64, seed=3)
-    batch = stream.batch(5, 8)
+    batch = stream.batch(5, 8).numpy()
     assert np.array_equal(batch, stream.batch(5, 8)) and (batch[..., 3] == 255).all()
     assert not np.array_equal(batch, stream.batch(6, 8))
     shown = np.ptp(batch[:, 0, :, 0].astype(int), axis=1) / 255

@@ -165,18 +165,37 @@ def test_the_field_is_measured_in_a_room_that_is_closed():
     records = list(measure_field(MACHINE, Effort(seconds=0.0, voxels=20_000)))
     assert [record.name.split(' 128')[0] for record in records] == [
         'step of the fit', 'wide view', 'wide view', 'panorama for wide views', 'wide view',
-        '16 views of the stream, with a new panorama',
-        '16 views of the stream, panoramas there', '16 views of the stream, while training']
+        '64 views of the stream, with a new panorama',
+        '64 views of the stream, panoramas there', '64 views of the stream, while training']
     assert 10 < records[0].details['samples_per_ray'] < 40
     assert records[2].details['rays'] == 4 * records[1].details['rays'] == 4 * 128 * 128
     whole, cut = records[3].mean_ms, records[4].mean_ms
     assert records[4].details['views_per_s_with_panorama'] == pytest.approx(
         72_000 / (whole + 72 * cut))
     fresh, there, training = (record.details for record in records[5:])
-    assert 0 < fresh['views_per_s'] < there['views_per_s']
+    assert fresh['views_per_s'] > 0 and there['views_per_s'] > 0
     assert fresh['psnr_against_rendered'] > 35
     assert 0 < training['share_of_stream'] < 1
     assert training['training_views_per_s'] < training['views_per_s']
+    assert all(record.floor_ms > 0 for record in records)
+
+
+def test_a_gpu_is_measured_as_the_cpu_is_or_skipped_with_a_reason():
+    torch = pytest.importorskip('torch')
+    from neo_ros.evaluation import speed_gpu
+    records = list(speed_gpu.measure_gpu(Effort(seconds=0.0, voxels=8_000)))
+    if not torch.cuda.is_available():
+        assert [record.skipped for record in records] == ['no GPU that torch can use']
+    # What a GPU does, on this CPU.
+    rates = speed_gpu.device_rates(torch.device('cpu'), 0.0, side=64)
+    assert all(0.01 < rate < 1e4 for best in vars(rates).values() for rate in best.values())
+    small = Intrinsics.from_hfov(16, 16, 2.0)
+    records = list(speed_gpu.measure_field(
+        rates, Effort(seconds=0.0, voxels=8_000), 'torch', small))
+    assert records[0].name == 'step of the fit' and '16x16' in records[1].name
+    fresh, there, training = records[5:]
+    assert fresh.details['psnr_against_rendered'] > 25
+    assert min(record.details['views_per_s'] for record in (fresh, there, training)) > 0
     assert all(record.floor_ms > 0 for record in records)
 
 
@@ -231,4 +250,4 @@ def test_the_command_shows_a_table_and_writes_the_file(tmp_path):
     assert len(records) == 4
     assert all(f'{record["median_ms"]:.3g}' in result.output for record in records)
     assert set(BENCHMARKS) == {
-        'expand', 'messages', 'networks', 'guided', 'replay', 'field', 'node'}
+        'expand', 'messages', 'networks', 'guided', 'replay', 'field', 'gpu', 'node'}

@@ -3,15 +3,16 @@ import math
 from neo_ros.evaluation.metrics import psnr
 from neo_ros.field.panorama import MARGIN, Panorama, render_panorama, view_band
 from neo_ros.field.rendering import render_view, to_uint8
+from neo_ros.field.view_cutting import ViewCutter
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.scenes.pose_sampling import rotation_from_angles
 import numpy as np
 from plain_field import CENTRE, room_field, standing
 import pytest
+import torch
 
 VIEW = Intrinsics.from_hfov(48, 40, 1.8)
-ALL_ROUND = (-math.pi, 2 * math.pi)
 ALL_ROUND = (-math.pi, 2 * math.pi)
 ANGLES = [(0.0, 0.0, 0.0), (math.pi, 0.0, 0.0), (-3.0, 0.0, 0.0), (1.3, 0.4, 0.0),
           (-2.0, -0.3, 0.5), (0.5, 1.4, 0.2)]
@@ -120,3 +121,35 @@ def test_a_pole_in_the_image_needs_the_band_up_to_it(
     band = view_band(view, rotation_from_angles(*angles)[None], (angles[0], 0.0))
     assert (band.top == math.pi / 2, band.bottom == -math.pi / 2) == (top, bottom)
     assert (band.width == 2 * math.pi) == (top or bottom)
+
+
+DEVICES = ['cpu', pytest.param('cuda', marks=pytest.mark.skipif(
+    not torch.cuda.is_available(), reason='no GPU that torch can use'))]
+
+
+@pytest.mark.parametrize('device', DEVICES)
+@pytest.mark.parametrize('angles', [*ANGLES, (0.3, 0.4, 0.0), (1.3, 0.0, 0.0)])
+def test_torch_cuts_the_views_that_opencv_cuts(
+        panorama: Panorama, level_panorama: Panorama, angles: tuple[float, float, float],
+        device: str) -> None:
+    cutter, R = ViewCutter(VIEW, torch.device(device)), rotation_from_angles(*angles)
+    for shown in (panorama, level_panorama):
+        cut = cutter.cut(shown, R)
+        assert cut.dtype == torch.uint8 and cut.device.type == device
+        expected = shown.cut_view(VIEW, R)
+        found = cut.cpu().numpy()
+        # OpenCV counts in 32nds of a pixel.
+        assert np.abs(found[..., :3].astype(int) - expected[..., :3]).mean() < 0.5
+        assert ((found[..., 3] > 127) == (expected[..., 3] > 127)).mean() > 0.995
+
+
+def test_panoramas_beyond_what_a_device_holds_come_again(panorama: Panorama) -> None:
+    cutter, R = ViewCutter(VIEW, torch.device('cpu')), np.eye(3)
+    cutter.kept_bytes = 2.5 * panorama.image.nbytes
+    shown = [Panorama(panorama.position, np.roll(panorama.image, 9 * k, 1), panorama.band)
+             for k in range(4)]
+    first = [cutter.cut(one, R) for one in shown]
+    assert list(cutter._images) == shown[2:]
+    assert torch.equal(cutter.cut(shown[0], R), first[0])
+    assert not torch.equal(first[0], first[1])
+    assert list(cutter._images) == [shown[3], shown[0]]

@@ -34,7 +34,7 @@ def learn(rank):
     for step in range(3):
         views = np.random.default_rng(step).integers(0, 256, (4, 16, 16, 4), np.uint8)
         views[..., 3] = 255
-        trainer.train_step(views[rank * share:(rank + 1) * share])
+        trainer.train_step(torch.from_numpy(views[rank * share:(rank + 1) * share]))
     wait_for_all()
     weights = torch.cat([p.flatten() for p in trainer.averaged.parameters()]).detach().numpy()
     np.savez(sys.argv[1] + f'/{rank}.npz', weights=weights, seconds=trainer.seconds,

@@ -30,7 +30,7 @@ def trainer(seed: int = 0, **changes: Any) -> OutpaintTrainer:
     return OutpaintTrainer(EXPANSION, NETWORK, OutpaintConfig(**settings), seed)
 
 
-def wide_views(step: int, size: int = 4) -> np.ndarray:
+def wide_views(step: int, size: int = 4) -> torch.Tensor:
     """Return RGBA uint8 (size, 32, 32, 4): a few smooth pictures, all seen."""
     random = np.random.default_rng(step)
     phase = random.integers(0, 4, (size, 1, 1, 1))
@@ -38,7 +38,7 @@ def wide_views(step: int, size: int = 4) -> np.ndarray:
     waves = np.stack([rows, columns, rows + columns, rows * 0], axis=-1) / 6
     views = (127 + 120 * np.sin(waves[None] + phase)).astype(np.uint8)
     views[..., 3] = 255
-    return views
+    return torch.from_numpy(views)
 
 
 def state_of(learning: OutpaintTrainer) -> dict[str, Any]:
@@ -111,7 +111,7 @@ def test_a_batch_that_nobody_saw_is_no_division_by_zero() -> None:
 def test_uncovered_truth_changes_no_weight() -> None:
     batch = wide_views(0)
     batch[:, :5, :, 3] = 0
-    other = batch.copy()
+    other = batch.clone()
     other[:, :5, :, :3] = 255 - other[:, :5, :, :3]
     first, second = trainer(), trainer()
     first.train_step(batch)
@@ -128,8 +128,8 @@ def test_a_few_pictures_are_learnt(precision: str) -> None:
     learning = trainer(precision=precision, steps=60, learning_rate=2e-2)
     losses = [learning.train_step(wide_views(step)) for step in range(60)]
     assert losses[-1] < 0.8 * losses[0]
-    narrow = torch.from_numpy(wide_views(3)[:, 8:24, 8:24, :3]).permute(0, 3, 1, 2) / 255
-    truth = torch.from_numpy(wide_views(3)[..., :3]).permute(0, 3, 1, 2) / 255
+    narrow = wide_views(3)[:, 8:24, 8:24, :3].permute(0, 3, 1, 2) / 255
+    truth = wide_views(3)[..., :3].permute(0, 3, 1, 2) / 255
     ring = torch.from_numpy(EXPANSION.extrapolated_mask)
     with torch.no_grad():
         colour, _ = learning.averaged(narrow)
@@ -237,7 +237,7 @@ def test_faults_are_put_into_the_input_alone_exposure_into_both() -> None:
 
 
 def test_validation_is_the_ring_psnr_on_held_out_views() -> None:
-    views = wide_views(77)
+    views = wide_views(77).numpy()
     views[0, :5, :, 3] = 0  # nobody saw it
     learning = OutpaintTrainer(EXPANSION, NETWORK, OutpaintConfig(
         steps=20, batch=4, precision='fp32', validations=4, device='cpu'), 0, views)
@@ -328,7 +328,7 @@ def test_the_perceptual_term_sees_windows_whose_centre_is_the_truth(
         OutpaintConfig(steps=40, batch=2, precision='fp32', perceptual=2.0, device='cpu',
                        perceptual_window=48), 0)
     assert trainer(perceptual=0).perceptual is None
-    batch = wide_views(0, 2).repeat(2, 1).repeat(2, 2)
+    batch = wide_views(0, 2).repeat_interleave(2, 1).repeat_interleave(2, 2)
     first = learning.train_step(batch)
     assert isinstance(learning.perceptual, PlainDistance)
     (painted, truth), = learning.perceptual.seen

@@ -42,7 +42,7 @@ def test_a_batch_is_the_same_however_the_training_came_to_it(field: RadianceFiel
 
 
 def test_batches_are_wide_views_with_their_coverage(field: RadianceField) -> None:
-    batch = PairStream(field, sampler(), VIEW, 4, seed=0).batch(0, 8)
+    batch = PairStream(field, sampler(), VIEW, 4, seed=0).batch(0, 8).numpy()
     assert batch.shape == (8, 16, 16, 4) and batch.dtype == np.uint8
     assert batch[..., 3].min() > 240
     assert batch[..., :3].std(axis=0).mean() > 10, 'the views differ'
@@ -67,7 +67,7 @@ def test_positions_come_as_training_goes_on(field: RadianceField) -> None:
 
 def test_views_look_where_the_sampler_says(field: RadianceField) -> None:
     stream = PairStream(field, sampler((0.3, 0.1), yaw_range=(1.0, 0.0)), VIEW, 1, seed=0)
-    found = stream.batch(0, 1)[0]
+    found = stream.batch(0, 1)[0].numpy()
     pose = np.eye(4)
     pose[:3, :3] = stream.pool.sampler.draw_rotation(np.random.default_rng(0))
     pose[:3, 3] = CENTRE + [0.3, 0.1, 0]
@@ -99,7 +99,7 @@ def test_views_of_which_no_photo_saw_half_are_drawn_again() -> None:
     field.seen = (field.world_points()[..., 0] > CENTRE[0]).astype(np.uint8).ravel()
     batch = PairStream(field, sampler((0, 0)), VIEW, 1, seed=0).batch(0, 24)
     assert all(covered(view) for view in batch)
-    assert min(view[..., 3].mean() for view in batch) < 200, 'not only views of seen parts'
+    assert min(view[..., 3].float().mean() for view in batch) < 200, 'not only views of seen parts'
 
 
 def test_a_scene_that_no_photo_saw_is_an_error() -> None:
@@ -108,3 +108,18 @@ def test_a_scene_that_no_photo_saw_is_an_error() -> None:
     field.seen[:] = 0
     with pytest.raises(SceneError, match='does the floor map belong to this scene'):
         PairStream(field, sampler(), VIEW, 2, seed=0).batch(0, 1)
+
+
+def test_views_are_cut_where_the_field_is() -> None:
+    """On a torch device as by OpenCV, in the same order, and left there."""
+    batches = {}
+    for device in ('cpu', 'torch'):
+        field = room_field(30_000)
+        field.update_occupancy()
+        field.seen[:] = 1
+        field.device = device
+        stream = PairStream(field, sampler(), VIEW, 4, seed=0)
+        batches[device] = stream.batch(3, 8)
+    assert batches['torch'].device == stream.pool.device
+    difference = batches['cpu'].int() - batches['torch'].int()
+    assert difference.abs().float().mean() < 0.5 and difference.any()

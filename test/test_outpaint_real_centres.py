@@ -13,6 +13,7 @@ from neo_ros.scenes.posed_images import PosedImages
 import numpy as np
 from plain_field import CENTRE, room_field
 import pytest
+import torch
 
 PHOTO = Intrinsics(16, 16, 8.0, 8.0, 8.0, 8.0)
 
@@ -98,7 +99,7 @@ def stream(field: RadianceField, photos: PosedImages, share: float) -> PairStrea
                       RealCentres(field, photos, expansion, 1.0), share)
 
 
-def centres_from(batch: np.ndarray, photos: PosedImages) -> int:
+def centres_from(batch: torch.Tensor, photos: PosedImages) -> int:
     known = [photos.read_image(i) for i in range(len(photos))]
     return sum(any(np.array_equal(view[8:24, 8:24, :3], photo) for photo in known)
                for view in batch)

@@ -16,6 +16,7 @@ from neo_ros.outpaint.fitting import OutpaintTrainer
 from neo_ros.pipeline import export_step, LEAST_PHOTOS, TrainingRun
 from neo_ros.scenes.posed_images import PosedImages
 import numpy as np
+import torch
 
 ZOOM = 0.85      # photos are cut to between this share of their size and all of it
 VALIDATIONS = 40
@@ -29,11 +30,12 @@ class ResizedPhotos:
         self.size, self.seed = (width, height), seed
         self.images = [as_wide(photos, index, width, height) for index in range(len(photos))]
 
-    def batch(self, step: int, size: int) -> np.ndarray:
+    def batch(self, step: int, size: int) -> torch.Tensor:
         """Return batch `step`: (size, H, W, 4), each photo a little cut."""
         random = np.random.default_rng([self.seed, 4, step])
-        return np.stack([self._cut(self.images[index], random)
-                         for index in random.integers(len(self.images), size=size)])
+        return torch.from_numpy(np.stack([
+            self._cut(self.images[index], random)
+            for index in random.integers(len(self.images), size=size)]))
 
     def _cut(self, image: np.ndarray, random: np.random.Generator) -> np.ndarray:
         width, height = self.size

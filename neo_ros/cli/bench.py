@@ -9,7 +9,7 @@ def bench(
     out: Annotated[Path, typer.Option(help='JSON file of the results.')] = Path(
         'results/bench.json'),
     only: Annotated[Optional[list[str]], typer.Option(
-        help='expand, messages, guided, replay, field, networks or node; may be repeated. '
+        help='expand, messages, guided, replay, field, gpu, networks or node; may be repeated. '
         'Default: all.')] = None,
     model: Annotated[Optional[Path], typer.Option(
         help='Model file (.onnx); default: the shipped demo_flat.onnx.')] = None,

@@ -12,7 +12,7 @@ host            cpu, cores, platform, python, neo_ros, versions of packages, com
                 matmul_gflops, memory_gb_s, cache_gb_s: best rates measured, by threads, see
                 `speed_host.Machine`
 records         a list, one per thing measured:
-  benchmark             expand, messages, networks, guided, replay, field or node
+  benchmark             expand, messages, networks, guided, replay, field, gpu or node
   name                  what was measured
   n                     how many times
   mean_ms, median_ms, p95_ms, p99_ms, max_ms
@@ -25,7 +25,8 @@ records         a list, one per thing measured:
   skipped               why it was not measured, else null; then the figures are null
   details               what is particular to it: flops and bytes of the floor (flops null: the
                         onnx package is missing, so the floor is too low); rays_per_s,
-                        samples_per_ray; of the stream views_per_s (20 are wanted),
+                        samples_per_ray; of the stream views_per_s (wanted are 20, and 1000 of
+                        512x512 on a GPU),
                         psnr_against_rendered of its views, training_views_per_s of a training and
                         share_of_stream of its time; of a replay model_rate_hz of the extrapolator
                         alone, share_of_model_rate (0.9 is wanted) and share_in_model of its time;
@@ -78,6 +79,7 @@ BENCHMARKS: dict[str, Callable[[Path, Machine, Effort], Iterator[Record]]] = {
     'guided': lambda model, machine, effort: measure_trained('guided', effort),
     'replay': lambda model, machine, effort: measure_replay(model, effort),
     'field': lambda model, machine, effort: measure_trained('field', machine, effort),
+    'gpu': lambda model, machine, effort: measure_trained('gpu', effort),
     'node': measure_node,
 }
 NEED_MODEL = {'expand', 'replay', 'node'}

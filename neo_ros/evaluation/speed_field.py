@@ -6,9 +6,11 @@ import math
 from neo_ros.evaluation.speed_host import Machine
 from neo_ros.evaluation.speed_record import Effort, Record, time_calls, Work
 from neo_ros.evaluation.speed_stream import measure_stream
+from neo_ros.field.device import field_trainer
 from neo_ros.field.fitting import FieldConfig, FieldTrainer, STAGES
 from neo_ros.field.panorama import render_panorama, view_band
 from neo_ros.field.rendering import render_view, to_uint8
+from neo_ros.field.view_cutting import view_cutter
 from neo_ros.field.voxel_field import packed, RadianceField
 from neo_ros.geometry import CameraPose, Intrinsics
 import numpy as np
@@ -30,13 +32,22 @@ SAMPLE_BYTES = 8 * 5 * 4
 BACKWARD = 3
 
 
-def measure_field(machine: Machine, effort: Effort) -> Iterator[Record]:
-    """Time rendering and fitting in a furnished box; floors count samples on surfaces only."""
+def measure_field(machine: Machine, effort: Effort, device: str = 'cpu',
+                  wide: Intrinsics = WIDE) -> Iterator[Record]:
+    """
+    Time rendering and fitting in a furnished box; floors count samples on surfaces only.
+
+    device: cpu, cuda, or torch, what `RadianceField.device` can be.
+    """
     field = box_room(effort.voxels)
     trainer = trainer_in(field, effort)
     trainer.train_step()
     samples = float(trainer.count.mean())
+    if device != 'cpu':
+        trainer = trainer_in(field, effort, device)
+        field.device = device
     times = time_calls(trainer.train_step, effort.seconds)
+    size = f'{wide.width}x{wide.height}'
 
     def work(rays: int, passes: int = 1) -> Work:
         count = rays * samples * passes
@@ -52,32 +63,33 @@ def measure_field(machine: Machine, effort: Effort) -> Iterator[Record]:
     for supersample in (1, 2):
         views = itertools.cycle(poses)
         times = time_calls(
-            lambda: render_view(field, WIDE, next(views), supersample), effort.seconds)
-        rays = WIDE.width * WIDE.height * supersample ** 2
+            lambda: render_view(field, wide, next(views), supersample), effort.seconds)
+        rays = wide.width * wide.height * supersample ** 2
         yield _with_rays(Record.of(
-            'field', f'wide view 128x128, rays: {supersample ** 2} per pixel', times), rays
+            'field', f'wide view {size}, rays: {supersample ** 2} per pixel', times), rays
         ).with_floor(work(rays), machine, 0)
-    yield from _measure_panorama(field, work, machine, effort)
-    yield from measure_stream(field, poses, WIDE, work, machine, effort)
+    yield from _measure_panorama(field, wide, work, machine, effort)
+    yield from measure_stream(field, poses, wide, work, machine, effort)
 
 
-def _measure_panorama(field: RadianceField, work: Callable[[int], Work],
+def _measure_panorama(field: RadianceField, wide: Intrinsics, work: Callable[[int], Work],
                       machine: Machine, effort: Effort) -> Iterator[Record]:
-    poses = room_poses(16)
-    band = view_band(WIDE, np.stack([pose.T_world_cam[:3, :3] for pose in poses]),
+    poses, size = room_poses(16), f'{wide.width}x{wide.height}'
+    band = view_band(wide, np.stack([pose.T_world_cam[:3, :3] for pose in poses]),
                      (-np.pi, 2 * np.pi))
     views = itertools.cycle(poses)
-    panorama = render_panorama(field, poses[0].position, WIDE, band)
+    panorama = render_panorama(field, poses[0].position, wide, band)
     times = time_calls(
-        lambda: render_panorama(field, next(views).position, WIDE, band), effort.seconds)
+        lambda: render_panorama(field, next(views).position, wide, band), effort.seconds)
     rays = panorama.image.shape[0] * panorama.image.shape[1]
-    whole = _with_rays(Record.of('field', 'panorama for wide views 128x128', times), rays
+    whole = _with_rays(Record.of('field', f'panorama for wide views {size}', times), rays
                        ).with_floor(work(rays), machine, 0)
     yield whole
-    times = time_calls(lambda: panorama.cut_view(WIDE, next(views).T_world_cam[:3, :3]),
-                       effort.seconds)
-    pixels = WIDE.width * WIDE.height
-    cut = Record.of('field', 'wide view 128x128 cut from a panorama', times).with_floor(
+    cut_view = view_cutter(field, wide)
+    times = time_calls(lambda: int(cut_view(
+        panorama, next(views).T_world_cam[:3, :3])[-1, -1, 3]), effort.seconds)
+    pixels = wide.width * wide.height
+    cut = Record.of('field', f'wide view {size} cut from a panorama', times).with_floor(
         Work(None, 8 * pixels), machine, 1)
     assert whole.mean_ms is not None and cut.mean_ms is not None
     cut.details |= {'views_per_position': YAWS, 'views_per_s_with_panorama':
@@ -121,13 +133,13 @@ def room_poses(count: int, seed: int = SEED) -> list[CameraPose]:
         [-0.8, -0.8, -np.pi], [0.8, 0.8, np.pi], (count, 3)).tolist()]
 
 
-def trainer_in(field: RadianceField, effort: Effort) -> FieldTrainer:
+def trainer_in(field: RadianceField, effort: Effort, device: str = 'cpu') -> FieldTrainer:
     """Return a trainer in its last stage, which takes most of a fit, with this field so far."""
     poses = room_poses(PHOTOS)
     photos = np.stack([to_uint8(render_view(field, NARROW, pose, 1).image) for pose in poses])
-    config = FieldConfig(voxels=effort.voxels)
-    trainer = FieldTrainer(photos, NARROW, np.stack([pose.T_world_cam for pose in poses]),
-                           config, SEED)
+    config = FieldConfig(voxels=effort.voxels, device=device)
+    trainer = field_trainer(photos, NARROW, np.stack([pose.T_world_cam for pose in poses]),
+                            config, SEED)
     trainer.restore(trainer.state() | {
         'step': config.steps * 3 // 4 + 1, 'stage': len(STAGES) - 1,
         'grid': field.grid.copy(), 'shape': field.shape, 'kept': packed(field.row_of),

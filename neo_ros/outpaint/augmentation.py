@@ -7,17 +7,19 @@ truth stays as it is, and the network learns to look through them.
 """
 import cv2
 import numpy as np
+import torch
 
 
-def expose_views(views: np.ndarray, strength: float, random: np.random.Generator) -> np.ndarray:
+def expose_views(views: torch.Tensor, strength: float,
+                 random: np.random.Generator) -> torch.Tensor:
     """Return copies of wide views, RGBA uint8 (B, H, W, 4), as other exposures show them."""
-    exposed = views.copy()
+    exposed = views.clone()
     for view in exposed:
         # By up to about a stop, and colours by some per cent.
         exposure = 2 ** (0.35 * strength * random.standard_normal())
         gain = exposure * (1 + 0.06 * strength * random.standard_normal(3))
-        table = np.clip(np.arange(256)[:, None] * gain + 0.5, 0, 255).astype(np.uint8)
-        view[..., :3] = cv2.LUT(np.ascontiguousarray(view[..., :3]), table[None])
+        shown = view[..., :3] * torch.tensor(gain, dtype=torch.float32, device=view.device)
+        view[..., :3] = (shown + 0.5).clamp(0, 255).to(torch.uint8)
     return exposed
 
 

@@ -158,7 +158,7 @@ class OutpaintTrainer:
         cosine = 0.5 * (1 + math.cos(math.pi * self.share))
         return self.config.learning_rate * warm * cosine
 
-    def train_step(self, batch: np.ndarray) -> float:
+    def train_step(self, batch: torch.Tensor) -> float:
         """
         Learn from RGBA uint8 (B, H, W, 4), `batch_size` of them; returns the smoothed loss.
 
@@ -196,25 +196,26 @@ class OutpaintTrainer:
             self._clock = time.monotonic()  # Looking at it is not learning.
         return self.loss
 
-    def _tensors(self, batch: np.ndarray, random: np.random.Generator,
+    def _tensors(self, batch: torch.Tensor, random: np.random.Generator,
                  ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Make the network's input, altered as a camera would, the truth and its weight."""
         config = self.config
+        batch = batch.to(self.device)
         if config.photometric > 0:
             batch = expose_views(batch, config.photometric, random)
         rows, columns = self.expansion.observed
         narrow = batch[:, rows, columns, :3]
         if config.photometric > 0 or config.occluders > 0:
-            narrow = augment_inputs(narrow, config.photometric, config.occluders, random)
+            narrow = torch.from_numpy(augment_inputs(
+                narrow.cpu().numpy(), config.photometric, config.occluders, random))
         wide = self._unit(batch)
         weight = (self.ring & (wide[:, 3:] > 0.5)).float()
         return (self._unit(narrow).contiguous(memory_format=torch.channels_last),
                 wide[:, :3], weight)
 
-    def _unit(self, images: np.ndarray) -> torch.Tensor:
+    def _unit(self, images: torch.Tensor) -> torch.Tensor:
         """Bring uint8 (B, H, W, C) to the device as (B, C, H, W) in 0 ... 1."""
-        pixels = torch.from_numpy(np.ascontiguousarray(images)).to(self.device)
-        return pixels.permute(0, 3, 1, 2).float() / 255
+        return images.to(self.device).permute(0, 3, 1, 2).float() / 255
 
     def _perceptual_term(self, painted: torch.Tensor, truth: torch.Tensor,
                          random: np.random.Generator) -> torch.Tensor:
@@ -255,7 +256,7 @@ class OutpaintTrainer:
         self.averaged.eval()
         scores = []
         for view in self.held_out:
-            wide = self._unit(view[None])
+            wide = self._unit(torch.from_numpy(view[None]))
             seen = (self.ring & (wide[:, 3:] > 0.5)).expand(-1, 3, -1, -1)
             if seen.any():
                 colour = self.averaged(wide[:, :3, rows, columns])[0].clamp(0, 1)

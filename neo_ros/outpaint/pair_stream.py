@@ -9,6 +9,7 @@ from neo_ros.outpaint.panorama_pool import PanoramaPool
 from neo_ros.outpaint.real_centres import RealCentres
 from neo_ros.scenes.pose_sampling import PoseSampler
 import numpy as np
+import torch
 
 # Panoramas there must be before the first batch, so that its views do not repeat.
 FIRST = 32
@@ -43,18 +44,23 @@ class PairStream:
                                       LEAST_STEPS_PER_PANORAMA)
         self.real_order = np.random.default_rng([seed, 5]).permutation(len(real) if real else 0)
 
-    def batch(self, step: int, size: int) -> np.ndarray:
-        """Return batch `step`: RGBA uint8 (size, H, W, 4); A is coverage, 255 = seen."""
+    def batch(self, step: int, size: int) -> torch.Tensor:
+        """
+        Return batch `step`: RGBA uint8 (size, H, W, 4); A is coverage, 255 = seen.
+
+        It is on the field's device.
+        """
         ready = self.render_for(step)
         random = np.random.default_rng([self.seed, 2, step])
         photos = self.real_order[:FIRST_PHOTOS + step // STEPS_PER_PHOTO]
         views = []
         for shows_photo in random.random(size) < self.real_share:
             if shows_photo and self.real is not None:
-                views.append(self.real.view(int(random.choice(photos))))
+                view = torch.from_numpy(self.real.view(int(random.choice(photos))))
+                views.append(view.to(self.pool.device))
             else:
                 views.append(self.pool.draw_view(int(random.integers(ready)), random))
-        return np.stack(views)
+        return torch.stack(views)
 
     def render_for(self, step: int) -> int:
         """Render the panoramas that batch `step` draws from; returns how many they are."""

@@ -4,6 +4,8 @@ from typing import Any, Callable, Optional
 
 from neo_ros.errors import SceneError
 from neo_ros.field.panorama import Panorama, render_panorama, view_band
+from neo_ros.field.torch_field import torch_device
+from neo_ros.field.view_cutting import view_cutter
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import Intrinsics
 from neo_ros.outpaint.panorama_cache import DrawnPanorama, PanoramaCache
@@ -11,6 +13,7 @@ from neo_ros.scenes.pose_sampling import PoseSampler
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.sharpness import blur_threshold, relative_sharpness
 import numpy as np
+import torch
 
 # A view of which no photo saw even half teaches little. A position with hardly any other view
 # lies inside matter or outside the scene.
@@ -32,13 +35,15 @@ class PanoramaPool:
     Positions inside matter, where there is nothing, and where photos saw too little are drawn
     again; so are views of which photos saw too little. After `require_sharpness` blurred views
     are, too, and positions where most are. `refused` counts positions by reason. A cache keeps
-    them in files.
+    them in files. Views are cut where the field is: on a GPU, or by OpenCV.
     """
 
     def __init__(self, field: RadianceField, sampler: PoseSampler, view: Intrinsics,
                  positions: int, seed: int, cache: Optional[PanoramaCache] = None) -> None:
         self.field, self.sampler, self.view = field, sampler, view
         self.positions, self.seed, self.cache = positions, seed, cache
+        self.device = torch_device(field.device)
+        self.cut_view = view_cutter(field, view)
         self.least_sharpness = 0.0
         # Told of work that keeps a training waiting: several panoramas at once.
         self.progress: Callable[[int, int], None] = lambda done, total: None
@@ -65,8 +70,8 @@ class PanoramaPool:
         for place in _evenly(len(chosen), RENDERED_PHOTOS):
             pose = photos.poses[chosen[place]]
             panorama = render_panorama(self.field, pose.position, self.view, self.band)
-            view = panorama.cut_view(self.view, pose.T_world_cam[:3, :3])
-            kept.append(relative_sharpness(view[..., :3]) / max(sharp[place], 1e-9))
+            view = self.cut_view(panorama, pose.T_world_cam[:3, :3])
+            kept.append(_sharpness(view) / max(sharp[place], 1e-9))
         self.least_sharpness = blur_threshold(sharp) * float(np.median(kept))
 
     def fill(self, count: int) -> int:
@@ -78,8 +83,8 @@ class PanoramaPool:
                 self.progress(len(self.panoramas) - before, ready - before)
         return ready
 
-    def draw_view(self, index: int, random: np.random.Generator) -> np.ndarray:
-        """Cut a view in a new orientation out of panorama `index`, RGBA uint8 (H, W, 4)."""
+    def draw_view(self, index: int, random: np.random.Generator) -> torch.Tensor:
+        """Cut a view in a new orientation out of panorama `index`: RGBA uint8 (H, W, 4)."""
         for _ in range(TRIES):
             view = self._cut(index, random)
             if self._view_refusal(view) is None:
@@ -138,29 +143,32 @@ class PanoramaPool:
         if panorama.opacity < LEAST_OPACITY:
             return 'nothing there'
         glance = self.view.scaled(16 / self.view.width)
-        good = [covered(panorama.cut_view(glance, rotation))
+        good = [covered(torch.from_numpy(panorama.cut_view(glance, rotation)))
                 for rotation in self.glance_rotations]
         if np.mean(good) < LEAST_GOOD_VIEWS:
             return 'not seen by photos'
-        good = [self._view_refusal(panorama.cut_view(self.view, rotation)) is None
+        good = [self._view_refusal(self.cut_view(panorama, rotation)) is None
                 for rotation in self.glance_rotations if self.least_sharpness]
         return 'blurred' if good and np.mean(good) < LEAST_GOOD_VIEWS else None
 
-    def _cut(self, index: int, random: np.random.Generator) -> np.ndarray:
-        return self.panoramas[index].cut_view(
-            self.view, self.sampler.draw_rotation(random, index))
+    def _cut(self, index: int, random: np.random.Generator) -> torch.Tensor:
+        return self.cut_view(self.panoramas[index], self.sampler.draw_rotation(random, index))
 
-    def _view_refusal(self, view: np.ndarray) -> Optional[str]:
+    def _view_refusal(self, view: torch.Tensor) -> Optional[str]:
         if not covered(view):
             return 'not seen by photos'
-        if self.least_sharpness and relative_sharpness(view[..., :3]) < self.least_sharpness:
+        if self.least_sharpness and _sharpness(view) < self.least_sharpness:
             return 'blurred'
         return None
 
 
-def covered(view: np.ndarray) -> bool:
-    """Tell whether photos saw enough of an RGBA view (H, W, 4) to learn from it."""
-    return bool(view[..., 3].mean() > 255 * LEAST_COVERAGE)
+def covered(view: torch.Tensor) -> bool:
+    """Tell whether photos saw enough of an RGBA uint8 view (H, W, 4) to learn from it."""
+    return bool(view[..., 3].float().mean() > 255 * LEAST_COVERAGE)
+
+
+def _sharpness(view: torch.Tensor) -> float:
+    return relative_sharpness(view[..., :3].cpu().numpy())
 
 
 def _evenly(count: int, most: int) -> list[int]:
