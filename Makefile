@@ -62,7 +62,7 @@ endef
 
 $(VENV)/robot.stamp: WANTED := .[viewer]
 $(VENV)/train.stamp: WANTED := .[viewer,video,train]
-$(VENV)/dev.stamp: WANTED := .[viewer,video,train,bench,dev]
+$(VENV)/dev.stamp: WANTED := .[viewer,video,train,dev]
 $(VENV)/robot.stamp: setup.py pyproject.toml constraints.txt | $(VENV)/pyvenv.cfg
 	$(pip_install)
 $(VENV)/train.stamp: $(VENV)/robot.stamp

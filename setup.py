@@ -30,7 +30,6 @@ if 'ROS_DISTRO' not in os.environ and 'AMENT_PREFIX_PATH' not in os.environ:
 TEST = ['hypothesis', 'pytest', 'pytest-timeout']
 EXTRAS = {
     'train': ['onnx', 'onnxscript', 'pycolmap', 'scipy', 'tensorboard', 'torch'],
-    'bench': ['scikit-image'],
     # The page of `neo view`.
     'viewer': ['aiohttp'],
     # The video of `neo replay --side-by-side`.
@@ -52,6 +51,8 @@ EXTRAS = {
         'mypy',
         # Drives Debian's Chromium; without a browser its tests are skipped.
         'playwright',
+        # Judges our SSIM.
+        'scikit-image',
         # colcon calls `setup.py install`, which later versions refuse.
         'setuptools<80',
         'types-PyYAML',

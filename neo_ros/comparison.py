@@ -12,11 +12,12 @@ from neo_ros.evaluation.output import make_output_folder, write_bytes
 from neo_ros.evaluation.report import Plot, Section, Series, Table, Text, write_report
 from neo_ros.evaluation.speed_runtime import noise_image
 from neo_ros.experiment import Experiment, read_experiment
-from neo_ros.pipeline import Progress, train
+from neo_ros.pipeline import train
 from neo_ros.runtime import FovExtrapolator
 from neo_ros.scenes.digests import list_digest
 from neo_ros.scenes.levelling import read_upright_scene
-from neo_ros.training_folder import claim
+from neo_ros.training.folder import claim
+from neo_ros.training.run import Progress
 
 TIMED_RUNS = 30
 

@@ -5,22 +5,18 @@ Yu et al., NeRF-Enhanced Outpainting for Faithful Field-of-View Extrapolation, s
 radiance field, render wide views at poses where the robot can be, train the outpainter on them.
 Every step leaves its result in the output folder; a run that was broken off goes on there.
 """
-from dataclasses import dataclass
-import json
 from pathlib import Path
 import time
-from typing import Callable, Optional
+from typing import Optional
 
 import neo_ros
-from neo_ros.checkpoint import read_notes, train_with_checkpoints, write_notes
 from neo_ros.evaluation.baselines import EdgeReplication, MeanImage, Method, NeoModel
-from neo_ros.evaluation.evaluate import evaluate, MethodScores, TruthFrames
+from neo_ros.evaluation.evaluate import evaluate, TruthFrames
 from neo_ros.evaluation.output import make_output_folder
 from neo_ros.evaluation.speed_model import count_flops
 from neo_ros.experiment import Experiment
 from neo_ros.field.device import chosen_device, field_trainer
 from neo_ros.field.voxel_field import RadianceField
-from neo_ros.geometry import ViewExpansion
 from neo_ros.outpaint.distributed import process_group, wait_for_all
 from neo_ros.outpaint.export import (
     calibration_factor, check_parity, export_onnx, require_parity)
@@ -31,70 +27,18 @@ from neo_ros.runtime.model_card import Parity, write_model_card
 from neo_ros.runtime.scene_check import fit_scene_reference
 from neo_ros.scenes.levelling import read_upright_scene
 from neo_ros.scenes.posed_images import PosedImages
-from neo_ros.scenes.scene import Scene
-from neo_ros.training_checks import check_settings, check_training
-from neo_ros.training_folder import claim, drop_made_of_a_field, take_field
-from neo_ros.training_memory import memory_step
-from neo_ros.training_report import write_training_report
-from neo_ros.training_views import held_out_views, make_stream, note_poses
+from neo_ros.training.checkpoint import read_notes, train_with_checkpoints, write_notes
+from neo_ros.training.checks import check_training
+from neo_ros.training.folder import claim, drop_made_of_a_field, take_field
+from neo_ros.training.memory import memory_step
+from neo_ros.training.report import Scoring, write_training_report
+from neo_ros.training.run import LEAST_PHOTOS, Progress, TrainingRun
+from neo_ros.training.views import held_out_views, make_stream, note_poses
 import numpy as np
 from torch import nn
 
-# One photo in so many is kept from the field's fit, to see how well it shows new views.
-HELD_OUT_EVERY = 25
-# With fewer photos none is.
-LEAST_PHOTOS = HELD_OUT_EVERY // 2 + 1
 # Photos that tell the node later what images of the scene look like.
 REFERENCE_PHOTOS = 300
-
-Progress = Callable[[str, int, int, str], None]
-
-
-@dataclass(frozen=True)
-class Scoring:
-    """The model and the floors on the test frames of a scene."""
-
-    frames: TruthFrames
-    results: list[MethodScores]
-
-    def to_json(self, figures: dict[str, float],
-                confidence: dict[str, dict[str, float]]) -> str:
-        """Return the figures of the training, the result rows and every frame's scores."""
-        return json.dumps({'figures': figures, **confidence,
-                           'rows': [result.row for result in self.results],
-                           'methods': [result.to_dict() for result in self.results]}, indent=1)
-
-
-@dataclass
-class TrainingRun:
-    """One run of the pipeline: what is trained, where its files go, and who watches."""
-
-    scene: Scene
-    experiment: Experiment
-    out: Path
-    progress: Progress
-    cache_gb: float = 0.0         # of panoramas in files; 0: all of them are in memory
-    seconds: float = 0.0
-    samples: int = 0              # wide views that the outpainter saw
-    outpaint_seconds: float = 0.0
-
-    def __post_init__(self) -> None:
-        camera = self.scene.train.intrinsics
-        self.expansion: ViewExpansion = self.experiment.expansion(camera, self.scene.expansion)
-        held_out = set(range(HELD_OUT_EVERY // 2, len(self.scene.train), HELD_OUT_EVERY))
-        self.fitted = self.scene.train.subset(
-            [i for i in range(len(self.scene.train)) if i not in held_out])
-        self.held_out: Optional[PosedImages] = (
-            self.scene.train.subset(sorted(held_out)) if held_out else None)
-        check_settings(self)
-        self.figures: dict[str, float] = {}
-        self.log: dict[str, list[list[float]]] = {
-            'field': [], 'outpainter': [], 'validation': []}
-
-    @property
-    def model_path(self) -> Path:
-        """Where the exported model goes."""
-        return self.out / f'{self.scene.name}.onnx'
 
 
 def train(scene_folder: Path, experiment: Experiment, out: Path,

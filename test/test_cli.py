@@ -5,7 +5,7 @@ import subprocess
 import sys
 
 from neo_ros.cli.main import app, main
-from neo_ros.pipeline import TrainingRun
+from neo_ros.training.run import TrainingRun
 import pytest
 from scene_files import write_capture
 from typer.testing import CliRunner

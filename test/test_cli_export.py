@@ -5,8 +5,8 @@ from pathlib import Path
 from neo_ros import model_variants
 from neo_ros.cli.main import app
 from neo_ros.geometry import CameraPose, Intrinsics
-from neo_ros.pipeline import TrainingRun
 from neo_ros.scenes.transforms_json import write_transforms
+from neo_ros.training.run import TrainingRun
 import numpy as np
 import pytest
 from scene_files import write_capture

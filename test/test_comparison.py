@@ -5,7 +5,6 @@ from pathlib import Path
 import shutil
 
 from neo_ros import model_variants
-from neo_ros.checkpoint import read_checkpoint, write_checkpoint
 from neo_ros.cli.main import app
 from neo_ros.comparison import compare, marked_front, Row
 from neo_ros.errors import ConfigError, ModelError
@@ -13,8 +12,9 @@ from neo_ros.field.memory_baking import MemoryConfig
 from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.model_variants import export_variants
 from neo_ros.outpaint.export import ExportedFunction
-from neo_ros.pipeline import TrainingRun
 from neo_ros.runtime import read_model_card
+from neo_ros.training.checkpoint import read_checkpoint, write_checkpoint
+from neo_ros.training.run import TrainingRun
 import numpy as np
 import pytest
 from tiny_training import TINY, train_tiny

@@ -27,10 +27,12 @@ LAW: dict[str, set[str]] = {
     'viewer': {'geometry', 'runtime', 'messages', 'bags', 'cv2', 'rclpy'},
     'evaluation': {'geometry', 'scenes', 'field', 'outpaint', 'runtime', 'messages', 'bags',
                    'memory', 'torch', 'cv2', 'onnx', 'onnxruntime', 'matplotlib', 'pycolmap'},
+    # What the pipeline is made of.
+    'training': {'geometry', 'scenes', 'field', 'outpaint', 'runtime', 'memory', 'evaluation',
+                 'experiment', 'torch'},
     # Trains with the pipeline, which itself scores with `evaluation`.
     'benchmark': {'geometry', 'scenes', 'field', 'outpaint', 'runtime', 'evaluation', 'pipeline',
-                  'experiment', 'training_folder', 'training_memory', 'checkpoint', 'torch',
-                  'cv2'},
+                  'experiment', 'training', 'torch', 'cv2'},
 }
 HEAVY = {'torch', 'numba', 'scipy', 'cv2', 'onnx', 'onnxscript', 'onnxruntime', 'rosbags',
          'mcap', 'rclpy', 'skimage', 'matplotlib', 'pycolmap'}

@@ -12,19 +12,21 @@ import sys
 from typing import Any
 
 import neo_ros
-from neo_ros import checkpoint, pipeline, training_views
-from neo_ros.checkpoint import read_checkpoint
+from neo_ros import pipeline
 from neo_ros.errors import ConfigError, ModelError, NeoError, SceneError
 from neo_ros.experiment import Experiment, ViewConfig
 from neo_ros.field.memory_baking import MemoryConfig
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.memory import scene_memory
 from neo_ros.outpaint.network import NetworkConfig
-from neo_ros.pipeline import train, TrainingRun
+from neo_ros.pipeline import train
 from neo_ros.runtime import FovExtrapolator
 from neo_ros.scenes.pose_sampling import SamplingConfig
 from neo_ros.scenes.scene import read_scene
-from neo_ros.training_report import _exposed
+from neo_ros.training import checkpoint, views as training_views
+from neo_ros.training.checkpoint import read_checkpoint
+from neo_ros.training.report import _exposed
+from neo_ros.training.run import TrainingRun
 import numpy as np
 import pytest
 from tiny_training import graph_of, TINY, train_tiny
@@ -116,7 +118,7 @@ class Killed(Exception):
 KILL_HARD = """
 import os, signal, sys
 from pathlib import Path
-from neo_ros import checkpoint, training_views
+from neo_ros.training import checkpoint, views as training_views
 from tiny_training import train_tiny
 
 def kill(stage, done, total, note):

@@ -5,12 +5,13 @@ from pathlib import Path
 import sys
 from typing import Any
 
-from neo_ros import training_checks
 from neo_ros.errors import ConfigError, ModelError, NeoError
 from neo_ros.geometry import Intrinsics, ViewExpansion
-from neo_ros.pipeline import train, TrainingRun
+from neo_ros.pipeline import train
 from neo_ros.scenes.pose_sampling import SamplingConfig
-from neo_ros.training_folder import claim
+from neo_ros.training import checks as training_checks
+from neo_ros.training.folder import claim
+from neo_ros.training.run import TrainingRun
 import pytest
 from tiny_training import TINY
 import torch

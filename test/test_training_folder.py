@@ -5,9 +5,10 @@ import shutil
 
 from neo_ros.errors import ConfigError
 from neo_ros.geometry import ViewExpansion
-from neo_ros.pipeline import fit_field_step, train, TrainingRun
+from neo_ros.pipeline import fit_field_step, train
 from neo_ros.scenes.levelling import read_upright_scene
-from neo_ros.training_folder import claim, take_field
+from neo_ros.training.folder import claim, take_field
+from neo_ros.training.run import TrainingRun
 import pytest
 from tiny_training import graph_of, TINY
 

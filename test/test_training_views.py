@@ -2,8 +2,8 @@
 from dataclasses import replace
 
 from neo_ros.field.voxel_field import RadianceField
-from neo_ros.pipeline import TrainingRun
-from neo_ros.training_views import make_stream
+from neo_ros.training.run import TrainingRun
+from neo_ros.training.views import make_stream
 import numpy as np
 import pytest
 from tiny_training import TINY

@@ -22,8 +22,8 @@ from neo_ros.exposure import exposure_gain
 from neo_ros.field.device import chosen_device, field_trainer
 from neo_ros.field.rendering import render_view
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
-from neo_ros.pipeline import Progress, TrainingRun
 from neo_ros.scenes.scene import read_scene
+from neo_ros.training.run import Progress, TrainingRun
 import numpy as np
 import torch
 

@@ -10,11 +10,12 @@ import time
 from typing import Any
 
 import cv2
-from neo_ros.checkpoint import CHECKPOINT_SECONDS, read_checkpoint, write_checkpoint
 from neo_ros.errors import ConfigError
 from neo_ros.outpaint.fitting import OutpaintTrainer
-from neo_ros.pipeline import export_step, LEAST_PHOTOS, TrainingRun
+from neo_ros.pipeline import export_step
 from neo_ros.scenes.posed_images import PosedImages
+from neo_ros.training.checkpoint import CHECKPOINT_SECONDS, read_checkpoint, write_checkpoint
+from neo_ros.training.run import LEAST_PHOTOS, TrainingRun
 import numpy as np
 import torch
 

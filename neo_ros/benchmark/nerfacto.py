@@ -22,7 +22,7 @@ import time
 from typing import Any, TYPE_CHECKING
 
 from neo_ros.geometry import CameraPose, Intrinsics
-from neo_ros.pipeline import TrainingRun
+from neo_ros.training.run import TrainingRun
 from nerfstudio.cameras.rays import RayBundle
 from nerfstudio.field_components.field_heads import FieldHeadNames
 from nerfstudio.field_components.spatial_distortions import SceneContraction

@@ -13,7 +13,7 @@ from neo_ros.errors import ConfigError
 from neo_ros.evaluation.evaluate import MethodScores
 from neo_ros.evaluation.output import make_output_folder, write_bytes
 from neo_ros.paths import share_dir
-from neo_ros.pipeline import Progress
+from neo_ros.training.run import Progress
 
 
 def run_jobs(jobs: dict[str, Job], names: Sequence[str], work: Path, rows_file: Path, title: str,

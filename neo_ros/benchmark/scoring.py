@@ -24,7 +24,7 @@ from neo_ros.evaluation.metrics import Estimate, score_frame
 from neo_ros.evaluation.output import write_bytes
 from neo_ros.evaluation.stability import DepthOf, flicker, stored_depths, WarpingError
 from neo_ros.evaluation.true_depth import demo_depth, field_depth, is_demo_flat
-from neo_ros.pipeline import Progress
+from neo_ros.training.run import Progress
 import numpy as np
 
 

@@ -14,7 +14,6 @@ from typing import Any, Optional, TypeVar
 from neo_ros.benchmark.naive import train_naive
 from neo_ros.benchmark.protocols import (
     choose_view, fitting_network, SCALES, split_checksums, split_walks)
-from neo_ros.checkpoint import read_notes, write_notes
 from neo_ros.errors import ConfigError
 from neo_ros.evaluation.evaluate import TruthFrames
 from neo_ros.evaluation.output import make_output_folder, write_bytes
@@ -24,12 +23,14 @@ from neo_ros.experiment import Experiment, experiment_from, read_experiment
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.outpaint.network import NETWORKS
 from neo_ros.paths import share_dir
-from neo_ros.pipeline import fit_field_step, Progress, train, TrainingRun
+from neo_ros.pipeline import fit_field_step, train
 from neo_ros.scenes.capture import listed
 from neo_ros.scenes.levelling import stood_up
 from neo_ros.scenes.scene import read_scene, Scene
-from neo_ros.training_folder import claim
-from neo_ros.training_memory import memory_seconds, NOTES
+from neo_ros.training.checkpoint import read_notes, write_notes
+from neo_ros.training.folder import claim
+from neo_ros.training.memory import memory_seconds, NOTES
+from neo_ros.training.run import Progress, TrainingRun
 
 # Of the training time that goes to the field, which is also B3's: half of six minutes is enough,
 # as 2.2 give held-out photos within 0.36 dB of what 3.7 give (docs/training.md).

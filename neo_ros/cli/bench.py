@@ -19,8 +19,8 @@ def bench(
     """
     Measure how fast every part is, beside what the machine can do at its best.
 
-    Latencies of the model, messages, replay, radiance field and the node on a real ROS graph;
-    run it on a machine that has nothing else to do.
+    Latencies of the model, messages, guidance, replay, radiance field (also on a GPU), networks
+    and the node on a real ROS graph; run it on a machine that has nothing else to do.
     """
     from neo_ros.cli.progress import stage_progress
     from neo_ros.evaluation.output import make_output_folder

@@ -21,7 +21,7 @@ def export(
     """
     from neo_ros.experiment import Experiment, read_experiment
     from neo_ros.model_variants import export_variants
-    from neo_ros.pipeline import TrainingRun
+    from neo_ros.training.run import TrainingRun
     from neo_ros.scenes.levelling import read_upright_scene
     import rich
     from rich.markup import escape

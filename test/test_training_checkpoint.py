@@ -1,7 +1,7 @@
 from pathlib import Path
 
-from neo_ros.checkpoint import read_checkpoint, write_checkpoint
 from neo_ros.errors import NeoError
+from neo_ros.training.checkpoint import read_checkpoint, write_checkpoint
 import numpy as np
 import pytest
 import torch

@@ -10,7 +10,7 @@ from neo_ros.evaluation.output import share_file, write_bytes
 from neo_ros.experiment import Experiment
 from neo_ros.scenes.digests import floor_digest, list_digest
 from neo_ros.scenes.scene import Scene
-from neo_ros.training_memory import NOTES, WORK
+from neo_ros.training.memory import NOTES, WORK
 
 RUN_FILE = 'run.json'
 

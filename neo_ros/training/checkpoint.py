@@ -2,16 +2,14 @@
 import json
 from pathlib import Path
 import time
-from typing import Any, Callable, TYPE_CHECKING
+from typing import Any, Callable
 
 from neo_ros.errors import NeoError, SceneError
 from neo_ros.evaluation.output import write_bytes
 from neo_ros.paths import whole_file
+from neo_ros.training.run import TrainingRun
 import numpy as np
 import torch
-
-if TYPE_CHECKING:
-    from neo_ros.pipeline import TrainingRun
 
 CHECKPOINT_SECONDS = 60.0
 
@@ -42,7 +40,7 @@ def _arrays_to_tensors(value: Any) -> Any:
     return value
 
 
-def train_with_checkpoints(run: 'TrainingRun', trainer: Any, checkpoint: Path, stage: str,
+def train_with_checkpoints(run: TrainingRun, trainer: Any, checkpoint: Path, stage: str,
                            done_of: Callable[[], tuple[int, int]], take_step: Callable[[], Any],
                            note: Callable[[], str], writes: bool = True) -> None:
     """

@@ -1,7 +1,10 @@
 """The report at the end of a training: what the field shows, what the model makes of it."""
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+import json
+from typing import Optional
 
 from neo_ros.evaluation.calibration import calibrate, Calibration
+from neo_ros.evaluation.evaluate import MethodScores, TruthFrames
 from neo_ros.evaluation.evaluation_report import evaluation_sections
 from neo_ros.evaluation.metrics import psnr
 from neo_ros.evaluation.output import write_bytes
@@ -12,18 +15,31 @@ from neo_ros.exposure import exposure_gain
 from neo_ros.field.rendering import render_view, to_uint8
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.runtime import FovExtrapolator
-from neo_ros.training_views import held_out_poses, held_out_views
+from neo_ros.training.run import TrainingRun
+from neo_ros.training.views import held_out_poses, held_out_views
 import numpy as np
-
-if TYPE_CHECKING:
-    from neo_ros.pipeline import Scoring, TrainingRun
 
 STRIPS = 4
 # The oracle renders every so many test frames; all of them would take longer than they tell.
 ORACLE_EVERY = 8
 
 
-def write_training_report(run: 'TrainingRun', field: RadianceField, scoring: 'Scoring | None',
+@dataclass(frozen=True)
+class Scoring:
+    """The model and the floors on the test frames of a scene."""
+
+    frames: TruthFrames
+    results: list[MethodScores]
+
+    def to_json(self, figures: dict[str, float],
+                confidence: dict[str, dict[str, float]]) -> str:
+        """Return the figures of the training, the result rows and every frame's scores."""
+        return json.dumps({'figures': figures, **confidence,
+                           'rows': [result.row for result in self.results],
+                           'methods': [result.to_dict() for result in self.results]}, indent=1)
+
+
+def write_training_report(run: TrainingRun, field: RadianceField, scoring: Optional[Scoring],
                           ) -> dict[str, float]:
     """
     Write report.html (and scores.json, if the scene has test frames) into the run's folder.
@@ -73,7 +89,7 @@ _TITLES = {
     'ring_psnr': 'The model on all test frames, ring alone'}
 
 
-def _curves(run: 'TrainingRun') -> list[Section]:
+def _curves(run: TrainingRun) -> list[Section]:
     curves: list[Section] = [
         _curve(run, 'field', 'The field on its own photos, while it was fitted')]
     if run.log['validation']:
@@ -82,17 +98,17 @@ def _curves(run: 'TrainingRun') -> list[Section]:
     return curves
 
 
-def _curve(run: 'TrainingRun', stage: str, title: str) -> Plot:
+def _curve(run: TrainingRun, stage: str, title: str) -> Plot:
     rows = np.array(run.log[stage]).reshape(-1, 3)
     return Plot(title, 'minutes', 'PSNR, dB',
                 [Series(stage, (rows[:, 1] / 60).tolist(), rows[:, 2].tolist())])
 
 
-def _calibration(run: 'TrainingRun', scoring: 'Scoring', guided: bool) -> Calibration:
+def _calibration(run: TrainingRun, scoring: Scoring, guided: bool) -> Calibration:
     return calibrate(FovExtrapolator.load(run.model_path, guided=guided), scoring.frames)
 
 
-def _held_out_strips(run: 'TrainingRun', field: RadianceField,
+def _held_out_strips(run: TrainingRun, field: RadianceField,
                      figures: dict[str, float]) -> list[Section]:
     """Compare the field with photos that it was not shown."""
     photos = run.held_out
@@ -115,7 +131,7 @@ def _held_out_strips(run: 'TrainingRun', field: RadianceField,
     return [Text('Photos that the field was not shown.', 'The field against photos'), *strips]
 
 
-def _compare_inputs(run: 'TrainingRun', field: RadianceField, figures: dict[str, float]) -> None:
+def _compare_inputs(run: TrainingRun, field: RadianceField, figures: dict[str, float]) -> None:
     """
     Score the network on photos that nothing was trained on, and on the field's views there.
 
@@ -140,7 +156,7 @@ def _compare_inputs(run: 'TrainingRun', field: RadianceField, figures: dict[str,
         figures['from_photo_psnr'], figures['from_rendering_psnr'] = np.mean(scores, 0).tolist()
 
 
-def _oracle(field: RadianceField, scoring: 'Scoring') -> tuple[float, float]:
+def _oracle(field: RadianceField, scoring: Scoring) -> tuple[float, float]:
     """Score the field at the true poses: mean PSNR of the whole image and of the ring."""
     frames, expansion = scoring.frames, scoring.frames.expansion
     ring = expansion.extrapolated_mask

@@ -1,5 +1,5 @@
 """Step 2 of the paper: the wide views that a run trains its outpainter on, and validates it on."""
-from typing import Optional, TYPE_CHECKING
+from typing import Optional
 
 from neo_ros.errors import ConfigError
 from neo_ros.evaluation.pose_map import COUNTS_FILE, draw_poses, write_poses
@@ -11,16 +11,14 @@ from neo_ros.outpaint.panorama_cache import PanoramaCache
 from neo_ros.outpaint.real_centres import RealCentres
 from neo_ros.scenes.pose_sampling import PoseSampler
 from neo_ros.scenes.posed_images import PosedImages
+from neo_ros.training.run import TrainingRun
 import numpy as np
-
-if TYPE_CHECKING:
-    from neo_ros.pipeline import TrainingRun
 
 # Of the held-out photos, so many are looked at while the outpainter is trained.
 VALIDATION_VIEWS = 32
 
 
-def held_out_views(run: 'TrainingRun', field: RadianceField) -> Optional[np.ndarray]:
+def held_out_views(run: TrainingRun, field: RadianceField) -> Optional[np.ndarray]:
     """
     Return wide views RGBA uint8 (N, H, W, 4) of photos that nothing was trained on.
 
@@ -33,7 +31,7 @@ def held_out_views(run: 'TrainingRun', field: RadianceField) -> Optional[np.ndar
     return real.views(_shown(run.held_out))
 
 
-def held_out_poses(run: 'TrainingRun') -> list[CameraPose]:
+def held_out_poses(run: TrainingRun) -> list[CameraPose]:
     """Return the poses of `held_out_views`."""
     assert run.held_out is not None
     return [run.held_out.poses[index] for index in _shown(run.held_out)]
@@ -44,7 +42,7 @@ def _shown(photos: PosedImages) -> list[int]:
     return np.linspace(0, len(photos) - 1, count).astype(int).tolist()
 
 
-def make_stream(run: 'TrainingRun', field: RadianceField, seed: int) -> PairStream:
+def make_stream(run: TrainingRun, field: RadianceField, seed: int) -> PairStream:
     """Make the stream of training views that the experiment asks for."""
     experiment, expansion = run.experiment, run.expansion
     config = experiment.outpaint
@@ -64,7 +62,7 @@ def make_stream(run: 'TrainingRun', field: RadianceField, seed: int) -> PairStre
     return stream
 
 
-def make_sampler(run: 'TrainingRun', field: Optional[RadianceField]) -> PoseSampler:
+def make_sampler(run: TrainingRun, field: Optional[RadianceField]) -> PoseSampler:
     """Choose poses where the experiment says; only `free_space` needs the field."""
     config, area = run.experiment.sampling, sampling_area(run)
     if area == 'photos':
@@ -80,7 +78,7 @@ def make_sampler(run: 'TrainingRun', field: Optional[RadianceField]) -> PoseSamp
     return PoseSampler.for_walkable(floor, config)
 
 
-def note_poses(run: 'TrainingRun', stream: PairStream, steps: int) -> None:
+def note_poses(run: TrainingRun, stream: PairStream, steps: int) -> None:
     """Leave the counts and the map of the poses of `steps` batches in the output folder."""
     pool = stream.pool
     if (run.out / COUNTS_FILE).exists() and not pool.panoramas:
@@ -92,7 +90,7 @@ def note_poses(run: 'TrainingRun', stream: PairStream, steps: int) -> None:
         run.scene.train))
 
 
-def sampling_area(run: 'TrainingRun') -> str:
+def sampling_area(run: TrainingRun) -> str:
     """Return where poses are drawn: walkable, photos or free_space."""
     if run.experiment.sampling.area != 'auto':
         return run.experiment.sampling.area

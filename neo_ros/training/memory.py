@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 import shutil
 import time
-from typing import Optional, TYPE_CHECKING
+from typing import Optional
 
 from neo_ros.errors import ModelError, SceneError
 from neo_ros.evaluation.output import write_bytes
@@ -17,11 +17,9 @@ from neo_ros.field.memory_baking import bake_memory, MemoryConfig, Photos
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.memory.landmarks import Landmarks, magnification
 from neo_ros.runtime.model_card import MemoryFile, read_model_card, write_model_card
-from neo_ros.training_views import make_sampler
+from neo_ros.training.run import TrainingRun
+from neo_ros.training.views import make_sampler
 import numpy as np
-
-if TYPE_CHECKING:
-    from neo_ros.pipeline import TrainingRun
 
 # What is made on the way to the memory, and how long it took, in the output folder.
 WORK, NOTES = 'memory_work', 'memory.json'
@@ -29,7 +27,7 @@ WORK, NOTES = 'memory_work', 'memory.json'
 LANDMARK_PHOTOS = 400
 
 
-def memory_step(run: 'TrainingRun', field: RadianceField) -> None:
+def memory_step(run: TrainingRun, field: RadianceField) -> None:
     """
     Make the scene memory that guides the network, if it is not there yet, and name it in the card.
 
@@ -76,7 +74,7 @@ def memory_seconds(notes: Path, config: MemoryConfig) -> Optional[float]:
         return None
 
 
-def find_landmarks(run: 'TrainingRun') -> Optional[Landmarks]:
+def find_landmarks(run: TrainingRun) -> Optional[Landmarks]:
     """Triangulate what the photos show from their known poses; None where that gives nothing."""
     if find_spec('pycolmap') is None:
         run.progress('without landmarks', 0, 1, 'pycolmap is not installed')

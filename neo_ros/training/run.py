@@ -1,0 +1,75 @@
+"""One run of the pipeline: what is trained, on which photos, and where its files go."""
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Callable, Optional
+
+from neo_ros.errors import ConfigError
+from neo_ros.evaluation.evaluate import TruthFrames
+from neo_ros.experiment import Experiment
+from neo_ros.geometry import ViewExpansion
+from neo_ros.outpaint.networks import check_network
+from neo_ros.scenes.posed_images import PosedImages
+from neo_ros.scenes.scene import Scene
+import numpy as np
+
+# One photo in so many is kept from the field's fit, to see how well it shows new views.
+HELD_OUT_EVERY = 25
+# With fewer photos none is.
+LEAST_PHOTOS = HELD_OUT_EVERY // 2 + 1
+
+Progress = Callable[[str, int, int, str], None]
+
+
+@dataclass
+class TrainingRun:
+    """
+    One run of the pipeline: what is trained, where its files go, and who watches.
+
+    Raises NeoError where view, network and test frames do not fit the photos.
+    """
+
+    scene: Scene
+    experiment: Experiment
+    out: Path
+    progress: Progress
+    cache_gb: float = 0.0         # of panoramas in files; 0: all of them are in memory
+    seconds: float = 0.0
+    samples: int = 0              # wide views that the outpainter saw
+    outpaint_seconds: float = 0.0
+
+    def __post_init__(self) -> None:
+        camera = self.scene.train.intrinsics
+        self.expansion: ViewExpansion = self.experiment.expansion(camera, self.scene.expansion)
+        held_out = set(range(HELD_OUT_EVERY // 2, len(self.scene.train), HELD_OUT_EVERY))
+        self.fitted = self.scene.train.subset(
+            [i for i in range(len(self.scene.train)) if i not in held_out])
+        self.held_out: Optional[PosedImages] = (
+            self.scene.train.subset(sorted(held_out)) if held_out else None)
+        self._check_view()
+        check_network(self.expansion, self.experiment.network)
+        if self.scene.test is not None:
+            TruthFrames(self.scene.test, self.expansion)
+        self.figures: dict[str, float] = {}
+        self.log: dict[str, list[list[float]]] = {
+            'field': [], 'outpainter': [], 'validation': []}
+
+    @property
+    def model_path(self) -> Path:
+        """Where the exported model goes."""
+        return self.out / f'{self.scene.name}.onnx'
+
+    def _check_view(self) -> None:
+        photo = self.scene.train.intrinsics.scaled(self.experiment.scale)
+        source = self.expansion.source
+        rows, columns = photo.window(source)
+        if (min(rows.start, columns.start) < 0
+                or rows.stop > photo.height or columns.stop > photo.width):
+            raise ConfigError(
+                f'view.source: expected at most the size of the photos, {photo.width}x'
+                f'{photo.height} pixels at this scale, got {source.width}x{source.height} from '
+                f'{columns.start}, {rows.start} on')
+        if not np.allclose([photo.fx, photo.fy], [source.fx, source.fy], rtol=1e-3):
+            raise ConfigError(
+                f'view: expected the focal length of the photos at this scale, {photo.fx:.1f} x '
+                f'{photo.fy:.1f} pixels, got {source.fx:.1f} x {source.fy:.1f}; bring photos and '
+                'test frames to one resolution, or take the test frames out of the scene')
