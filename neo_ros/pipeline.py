@@ -94,7 +94,7 @@ def fit_field_step(run: TrainingRun, rank: int = 0) -> RadianceField:
 
 def _fit_field(run: TrainingRun, path: Path, writes: bool) -> None:
     checkpoint = run.out / 'field.ckpt'
-    scale, config = run.experiment.scale, run.experiment.field
+    scale, config = run.experiment.scale, run.field_config
     images = run.fitted.read_images(
         scale, lambda done: run.progress('photos', done, len(run.fitted), ''))
     if writes and not checkpoint.exists():

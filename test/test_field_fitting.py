@@ -3,7 +3,7 @@ from typing import Any
 
 from neo_ros.errors import ConfigError, SceneError
 from neo_ros.evaluation.metrics import psnr
-from neo_ros.field.fitting import FieldConfig, FieldTrainer, STAGES
+from neo_ros.field.fitting import FieldConfig, FieldTrainer, FIRST_NEAR, MOST_NEAR, STAGES
 from neo_ros.field.rendering import render_view, to_uint8
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import Intrinsics
@@ -129,6 +129,41 @@ def test_the_last_stage_keeps_no_far_air(images: np.ndarray) -> None:
     assert fit.stage == len(STAGES) - 1
     assert len(fit.field.grid) < 0.9 * len(fit.field.row_of)
     assert (fit.field.row_of[fit.field.skip == 0] >= 0).all()
+
+
+def test_as_much_is_empty_as_the_nearest_photo_leaves(
+        images: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
+    fit = trainer(images)
+    fit.field = room_field(40_000)
+    fit.field.update_occupancy()
+    nearest = [np.percentile(render_view(fit.field, CAMERA, pose, 1).depth, 5) for pose in POSES]
+    assert np.ptp(nearest) > 0.2
+    assert fit.empty_distance() == MOST_NEAR
+    monkeypatch.setattr('neo_ros.field.fitting.MOST_NEAR', 9.0)
+    assert fit.empty_distance() == pytest.approx(0.75 * min(nearest), abs=0.02)
+    # What is nearer, but fills less of a photo, may be anything.
+    before = fit.field.world_points() - POSES[0].position
+    fit.field.grid[(np.abs(before - [0.25, 0, 0]).max(-1) < 0.04).ravel(), 0] = 40
+    assert fit.empty_distance() == pytest.approx(0.75 * min(nearest), abs=0.05)
+    fit.field.grid[:, 0] = -8
+    fit.field.update_occupancy()
+    fit.field.skip[:] = 0
+    assert fit.empty_distance() == FIRST_NEAR
+
+
+@pytest.mark.parametrize('near', [None, 0.25])
+def test_the_first_refinement_finds_what_is_empty_unless_it_is_told(
+        images: np.ndarray, near: float | None) -> None:
+    fit = trainer(images, near=near)
+    assert fit.field.near == (near or FIRST_NEAR)
+    while not fit.stage:
+        expected = near or fit.empty_distance()
+        fit.train_step()
+    assert fit.field.near == pytest.approx(expected, rel=0.3)
+    found = fit.field.near
+    while fit.step < 60:
+        fit.train_step()
+    assert fit.field.near == found and (found == 0.25) == (near is not None)
 
 
 @pytest.mark.parametrize('minutes', [0.0, -1.0, float('nan'), float('inf')])

@@ -94,7 +94,7 @@ def _fitters(experiment: Experiment, progress: Progress) -> dict[str, Fitter]:
 
 def fit_own(run: TrainingRun, seconds: float, stage: str) -> tuple[Renderer, dict[str, Any]]:
     """Fit our field for so many seconds; returns it with its steps and minutes."""
-    config = replace(run.experiment.field, minutes=seconds / 60)
+    config = replace(run.field_config, minutes=seconds / 60)
     images = run.fitted.read_images(run.experiment.scale)
     trainer = field_trainer(images, run.fitted.intrinsics.scaled(run.experiment.scale),
                             run.fitted.T_world_cam, config, run.experiment.seed)

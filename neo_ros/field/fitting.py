@@ -27,7 +27,8 @@ class FieldConfig:
     sh_degree: int = 0              # view dependence: 0 none (matt), 1 or 2 for shiny scenes
     margin: float = 3.0             # metres around the cameras that the first guess covers
     shell: float = 0.2              # relative thickness of the contracted outside
-    near: float = 0.1               # metres in front of the lens that are empty
+    # Metres in front of the lens that are empty; None: found from the photos.
+    near: Optional[float] = None
     learning_rate: float = 0.1      # of density and colour, decayed to a tenth
     distortion: float = 0.01        # weight of the distortion loss
     pointwise: float = 0.05         # weight of the samples' own colour error
@@ -49,7 +50,7 @@ class FieldConfig:
         if not (self.margin > 0 and self.learning_rate > 0):
             raise ConfigError('field: expected margin > 0 and learning_rate > 0, '
                               f'got {self.margin}, {self.learning_rate}')
-        if not (self.shell >= 0 and self.near >= 0):
+        if not (self.shell >= 0 and (self.near is None or self.near >= 0)):
             raise ConfigError(f'field: expected shell and near >= 0, got {self.shell}, '
                               f'{self.near}')
 
@@ -59,6 +60,12 @@ STAGES = ((0.0, 1 / 64), (0.06, 1 / 64), (0.18, 1 / 8), (0.4, 1.0))
 # From so many on voxels are finer than pixels, mostly.
 FINE_VOXELS = 9_000_000
 OCCUPANCY_EVERY = 100
+# Metres that are empty before the lens until a coarse field shows how near the photos came to
+# anything; then that share of how near the nearest photo came with a twentieth of its pixels. A
+# camera may come nearer than any photo: no more than so many metres are empty.
+FIRST_NEAR, NEAR_SHARE, NEAREST_PERCENT, MOST_NEAR = 0.1, 0.75, 5, 0.5
+# Pixels of each photo that are asked for it.
+NEAR_PIXELS = 400
 # However short the time, with fewer steps a field is fog.
 LEAST_STEPS = 300
 
@@ -80,7 +87,8 @@ class FieldTrainer:
         low, high = self.origins.min(0) - config.margin, self.origins.max(0) + config.margin
         self.field = RadianceField.empty(
             int(config.voxels * STAGES[0][1]), (low + high) / 2, (high - low) / 2,
-            config.shell, config.sh_degree, near=config.near)
+            config.shell, config.sh_degree,
+            near=FIRST_NEAR if config.near is None else config.near)
         self._allocate()
 
     def _allocate(self) -> None:
@@ -193,6 +201,8 @@ class FieldTrainer:
         if self.stage + 1 < len(STAGES) and self.share >= STAGES[self.stage + 1][0]:
             self.stage += 1
             voxels = int(self.config.voxels * STAGES[self.stage][1])
+            if self.stage == 1 and self.config.near is None:
+                self.field.near = self.empty_distance()
             self.field = self.field.resampled(voxels, *self.content_box(),
                                               sparse=self.stage + 1 == len(STAGES))
             if self.stage == 1:
@@ -214,6 +224,7 @@ class FieldTrainer:
         field = self.field
         return {'step': self.step, 'stage': self.stage, 'boxed_at': self.boxed_at,
                 'seconds': self.seconds, 'psnr': self.psnr, 'log_gain': self.log_gain,
+                'near': self.field.near,
                 'grid': field.grid, 'shape': list(field.shape), 'kept': packed(field.row_of),
                 'skip': field.skip, 'centre': field.centre, 'half_extent': field.half_extent,
                 'first': self.first, 'second': self.second, 'updates': self.updates}
@@ -226,7 +237,7 @@ class FieldTrainer:
         self.log_gain = arrays['log_gain']
         self.field = RadianceField(
             arrays['grid'], tuple(state['shape']), arrays['centre'], arrays['half_extent'],
-            self.config.shell, near=self.config.near,
+            self.config.shell, near=state['near'],
             row_of=unpacked(arrays['kept'], state['shape']))
         self.field.skip = arrays['skip']
         self._allocate()
@@ -252,6 +263,26 @@ class FieldTrainer:
         high = np.maximum(np.percentile(points, 98, axis=0), self.origins.max(0))
         pad = 0.04 * (high - low).max()
         return (low + high) / 2, (high - low) / 2 + pad
+
+    def empty_distance(self) -> float:
+        """
+        Find how many metres before the lens are empty, from what a coarse field shows.
+
+        A finer one would have blobs there: what one photo alone shows is fitted best right before
+        its lens, and from poses beside it hides the room.
+        """
+        from neo_ros.field.rendering import render_rays
+        stride = max(int(math.sqrt(self.images[0, ..., 0].size / NEAR_PIXELS)), 1)
+        directions = self.rays[1][::stride, ::stride].reshape(-1, 3)
+        nearest = math.inf
+        for rotation, origin in zip(self.rotations, self.origins):
+            rays_d = directions @ rotation.T
+            rays_d /= np.linalg.norm(rays_d, axis=-1, keepdims=True)
+            shown = render_rays(self.field, origin, rays_d)
+            depth = np.where(shown.opacity > 0.9, shown.depth, np.inf)
+            nearest = min(nearest, float(np.percentile(depth, NEAREST_PERCENT, method='lower')))
+        found = min(NEAR_SHARE * nearest, MOST_NEAR)
+        return found if nearest < math.inf else self.field.near
 
     def finished(self) -> RadianceField:
         """

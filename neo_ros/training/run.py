@@ -1,11 +1,12 @@
 """One run of the pipeline: what is trained, on which photos, and where its files go."""
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Callable, Optional
 
 from neo_ros.errors import ConfigError
 from neo_ros.evaluation.evaluate import TruthFrames
 from neo_ros.experiment import Experiment
+from neo_ros.field.fitting import FieldConfig, FIRST_NEAR
 from neo_ros.geometry import ViewExpansion
 from neo_ros.outpaint.networks import check_network
 from neo_ros.scenes.posed_images import PosedImages
@@ -57,6 +58,19 @@ class TrainingRun:
     def model_path(self) -> Path:
         """Where the exported model goes."""
         return self.out / f'{self.scene.name}.onnx'
+
+    @property
+    def field_config(self) -> FieldConfig:
+        """
+        The experiment's settings of the field, for this scene.
+
+        On a floor map a robot may pass a wall nearer than any photo was taken: what is empty
+        before the lens is not found from the photos there.
+        """
+        config = self.experiment.field
+        if config.near is None and self.scene.walkable is not None:
+            return replace(config, near=FIRST_NEAR)
+        return config
 
     def _check_view(self) -> None:
         photo = self.scene.train.intrinsics.scaled(self.experiment.scale)
