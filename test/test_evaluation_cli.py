@@ -47,7 +47,10 @@ def test_a_scene_is_scored_beside_the_floors(scene, model, tmp_path):
     result = CliRunner().invoke(APP, [
         str(scene), '--model', str(model), '--out', str(out), '--frames', '3'])
     assert result.exit_code == 0, result.output
-    rows = json.loads((out / 'scores.json').read_text())['rows']
+    scores = json.loads((out / 'scores.json').read_text())
+    rows, confidence = scores['rows'], scores['confidence']
+    assert f'confidence: off by {confidence["expected_calibration_error"]:.1f} of 255' in (
+        result.output)
     assert [(row['method'], row['n_frames'], row['scene']) for row in rows] == [
         (name, 3, 'room')
         for name in (read_model_card(model).network, 'edge_replication', 'mean_image')]

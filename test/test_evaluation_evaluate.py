@@ -7,6 +7,7 @@ import cv2
 from neo_ros.errors import ImageRejected, NeoError, SceneError
 from neo_ros.evaluation import evaluate as evaluate_module
 from neo_ros.evaluation.baselines import EdgeReplication, NeoModel
+from neo_ros.evaluation.calibration import calibrate
 from neo_ros.evaluation.evaluate import (
     evaluate, protocol_of, ROW_KEYS, score_frames, TruthFrames)
 from neo_ros.evaluation.evaluation_report import evaluation_sections, write_evaluation
@@ -15,6 +16,7 @@ from neo_ros.evaluation.metrics import score_frame
 from neo_ros.evaluation.report import Strip
 from neo_ros.evaluation.strips import outlined
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
+from neo_ros.runtime import FovExtrapolator
 from neo_ros.scenes.posed_images import PosedImages
 import numpy as np
 import pytest
@@ -179,11 +181,13 @@ def test_best_median_and_worst_frame():
 
 
 def test_a_model_is_evaluated_from_file_to_report(frames, tmp_path):
-    neo = NeoModel(write_tiny_model(tmp_path / 'tiny.onnx', trained_seconds=120.0), 'neo')
-    methods = [neo, EdgeReplication(TINY_EXPANSION)]
+    model = write_tiny_model(tmp_path / 'tiny.onnx', trained_seconds=120.0)
+    methods = [NeoModel(model, 'neo'), EdgeReplication(TINY_EXPANSION)]
     results = evaluate('tiny', frames, methods)
-    write_evaluation(tmp_path / 'out', 'tiny', frames, results)
+    confidence = write_evaluation(tmp_path / 'out', 'tiny', frames, results, model)
     scores = json.loads((tmp_path / 'out/scores.json').read_text())
+    assert confidence.keys() == {'confidence'} and scores['confidence'] == confidence['confidence']
+    assert confidence['confidence'] == calibrate(FovExtrapolator.load(model), frames).summary()
     assert [row['method'] for row in scores['rows']] == ['neo', 'edge_replication']
     assert scores['rows'][0]['train_minutes'] == 2.0
     neo_scores = scores['methods'][0]
@@ -192,8 +196,9 @@ def test_a_model_is_evaluated_from_file_to_report(frames, tmp_path):
     assert [frame['frame'] for frame in neo_scores['frames']] == [
         f'wide_{i}.png' for i in range(6)]
     page = (tmp_path / 'out/report.html').read_text()
-    assert page.count('<img class="plot"') == 1
-    assert page.count('<img ') == 1 + 2 * 3 * 4
+    assert page.count('<img class="plot"') == 1 + 2
+    assert page.count('<img ') == 3 + 2 * 3 * 4
+    assert 'Is the confidence true?' in page
     assert f'{scores["rows"][0]["ring_psnr"]:.2f}' in page
     worst = min(neo_scores['frames'], key=lambda frame: frame['ring_psnr'])
     assert f'Worst: {worst["frame"]}' in page
@@ -240,8 +245,9 @@ def test_an_unwritable_folder_is_named(frames, tmp_path):
     (tmp_path / 'file').write_text('')
     methods = [EdgeReplication(TINY_EXPANSION)]
     results = evaluate('tiny', frames, methods)
+    model = write_tiny_model(tmp_path / 'tiny.onnx')
     with pytest.raises(NeoError, match='cannot write.*another output folder'):
-        write_evaluation(tmp_path / 'file/out', 'tiny', frames, results)
+        write_evaluation(tmp_path / 'file/out', 'tiny', frames, results, model)
 
 
 def test_a_commit_is_dirty_by_code_and_settings_alone(tmp_path, monkeypatch):

@@ -18,7 +18,8 @@ def evaluate(
     """
     Score a model on the test frames of a scene, beside edge replication and the mean photo.
 
-    Of a model with a scene memory, the network alone is scored, too.
+    Of a model with a scene memory, the network alone is scored, too. Also says how true the
+    confidence is.
     """
     from neo_ros.cli.progress import stage_progress
     from neo_ros.evaluation.baselines import EdgeReplication, MeanImage, Method, NeoModel
@@ -47,7 +48,9 @@ def evaluate(
             neo, *alone, EdgeReplication(neo.expansion), MeanImage(neo.expansion, photos())]
         results = score(scene_data.name, truth, methods, progress=lambda done: show(
             'scoring', done, len(truth) * len(methods)))
-    write_evaluation(folder, scene_data.name, truth, results)
+        show('confidence', 0, 1)
+        confidence = write_evaluation(folder, scene_data.name, truth, results, model)
+        show('confidence', 1, 1)
     columns = {'ring_psnr': ('ring dB', 2), 'ring_ssim': ('ring SSIM', 3),
                'whole_psnr': ('whole dB', 2), 'whole_ssim': ('whole SSIM', 3),
                'latency_ms_median': ('ms', 1)}
@@ -60,4 +63,8 @@ def evaluate(
         if 'guided' in result.estimates:
             rich.print(f'{result.method}: the memory knew '
                        f'{result.estimates["guided"].mean:.0%} of the frames')
+    for name, figures in confidence.items():
+        rich.print(f'{name.replace("_", " ")}: off by '
+                   f'{figures["expected_calibration_error"]:.1f} of 255 (expected calibration '
+                   f'error), AUSE {figures["sparsification_error"]:.2f}')
     rich.print(f'Written: {escape(str(folder))}/scores.json and report.html')

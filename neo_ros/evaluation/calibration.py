@@ -7,6 +7,7 @@ are dropped, against an oracle that drops the worst ones; the area between the t
 al., Uncertainty Estimates and Multi-Hypotheses Networks for Optical Flow, 2018) is 0 at best.
 """
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from neo_ros.evaluation.evaluate import TruthFrames
 from neo_ros.evaluation.metrics import check_pair
@@ -117,6 +118,29 @@ def calibrate(model: FovExtrapolator, frames: TruthFrames) -> Calibration:
         view = model.expand(narrow_image)
         result.add(truth, view.wide_image, view.confidence, frames.expansion)
     return result
+
+
+def judge_confidence(path: Path, frames: TruthFrames,
+                     ) -> tuple[dict[str, dict[str, float]], list[Section]]:
+    """
+    Judge the confidence of a model file over the ring of test frames.
+
+    Returns the figures, `confidence` of the network by itself and `guided_confidence` of a model
+    with a scene memory, and a report's part on both.
+    """
+    judged = f'in the ring of {len(frames)} test frames.'
+    network = FovExtrapolator.load(path, guided=False)
+    models = {'confidence': (
+        network, f'Of the network by itself, where no scene memory guides it; {judged}')}
+    if network.card.memory is not None:
+        models['guided_confidence'] = (
+            FovExtrapolator.load(path), f'Of the model with its scene memory; {judged}')
+    figures, sections = {}, []
+    for name, (model, whose) in models.items():
+        calibration = calibrate(model, frames)
+        figures[name] = calibration.summary()
+        sections += calibration.sections(whose)
+    return figures, sections
 
 
 def _per_pixel() -> np.ndarray:

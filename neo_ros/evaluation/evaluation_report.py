@@ -3,6 +3,7 @@ from collections.abc import Callable, Sequence
 import json
 from pathlib import Path
 
+from neo_ros.evaluation.calibration import judge_confidence
 from neo_ros.evaluation.evaluate import MethodScores, TruthFrames
 from neo_ros.evaluation.kept_pictures import pick_frames
 from neo_ros.evaluation.metrics import Estimate
@@ -18,18 +19,21 @@ _COLUMNS = {'ring_psnr': ('Ring PSNR, dB', 2), 'ring_ssim': ('Ring SSIM', 3),
 
 
 def write_evaluation(out: Path, scene_name: str, frames: TruthFrames,
-                     results: Sequence[MethodScores]) -> None:
+                     results: Sequence[MethodScores], model: Path) -> dict[str, dict[str, float]]:
     """
-    Write scores.json and report.html into the folder `out`.
+    Write scores.json and report.html into the folder `out`; returns how true the confidence is.
 
-    scores.json holds `rows` (one per method, keys ROW_KEYS) and `methods` (estimates with
-    intervals, and every frame). Raises NeoError when a file cannot be written.
+    scores.json holds `rows` (one per method, keys ROW_KEYS), `methods` (estimates with
+    intervals, and every frame) and the figures of the model file's confidence, see
+    `judge_confidence`. Raises NeoError when a file cannot be written.
     """
-    scores = {'rows': [result.row for result in results],
+    confidence, judged = judge_confidence(model, frames)
+    scores = {**confidence, 'rows': [result.row for result in results],
               'methods': [result.to_dict() for result in results]}
     write_bytes(out / 'scores.json', json.dumps(scores, indent=1, allow_nan=False).encode())
     write_report(out / 'report.html', f'How well {scene_name} is widened',
-                 evaluation_sections(scene_name, frames, results))
+                 [*evaluation_sections(scene_name, frames, results), *judged])
+    return confidence
 
 
 def evaluation_sections(scene_name: str, frames: TruthFrames,

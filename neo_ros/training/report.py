@@ -3,7 +3,7 @@ from dataclasses import dataclass
 import json
 from typing import Optional
 
-from neo_ros.evaluation.calibration import calibrate, Calibration
+from neo_ros.evaluation.calibration import judge_confidence
 from neo_ros.evaluation.evaluate import MethodScores, TruthFrames
 from neo_ros.evaluation.evaluation_report import evaluation_sections
 from neo_ros.evaluation.metrics import psnr
@@ -57,15 +57,8 @@ def write_training_report(run: TrainingRun, field: RadianceField, scoring: Optio
         figures['oracle_whole_psnr'], figures['oracle_ring_psnr'] = _oracle(field, scoring)
         figures['ring_psnr'] = scoring.results[0].estimates['ring_psnr'].mean
         sections += evaluation_sections(run.scene.name, scoring.frames, scoring.results)
-        judged = f'in the ring of {len(scoring.frames)} test frames.'
-        calibration = _calibration(run, scoring, guided=False)
-        sections += calibration.sections(
-            f'Of the network by itself, where no scene memory guides it; {judged}')
-        confidence['confidence'] = calibration.summary()
-        if run.experiment.memory is not None:
-            calibration = _calibration(run, scoring, guided=True)
-            sections += calibration.sections(f'Of the model with its scene memory; {judged}')
-            confidence['guided_confidence'] = calibration.summary()
+        confidence, judged = judge_confidence(run.model_path, scoring.frames)
+        sections += judged
     source, target = run.expansion.source, run.expansion.target
     intro = (f'{len(run.fitted)} photos of {run.scene.name}, {source.width}x{source.height} '
              f'({np.degrees(source.hfov):.0f} deg) to {target.width}x{target.height} pixels '
@@ -102,10 +95,6 @@ def _curve(run: TrainingRun, stage: str, title: str) -> Plot:
     rows = np.array(run.log[stage]).reshape(-1, 3)
     return Plot(title, 'minutes', 'PSNR, dB',
                 [Series(stage, (rows[:, 1] / 60).tolist(), rows[:, 2].tolist())])
-
-
-def _calibration(run: TrainingRun, scoring: Scoring, guided: bool) -> Calibration:
-    return calibrate(FovExtrapolator.load(run.model_path, guided=guided), scoring.frames)
 
 
 def _held_out_strips(run: TrainingRun, field: RadianceField,
