@@ -10,12 +10,12 @@ from typing import Any, Optional, Sequence
 from neo_ros.errors import ConfigError
 from neo_ros.evaluation.output import make_output_folder, write_bytes
 from neo_ros.evaluation.report import Plot, Section, Series, Table, Text, write_report
-from neo_ros.evaluation.speed_runtime import noise_image
 from neo_ros.experiment import Experiment, read_experiment
 from neo_ros.pipeline import train
 from neo_ros.runtime import FovExtrapolator
 from neo_ros.scenes.digests import list_digest
 from neo_ros.scenes.levelling import read_upright_scene
+from neo_ros.speed.runtime import noise_image
 from neo_ros.training.folder import claim
 from neo_ros.training.run import Progress
 
@@ -76,12 +76,14 @@ def compare(scene_folder: Path, configs: Sequence[Path], out: Path,
         folder = make_output_folder(out / name)
         claim(folder, scene, experiment)
         row = _finished_row(folder, frames)
+        field = experiment.field_hash(scene.walkable is not None)
         if row is None:
-            row = _trained_row(scene_folder, name, experiment, folder, fields, progress)
+            row = _trained_row(
+                scene_folder, name, experiment, folder, fields.get(field), progress)
             write_bytes(folder / 'row.json', json.dumps(
                 {'frames': frames, 'row': asdict(row)}).encode())
         rows.append(row)
-        fields.setdefault(experiment.field_hash, folder)
+        fields.setdefault(field, folder)
         written = marked_front(rows)
         write_bytes(out / 'comparison.json', json.dumps(
             [asdict(row) for row in written], indent=1).encode())
@@ -118,10 +120,9 @@ def _prepared(experiment: Experiment, minutes: Optional[float],
 
 
 def _trained_row(scene_folder: Path, name: str, experiment: Experiment, folder: Path,
-                 fields: dict[str, Path], progress: Progress) -> Row:
+                 field_of: Optional[Path], progress: Progress) -> Row:
     run = train(scene_folder, experiment, folder,
-                lambda stage, *rest: progress(f'{name}: {stage}', *rest),
-                field_of=fields.get(experiment.field_hash))
+                lambda stage, *rest: progress(f'{name}: {stage}', *rest), field_of=field_of)
     model = FovExtrapolator.load(run.model_path, guided=False)
     validation = run.log['validation']
     return Row(name, experiment.network.name, model.card.gflop or 0.0,

@@ -1,5 +1,5 @@
 """One YAML file is one experiment: every setting of a training, with its hash."""
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 import hashlib
 import json
 import math
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Optional
 
 from neo_ros.errors import ConfigError
-from neo_ros.field.fitting import FieldConfig
+from neo_ros.field.fitting import FieldConfig, FIRST_NEAR
 from neo_ros.field.memory_baking import MemoryConfig
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.outpaint.fitting import OutpaintConfig
@@ -57,11 +57,27 @@ class Experiment:
         """Twelve hex digits that change with any setting."""
         return _digest(asdict(self))
 
-    @property
-    def field_hash(self) -> str:
-        """Twelve hex digits that change with what decides the field."""
-        settings = asdict(self)
-        return _digest({name: settings[name] for name in ('seed', 'scale', 'field')})
+    def sampling_area(self, mapped: bool) -> str:
+        """Return where poses are drawn: walkable, photos or free_space; mapped: by a floor map."""
+        if self.sampling.area != 'auto':
+            return self.sampling.area
+        return 'walkable' if mapped else 'photos'
+
+    def field_config(self, mapped: bool) -> FieldConfig:
+        """
+        Return the settings of the field of a scene with a floor map, or of one without.
+
+        On a floor a robot may pass a wall nearer than any photo was taken: what is empty before
+        the lens is not found from the photos there.
+        """
+        if self.field.near is None and self.sampling_area(mapped) != 'photos':
+            return replace(self.field, near=FIRST_NEAR)
+        return self.field
+
+    def field_hash(self, mapped: bool) -> str:
+        """Return twelve hex digits that change with what decides the field."""
+        return _digest({'seed': self.seed, 'scale': self.scale,
+                        'field': asdict(self.field_config(mapped))})
 
     def expansion(self, camera: Intrinsics, stated: Optional[ViewExpansion]) -> ViewExpansion:
         """

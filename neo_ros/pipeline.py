@@ -13,7 +13,6 @@ import neo_ros
 from neo_ros.evaluation.baselines import EdgeReplication, MeanImage, Method, NeoModel
 from neo_ros.evaluation.evaluate import evaluate, TruthFrames
 from neo_ros.evaluation.output import make_output_folder
-from neo_ros.evaluation.speed_model import count_flops
 from neo_ros.experiment import Experiment
 from neo_ros.field.device import chosen_device, field_trainer
 from neo_ros.field.voxel_field import RadianceField
@@ -27,6 +26,7 @@ from neo_ros.runtime.model_card import Parity, write_model_card
 from neo_ros.runtime.scene_check import fit_scene_reference
 from neo_ros.scenes.levelling import read_upright_scene
 from neo_ros.scenes.posed_images import PosedImages
+from neo_ros.speed.model import count_flops
 from neo_ros.training.checkpoint import read_notes, train_with_checkpoints, write_notes
 from neo_ros.training.checks import check_training
 from neo_ros.training.folder import claim, drop_made_of_a_field, take_field

@@ -5,9 +5,11 @@ from typing import Any, Iterator
 
 from neo_ros.errors import ConfigError, GeometryError
 from neo_ros.experiment import Experiment, read_experiment, ViewConfig
+from neo_ros.field.fitting import FieldConfig, FIRST_NEAR
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.outpaint.fitting import OutpaintConfig
 import neo_ros.paths
+from neo_ros.scenes.pose_sampling import SamplingConfig
 import pytest
 
 SHIPPED = neo_ros.paths.share_dir() / 'config' / 'experiments'
@@ -186,3 +188,17 @@ def test_views_that_cannot_be(experiment: Experiment, message: str) -> None:
 def test_infinite_scales_are_refused() -> None:
     with pytest.raises(ConfigError, match='scale: expected a number > 0'):
         Experiment(scale=math.inf)
+
+
+@pytest.mark.parametrize('area, mapped, near', [
+    ('auto', True, FIRST_NEAR), ('auto', False, None), ('photos', True, None),
+    ('free_space', False, FIRST_NEAR)])
+def test_on_a_floor_the_photos_do_not_say_what_is_empty(
+        area: Any, mapped: bool, near: float | None) -> None:
+    experiment = Experiment(sampling=SamplingConfig(area=area))
+    assert experiment.field_config(mapped) == FieldConfig(near=near)
+    told = replace(experiment, field=FieldConfig(near=0.3))
+    assert told.field_config(mapped) == FieldConfig(near=0.3)
+    # What is the same field may be shared.
+    shared = experiment.field_hash(mapped) == Experiment().field_hash(False)
+    assert shared == (near is None)

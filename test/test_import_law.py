@@ -25,8 +25,10 @@ LAW: dict[str, set[str]] = {
     # The player and the recorder of bags are ROS nodes.
     'node': {'geometry', 'runtime', 'messages', 'bags', 'rosbags', 'rclpy'},
     'viewer': {'geometry', 'runtime', 'messages', 'bags', 'cv2', 'rclpy'},
-    'evaluation': {'geometry', 'scenes', 'field', 'outpaint', 'runtime', 'messages', 'bags',
-                   'memory', 'torch', 'cv2', 'onnx', 'onnxruntime', 'matplotlib', 'pycolmap'},
+    'evaluation': {'geometry', 'scenes', 'field', 'outpaint', 'runtime', 'messages', 'memory',
+                   'torch', 'cv2', 'matplotlib', 'pycolmap'},
+    'speed': {'geometry', 'scenes', 'field', 'outpaint', 'runtime', 'messages', 'bags', 'memory',
+              'evaluation', 'torch', 'cv2', 'onnx'},
     # What the pipeline is made of.
     'training': {'geometry', 'scenes', 'field', 'outpaint', 'runtime', 'memory', 'evaluation',
                  'experiment', 'torch'},

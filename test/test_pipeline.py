@@ -15,7 +15,7 @@ import neo_ros
 from neo_ros import pipeline
 from neo_ros.errors import ConfigError, ModelError, NeoError, SceneError
 from neo_ros.experiment import Experiment, ViewConfig
-from neo_ros.field.fitting import FieldConfig, FIRST_NEAR
+from neo_ros.field.fitting import FIRST_NEAR
 from neo_ros.field.memory_baking import MemoryConfig
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.memory import scene_memory
@@ -251,15 +251,11 @@ def test_without_a_floor_map_cameras_stay_near_the_photos(tiny_run: TrainingRun)
     assert np.linalg.norm(near, axis=-1).min(1).max() <= Experiment().sampling.radius
 
 
-@pytest.mark.parametrize('floor, told, near', [
-    (True, None, FIRST_NEAR), (False, None, None), (True, 0.3, 0.3), (False, 0.3, 0.3)])
-def test_on_a_floor_nothing_is_empty_but_what_is_told(
-        tiny_run: TrainingRun, floor: bool, told: float | None, near: float | None) -> None:
-    """Elsewhere the photos say what is; see `FieldTrainer.empty_distance`."""
-    scene = tiny_run.scene if floor else replace(tiny_run.scene, walkable=None)
-    run = TrainingRun(scene, Experiment(field=FieldConfig(near=told)), tiny_run.out,
+def test_the_field_is_fitted_as_the_floor_map_asks(tiny_run: TrainingRun) -> None:
+    assert tiny_run.field_config.near == FIRST_NEAR
+    run = TrainingRun(replace(tiny_run.scene, walkable=None), Experiment(), tiny_run.out,
                       tiny_run.progress)
-    assert run.field_config == FieldConfig(near=near)
+    assert run.field_config.near is None and run.sampling_area == 'photos'
 
 
 @pytest.mark.parametrize('area', ['walkable', 'free_space'])

@@ -24,7 +24,7 @@ def bench(
     """
     from neo_ros.cli.progress import stage_progress
     from neo_ros.evaluation.output import make_output_folder
-    from neo_ros.evaluation.speed import run_benchmarks, write_benchmarks
+    from neo_ros.speed.benchmarks import run_benchmarks, write_benchmarks
     from neo_ros.paths import share_dir
     import rich
     from rich.markup import escape

@@ -18,7 +18,7 @@ def inspect(
     import statistics
     import time
 
-    from neo_ros.evaluation.speed_model import count_flops
+    from neo_ros.speed.model import count_flops
     from neo_ros.runtime.fov_extrapolator import FovExtrapolator, memory_path
     import numpy as np
     import rich

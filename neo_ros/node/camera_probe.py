@@ -2,7 +2,7 @@
 A camera and a consumer for measurements: sends images to the node, times what comes back.
 
 A program of its own, so that the node is measured between processes as on a robot; prints one
-JSON object. `neo_ros.evaluation.speed_node` runs it.
+JSON object. `neo_ros.speed.node` runs it.
 """
 import argparse
 from array import array

@@ -9,7 +9,7 @@ from neo_ros.outpaint.perceptual import fetch_weights
 from neo_ros.outpaint.training_log import TrainingLog
 from neo_ros.runtime.model_card import MemoryFile
 from neo_ros.training.run import TrainingRun
-from neo_ros.training.views import make_sampler, sampling_area
+from neo_ros.training.views import make_sampler
 from pydantic import ValidationError
 
 
@@ -29,7 +29,7 @@ def check_training(run: TrainingRun) -> None:
     chosen_device(run.experiment.field.device)
     outpaint_device(config.device, rank)
     share_of_batch(config.batch, world)
-    if sampling_area(run) != 'free_space':  # It needs the field.
+    if run.sampling_area != 'free_space':  # It needs the field.
         make_sampler(run, None)
     if run.experiment.memory is not None and find_spec('numba') is None:
         raise ConfigError('memory: needs numba: pip install numba, or set it to null')

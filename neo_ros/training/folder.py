@@ -40,7 +40,8 @@ def _run_note(scene: Scene, experiment: Experiment) -> dict[str, Any]:
     view = experiment.expansion(scene.train.intrinsics, scene.expansion)
     # Another memory leaves field and network as they are.
     settings = replace(experiment, memory=None).config_hash
-    return {'scene': scene.name, 'settings': settings, 'field': experiment.field_hash,
+    return {'scene': scene.name, 'settings': settings,
+            'field': experiment.field_hash(mapped=floor is not None),
             'photos': list_digest(scene.train)[:12], 'floor': floor,
             'view': f'{view.source.width}x{view.source.height} at {view.left}, {view.top} in '
                     f'{view.target.width}x{view.target.height}'}

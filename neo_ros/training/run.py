@@ -1,12 +1,12 @@
 """One run of the pipeline: what is trained, on which photos, and where its files go."""
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Callable, Optional
 
 from neo_ros.errors import ConfigError
 from neo_ros.evaluation.evaluate import TruthFrames
 from neo_ros.experiment import Experiment
-from neo_ros.field.fitting import FieldConfig, FIRST_NEAR
+from neo_ros.field.fitting import FieldConfig
 from neo_ros.geometry import ViewExpansion
 from neo_ros.outpaint.networks import check_network
 from neo_ros.scenes.posed_images import PosedImages
@@ -60,17 +60,14 @@ class TrainingRun:
         return self.out / f'{self.scene.name}.onnx'
 
     @property
-    def field_config(self) -> FieldConfig:
-        """
-        The experiment's settings of the field, for this scene.
+    def sampling_area(self) -> str:
+        """Where poses are drawn: walkable, photos or free_space."""
+        return self.experiment.sampling_area(self.scene.walkable is not None)
 
-        On a floor map a robot may pass a wall nearer than any photo was taken: what is empty
-        before the lens is not found from the photos there.
-        """
-        config = self.experiment.field
-        if config.near is None and self.scene.walkable is not None:
-            return replace(config, near=FIRST_NEAR)
-        return config
+    @property
+    def field_config(self) -> FieldConfig:
+        """The experiment's settings of the field, for this scene."""
+        return self.experiment.field_config(self.scene.walkable is not None)
 
     def _check_view(self) -> None:
         photo = self.scene.train.intrinsics.scaled(self.experiment.scale)

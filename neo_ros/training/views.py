@@ -57,14 +57,14 @@ def make_stream(run: TrainingRun, field: RadianceField, seed: int) -> PairStream
                         seed, real, config.real_centre, cache)
     stream.pool.progress = lambda done, total: run.progress('panoramas', done, total, '')
     sharp_only = experiment.sampling.sharp_only
-    if sharp_only or (sharp_only is None and sampling_area(run) == 'photos'):
+    if sharp_only or (sharp_only is None and run.sampling_area == 'photos'):
         stream.pool.require_sharpness(run.fitted, experiment.scale)
     return stream
 
 
 def make_sampler(run: TrainingRun, field: Optional[RadianceField]) -> PoseSampler:
     """Choose poses where the experiment says; only `free_space` needs the field."""
-    config, area = run.experiment.sampling, sampling_area(run)
+    config, area = run.experiment.sampling, run.sampling_area
     if area == 'photos':
         return PoseSampler.around_photos(run.scene.train, config)
     floor = run.scene.walkable
@@ -88,10 +88,3 @@ def note_poses(run: TrainingRun, stream: PairStream, steps: int) -> None:
     write_poses(run.out, pool.summary(), draw_poses(
         pool.sampler.positions_xy, positions, np.array(pool.refused_positions).reshape(-1, 3),
         run.scene.train))
-
-
-def sampling_area(run: TrainingRun) -> str:
-    """Return where poses are drawn: walkable, photos or free_space."""
-    if run.experiment.sampling.area != 'auto':
-        return run.experiment.sampling.area
-    return 'photos' if run.scene.walkable is None else 'walkable'

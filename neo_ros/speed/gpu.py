@@ -3,10 +3,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 import math
 
-from neo_ros.evaluation.speed_field import measure_field
-from neo_ros.evaluation.speed_host import Machine
-from neo_ros.evaluation.speed_record import Effort, Record, time_calls
 from neo_ros.geometry import Intrinsics
+from neo_ros.speed.field import measure_field
+from neo_ros.speed.host import Machine
+from neo_ros.speed.record import Effort, Record, time_calls
 import torch
 
 FULL = Intrinsics.from_hfov(512, 512, 2 * math.atan(2))

@@ -2,8 +2,8 @@
 import json
 
 from neo_ros.cli.soak import soak as soak_command
-from neo_ros.evaluation import soak as soak_module
-from neo_ros.evaluation.soak import soak
+from neo_ros.speed import soak as soak_module
+from neo_ros.speed.soak import soak
 import numpy as np
 import pytest
 from tiny_model import write_tiny_model

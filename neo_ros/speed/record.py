@@ -5,7 +5,7 @@ import math
 import time
 from typing import Any
 
-from neo_ros.evaluation.speed_host import Machine
+from neo_ros.speed.host import Machine
 import numpy as np
 
 
@@ -46,7 +46,7 @@ class Work:
 
 @dataclass
 class Record:
-    """One line of bench.json; see `neo_ros.evaluation.speed` for the meaning of the fields."""
+    """One line of bench.json; see `neo_ros.speed.benchmarks` for the meaning of the fields."""
 
     benchmark: str
     name: str

@@ -3,9 +3,6 @@ from collections.abc import Callable, Iterator
 import itertools
 import math
 
-from neo_ros.evaluation.speed_host import Machine
-from neo_ros.evaluation.speed_record import Effort, Record, time_calls, Work
-from neo_ros.evaluation.speed_stream import measure_stream
 from neo_ros.field.device import field_trainer
 from neo_ros.field.fitting import FieldConfig, FieldTrainer, FIRST_NEAR, STAGES
 from neo_ros.field.panorama import render_panorama, view_band
@@ -13,6 +10,9 @@ from neo_ros.field.rendering import render_view, to_uint8
 from neo_ros.field.view_cutting import view_cutter
 from neo_ros.field.voxel_field import packed, RadianceField
 from neo_ros.geometry import CameraPose, Intrinsics
+from neo_ros.speed.host import Machine
+from neo_ros.speed.record import Effort, Record, time_calls, Work
+from neo_ros.speed.stream import measure_stream
 import numpy as np
 
 SEED = 0

@@ -7,13 +7,13 @@ import time
 from types import SimpleNamespace
 
 from neo_ros.bags import replay, write_demo_bag
-from neo_ros.evaluation.speed_host import Machine
-from neo_ros.evaluation.speed_images import noise_image, SEED
-from neo_ros.evaluation.speed_model import count_flops
-from neo_ros.evaluation.speed_record import Effort, Record, time_calls, Work
 from neo_ros.geometry import CameraPose, ViewExpansion
 from neo_ros.messages import read_image
 from neo_ros.runtime import FovExtrapolator
+from neo_ros.speed.host import Machine
+from neo_ros.speed.images import noise_image, SEED
+from neo_ros.speed.model import count_flops
+from neo_ros.speed.record import Effort, Record, time_calls, Work
 import numpy as np
 
 IMAGE_SIZE = (640, 480)

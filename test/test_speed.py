@@ -5,16 +5,16 @@ import sys
 
 from neo_ros.cli.bench import bench
 from neo_ros.errors import ConfigError, ModelError
-from neo_ros.evaluation import speed_networks
-from neo_ros.evaluation.speed import BENCHMARKS, run_benchmarks
-from neo_ros.evaluation.speed_host import CACHED_BYTES, core_count, Machine, measure_machine
-from neo_ros.evaluation.speed_model import count_flops, write_stand_in_model
-from neo_ros.evaluation.speed_node import measure_graph
-from neo_ros.evaluation.speed_record import Effort, QUICK, Record, time_calls, Work
-from neo_ros.evaluation.speed_runtime import measure_messages
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.outpaint.networks import NetworkConfig
 from neo_ros.runtime import FovExtrapolator
+from neo_ros.speed import networks as speed_networks
+from neo_ros.speed.benchmarks import BENCHMARKS, run_benchmarks
+from neo_ros.speed.host import CACHED_BYTES, core_count, Machine, measure_machine
+from neo_ros.speed.model import count_flops, write_stand_in_model
+from neo_ros.speed.node import measure_graph
+from neo_ros.speed.record import Effort, QUICK, Record, time_calls, Work
+from neo_ros.speed.runtime import measure_messages
 import numpy as np
 import onnx
 from onnx import helper, TensorProto
@@ -153,7 +153,7 @@ def test_an_rgb_image_is_read_without_a_copy_and_has_no_floor():
 
 def test_the_field_is_measured_in_a_room_that_is_closed():
     pytest.importorskip('torch')
-    from neo_ros.evaluation.speed_field import box_room, measure_field, room_poses, WIDE
+    from neo_ros.speed.field import box_room, measure_field, room_poses, WIDE
     from neo_ros.field.rendering import render_view
     field = box_room(20_000)
     for pose in room_poses(4):
@@ -182,7 +182,7 @@ def test_the_field_is_measured_in_a_room_that_is_closed():
 
 def test_a_gpu_is_measured_as_the_cpu_is_or_skipped_with_a_reason():
     torch = pytest.importorskip('torch')
-    from neo_ros.evaluation import speed_gpu
+    from neo_ros.speed import gpu as speed_gpu
     records = list(speed_gpu.measure_gpu(Effort(seconds=0.0, voxels=8_000)))
     if not torch.cuda.is_available():
         assert [record.skipped for record in records] == ['no GPU that torch can use']
@@ -211,7 +211,7 @@ def test_the_network_of_a_training_is_measured_in_float_and_integers():
 
 def test_the_field_is_skipped_with_a_reason_where_training_is_not_installed():
     code = ('import sys; sys.modules["torch"] = None\n'
-            'from neo_ros.evaluation.speed import measure_trained, QUICK\n'
+            'from neo_ros.speed.benchmarks import measure_trained, QUICK\n'
             'records = list(measure_trained("field", None, QUICK))\n'
             'print(len(records), records[0].skipped)')
     result = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,

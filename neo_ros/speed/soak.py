@@ -7,8 +7,8 @@ import sys
 from typing import Any
 
 from neo_ros.errors import NeoError
-from neo_ros.evaluation.speed_images import camera_images
-from neo_ros.evaluation.speed_node import RATE_HZ, run_graph
+from neo_ros.speed.images import camera_images
+from neo_ros.speed.node import RATE_HZ, run_graph
 import numpy as np
 
 # Of the walk that is sent to and fro, for a model with a memory.

@@ -81,7 +81,7 @@ def measure_machine(seconds: float) -> Machine:
 
 
 def describe_host(machine: Machine, load_average: float) -> dict[str, Any]:
-    """Return what a figure's reader must know of the machine; see `neo_ros.evaluation.speed`."""
+    """Return what a figure's reader must know of the machine; see `neo_ros.speed.benchmarks`."""
     return {
         'cpu': host(), 'cores': core_count(), 'platform': platform.platform(),
         'load_average_1min': load_average, 'busy': machine.is_busy(load_average),

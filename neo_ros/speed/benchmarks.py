@@ -10,7 +10,7 @@ host            cpu, cores, platform, python, neo_ros, versions of packages, com
                 computed little more than one: others were at work, the figures are not to be
                 quoted and the floors may be too high);
                 matmul_gflops, memory_gb_s, cache_gb_s: best rates measured, by threads, see
-                `speed_host.Machine`
+                `host.Machine`
 records         a list, one per thing measured:
   benchmark             expand, messages, networks, guided, replay, field, gpu or node
   name                  what was measured
@@ -37,7 +37,7 @@ records         a list, one per thing measured:
                         outside_inference_ms and share_outside_inference (with the wait for the
                         frame before), decode_check_publish_ms (without)
 
-The field is synthetic, see `speed_field.box_room`; its steps are those of the last stage without
+The field is synthetic, see `field.box_room`; its steps are those of the last stage without
 the occupancy update after every hundredth. All inputs are drawn from fixed seeds.
 """
 from collections.abc import Callable, Iterator, Sequence
@@ -49,20 +49,20 @@ from typing import Any
 
 from neo_ros.errors import ConfigError
 from neo_ros.evaluation.output import write_bytes
-from neo_ros.evaluation.speed_host import describe_host, Machine, measure_machine
-from neo_ros.evaluation.speed_node import measure_node
-from neo_ros.evaluation.speed_record import Effort, QUICK, Record
-from neo_ros.evaluation.speed_runtime import measure_expand, measure_messages, measure_replay
 from neo_ros.runtime import read_model_card
+from neo_ros.speed.host import describe_host, Machine, measure_machine
+from neo_ros.speed.node import measure_node
+from neo_ros.speed.record import Effort, QUICK, Record
+from neo_ros.speed.runtime import measure_expand, measure_messages, measure_replay
 
 SCHEMA_VERSION = 1
 TRAIN_EXTRA = ('onnx', 'scipy', 'torch')
 
 
 def measure_trained(name: str, *arguments: Any) -> Iterator[Record]:
-    """Call `speed_NAME.measure_NAME`, which needs the train extra; without it say so."""
+    """Call `NAME.measure_NAME` of this room, which needs the train extra; without it say so."""
     try:
-        module = import_module(f'neo_ros.evaluation.speed_{name}')
+        module = import_module(f'neo_ros.speed.{name}')
     except ModuleNotFoundError as error:
         if error.name not in TRAIN_EXTRA:
             raise

@@ -10,14 +10,14 @@ import tempfile
 from typing import Any
 
 from neo_ros.errors import NeoError
-from neo_ros.evaluation.processes import end_process
-from neo_ros.evaluation.speed_host import Machine
-from neo_ros.evaluation.speed_images import camera_images, PAPER_VIEW, walk_at_30_hz
-from neo_ros.evaluation.speed_model import count_flops, write_stand_in_model
-from neo_ros.evaluation.speed_record import Effort, Record, Work
-from neo_ros.evaluation.speed_runtime import size_name
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.runtime import read_model_card
+from neo_ros.speed.host import Machine
+from neo_ros.speed.images import camera_images, PAPER_VIEW, walk_at_30_hz
+from neo_ros.speed.model import count_flops, write_stand_in_model
+from neo_ros.speed.processes import end_process
+from neo_ros.speed.record import Effort, Record, Work
+from neo_ros.speed.runtime import size_name
 import numpy as np
 
 RATE_HZ = 30.0
@@ -44,7 +44,7 @@ def measure_node(model: Path, machine: Machine, effort: Effort) -> Iterator[Reco
         yield record
     name = f'{size_name(PAPER_VIEW)}, 30 Hz, guided'
     try:
-        from neo_ros.evaluation.speed_guided import write_guided_stand_in
+        from neo_ros.speed.guided import write_guided_stand_in
     except ModuleNotFoundError as error:
         yield Record('node', name, skipped=f'{error.name} is not installed: '
                                            "pip install '.[train]' in a checkout")

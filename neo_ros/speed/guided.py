@@ -11,10 +11,6 @@ import tempfile
 import time
 
 import cv2
-from neo_ros.evaluation.speed_images import PAPER_VIEW, walk_at_30_hz
-from neo_ros.evaluation.speed_model import write_stand_in_model
-from neo_ros.evaluation.speed_record import Effort, Record, time_calls
-from neo_ros.evaluation.speed_runtime import size_name
 from neo_ros.field.memory_baking import keyframe_glances, keyframe_size, mesh_depth
 from neo_ros.field.panorama import view_band
 from neo_ros.geometry import Band, CameraPose, Intrinsics, ViewExpansion
@@ -24,6 +20,10 @@ from neo_ros.memory.scene_memory import Keyframe, SceneMemory
 from neo_ros.runtime import FovExtrapolator, read_model_card
 from neo_ros.runtime.model_card import MemoryFile, write_model_card
 from neo_ros.scenes.demo_flat import build_demo_flat, DemoFlat
+from neo_ros.speed.images import PAPER_VIEW, walk_at_30_hz
+from neo_ros.speed.model import write_stand_in_model
+from neo_ros.speed.record import Effort, Record, time_calls
+from neo_ros.speed.runtime import size_name
 import numpy as np
 
 SMALL_VIEW = ViewExpansion.to_size(Intrinsics.from_hfov(128, 128, np.pi / 2), 256, 256)
