@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Optional
 
 from neo_ros.errors import ConfigError
-from neo_ros.field.fitting import FieldConfig, FIRST_NEAR
+from neo_ros.field.fitting import FieldConfig, FIT_NEAR
 from neo_ros.field.memory_baking import MemoryConfig
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.outpaint.fitting import OutpaintConfig
@@ -71,7 +71,7 @@ class Experiment:
         the lens is not found from the photos there.
         """
         if self.field.near is None and self.sampling_area(mapped) != 'photos':
-            return replace(self.field, near=FIRST_NEAR)
+            return replace(self.field, near=FIT_NEAR)
         return self.field
 
     def field_hash(self, mapped: bool) -> str:

@@ -5,7 +5,7 @@ from typing import Any, Iterator
 
 from neo_ros.errors import ConfigError, GeometryError
 from neo_ros.experiment import Experiment, read_experiment, ViewConfig
-from neo_ros.field.fitting import FieldConfig, FIRST_NEAR
+from neo_ros.field.fitting import FieldConfig, FIT_NEAR
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.outpaint.fitting import OutpaintConfig
 import neo_ros.paths
@@ -191,8 +191,8 @@ def test_infinite_scales_are_refused() -> None:
 
 
 @pytest.mark.parametrize('area, mapped, near', [
-    ('auto', True, FIRST_NEAR), ('auto', False, None), ('photos', True, None),
-    ('free_space', False, FIRST_NEAR)])
+    ('auto', True, FIT_NEAR), ('auto', False, None), ('photos', True, None),
+    ('free_space', False, FIT_NEAR)])
 def test_on_a_floor_the_photos_do_not_say_what_is_empty(
         area: Any, mapped: bool, near: float | None) -> None:
     experiment = Experiment(sampling=SamplingConfig(area=area))

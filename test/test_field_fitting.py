@@ -3,7 +3,8 @@ from typing import Any
 
 from neo_ros.errors import ConfigError, SceneError
 from neo_ros.evaluation.metrics import psnr
-from neo_ros.field.fitting import FieldConfig, FieldTrainer, FIRST_NEAR, MOST_NEAR, STAGES
+from neo_ros.field.fitting import (
+    FieldConfig, FieldTrainer, FIT_NEAR, fit_near, MOST_NEAR, STAGES)
 from neo_ros.field.rendering import render_view, to_uint8
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import Intrinsics
@@ -148,22 +149,30 @@ def test_as_much_is_empty_as_the_nearest_photo_leaves(
     fit.field.grid[:, 0] = -8
     fit.field.update_occupancy()
     fit.field.skip[:] = 0
-    assert fit.empty_distance() == FIRST_NEAR
+    assert fit.empty_distance() == FIT_NEAR
 
 
 @pytest.mark.parametrize('near', [None, 0.25])
 def test_the_first_refinement_finds_what_is_empty_unless_it_is_told(
         images: np.ndarray, near: float | None) -> None:
-    fit = trainer(images, near=near)
-    assert fit.field.near == (near or FIRST_NEAR)
+    fit = trainer(images, near=near, **PLAIN)
+    assert fit.view_near == (near or FIT_NEAR)
     while not fit.stage:
         expected = near or fit.empty_distance()
         fit.train_step()
-    assert fit.field.near == pytest.approx(expected, rel=0.3)
-    found = fit.field.near
+    found = fit.view_near
+    assert found == pytest.approx(expected, rel=0.3) and (found == 0.25) == (near is not None)
     while fit.step < 60:
         fit.train_step()
-    assert fit.field.near == found and (found == 0.25) == (near is not None)
+    # The fit itself leaves out less than views do.
+    assert fit.field.near == FIT_NEAR and fit.view_near == found
+    fit.field.grid[:, 0] += 9
+    assert fit.finished().near == found
+
+
+@pytest.mark.parametrize('view, fitted', [(None, FIT_NEAR), (0.3, FIT_NEAR), (0.02, 0.02)])
+def test_a_fit_leaves_out_no_more_than_views(view: float | None, fitted: float) -> None:
+    assert fit_near(view) == fitted
 
 
 @pytest.mark.parametrize('minutes', [0.0, -1.0, float('nan'), float('inf')])

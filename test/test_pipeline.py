@@ -15,7 +15,7 @@ import neo_ros
 from neo_ros import pipeline
 from neo_ros.errors import ConfigError, ModelError, NeoError, SceneError
 from neo_ros.experiment import Experiment, ViewConfig
-from neo_ros.field.fitting import FIRST_NEAR
+from neo_ros.field.fitting import FIT_NEAR
 from neo_ros.field.memory_baking import MemoryConfig
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.memory import scene_memory
@@ -252,7 +252,7 @@ def test_without_a_floor_map_cameras_stay_near_the_photos(tiny_run: TrainingRun)
 
 
 def test_the_field_is_fitted_as_the_floor_map_asks(tiny_run: TrainingRun) -> None:
-    assert tiny_run.field_config.near == FIRST_NEAR
+    assert tiny_run.field_config.near == FIT_NEAR
     run = TrainingRun(replace(tiny_run.scene, walkable=None), Experiment(), tiny_run.out,
                       tiny_run.progress)
     assert run.field_config.near is None and run.sampling_area == 'photos'

@@ -27,7 +27,7 @@ class FieldConfig:
     sh_degree: int = 0              # view dependence: 0 none (matt), 1 or 2 for shiny scenes
     margin: float = 3.0             # metres around the cameras that the first guess covers
     shell: float = 0.2              # relative thickness of the contracted outside
-    # Metres in front of the lens that are empty; None: found from the photos.
+    # Metres before the lens that views leave out; None: found from the photos.
     near: Optional[float] = None
     learning_rate: float = 0.1      # of density and colour, decayed to a tenth
     distortion: float = 0.01        # weight of the distortion loss
@@ -60,14 +60,19 @@ STAGES = ((0.0, 1 / 64), (0.06, 1 / 64), (0.18, 1 / 8), (0.4, 1.0))
 # From so many on voxels are finer than pixels, mostly.
 FINE_VOXELS = 9_000_000
 OCCUPANCY_EVERY = 100
-# Metres that are empty before the lens until a coarse field shows how near the photos came to
-# anything; then that share of how near the nearest photo came with a twentieth of its pixels. A
-# camera may come nearer than any photo: no more than so many metres are empty.
-FIRST_NEAR, NEAR_SHARE, NEAREST_PERCENT, MOST_NEAR = 0.1, 0.75, 5, 0.5
+# Metres before the lens that the photos' rays leave out in a fit. Views leave out more: a share of
+# how near the nearest photo came to anything, with so many percent of its pixels. But a camera may
+# come nearer than any photo: no more than the last number.
+FIT_NEAR, NEAR_SHARE, NEAREST_PERCENT, MOST_NEAR = 0.1, 0.75, 5, 0.5
 # Pixels of each photo that are asked for it.
 NEAR_PIXELS = 400
 # However short the time, with fewer steps a field is fog.
 LEAST_STEPS = 300
+
+
+def fit_near(view_near: Optional[float]) -> float:
+    """Return what the rays of photos leave out, metres, where views leave out `view_near`."""
+    return FIT_NEAR if view_near is None else min(view_near, FIT_NEAR)
 
 
 class FieldTrainer:
@@ -88,7 +93,8 @@ class FieldTrainer:
         self.field = RadianceField.empty(
             int(config.voxels * STAGES[0][1]), (low + high) / 2, (high - low) / 2,
             config.shell, config.sh_degree,
-            near=FIRST_NEAR if config.near is None else config.near)
+            near=fit_near(config.near))
+        self.view_near = self.field.near if config.near is None else config.near
         self._allocate()
 
     def _allocate(self) -> None:
@@ -202,7 +208,7 @@ class FieldTrainer:
             self.stage += 1
             voxels = int(self.config.voxels * STAGES[self.stage][1])
             if self.stage == 1 and self.config.near is None:
-                self.field.near = self.empty_distance()
+                self.view_near = self.empty_distance()
             self.field = self.field.resampled(voxels, *self.content_box(),
                                               sparse=self.stage + 1 == len(STAGES))
             if self.stage == 1:
@@ -224,20 +230,20 @@ class FieldTrainer:
         field = self.field
         return {'step': self.step, 'stage': self.stage, 'boxed_at': self.boxed_at,
                 'seconds': self.seconds, 'psnr': self.psnr, 'log_gain': self.log_gain,
-                'near': self.field.near,
+                'view_near': self.view_near,
                 'grid': field.grid, 'shape': list(field.shape), 'kept': packed(field.row_of),
                 'skip': field.skip, 'centre': field.centre, 'half_extent': field.half_extent,
                 'first': self.first, 'second': self.second, 'updates': self.updates}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from `state`; arrays may be tensors."""
-        for name in ('step', 'stage', 'boxed_at', 'seconds', 'psnr'):
+        for name in ('step', 'stage', 'boxed_at', 'seconds', 'psnr', 'view_near'):
             setattr(self, name, state[name])
         arrays = {key: np.asarray(value) for key, value in state.items()}
         self.log_gain = arrays['log_gain']
         self.field = RadianceField(
             arrays['grid'], tuple(state['shape']), arrays['centre'], arrays['half_extent'],
-            self.config.shell, near=state['near'],
+            self.config.shell, near=fit_near(self.config.near),
             row_of=unpacked(arrays['kept'], state['shape']))
         self.field.skip = arrays['skip']
         self._allocate()
@@ -268,8 +274,8 @@ class FieldTrainer:
         """
         Find how many metres before the lens are empty, from what a coarse field shows.
 
-        A finer one would have blobs there: what one photo alone shows is fitted best right before
-        its lens, and from poses beside it hides the room.
+        A finer one has blobs there: what one photo alone shows is fitted best right before its
+        lens, and hides the room from poses beside it.
         """
         from neo_ros.field.rendering import render_rays
         stride = max(int(math.sqrt(self.images[0, ..., 0].size / NEAR_PIXELS)), 1)
@@ -282,7 +288,7 @@ class FieldTrainer:
             depth = np.where(shown.opacity > 0.9, shown.depth, np.inf)
             nearest = min(nearest, float(np.percentile(depth, NEAREST_PERCENT, method='lower')))
         found = min(NEAR_SHARE * nearest, MOST_NEAR)
-        return found if nearest < math.inf else self.field.near
+        return found if nearest < math.inf else self.view_near
 
     def finished(self) -> RadianceField:
         """
@@ -302,7 +308,9 @@ class FieldTrainer:
             rays_d /= np.linalg.norm(rays_d, axis=-1, keepdims=True)
             self._mark_seen(np.broadcast_to(origin, rays_d.shape).copy(), rays_d)
         self._bring_home()
-        return field.of_seen_cells()
+        found = field.of_seen_cells()
+        found.near = self.view_near
+        return found
 
     def _bring_home(self) -> None:
         """Take the field from the device that it was fitted on."""

@@ -215,6 +215,7 @@ def on_device(field: RadianceField) -> TorchField:
     if found is None or any(a is not b for a, b in zip(found.source, source)):
         found = TorchField(field, torch_device(field.device))
         field.mirror = found
+    found.near = field.near
     return found
 
 

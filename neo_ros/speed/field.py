@@ -4,7 +4,7 @@ import itertools
 import math
 
 from neo_ros.field.device import field_trainer
-from neo_ros.field.fitting import FieldConfig, FieldTrainer, FIRST_NEAR, STAGES
+from neo_ros.field.fitting import FieldConfig, FieldTrainer, FIT_NEAR, STAGES
 from neo_ros.field.panorama import render_panorama, view_band
 from neo_ros.field.rendering import render_view, to_uint8
 from neo_ros.field.view_cutting import view_cutter
@@ -108,7 +108,7 @@ def box_room(voxels: int, seed: int = SEED) -> RadianceField:
     half = np.array([3.0, 2.5, 1.35])
     # Shell and near distance are those of a fit with default settings.
     field = RadianceField.empty(voxels, np.array([0, 0, 1.35]), half, FieldConfig.shell, 0,
-                                near=FIRST_NEAR)
+                                near=FIT_NEAR)
     points = field.world_points().reshape(-1, 3)
     solid = (np.abs(points - field.centre) > half - 0.3).any(-1)
     random = np.random.default_rng(seed)
@@ -143,8 +143,7 @@ def trainer_in(field: RadianceField, effort: Effort, device: str = 'cpu') -> Fie
     trainer.restore(trainer.state() | {
         'step': config.steps * 3 // 4 + 1, 'stage': len(STAGES) - 1,
         'grid': field.grid.copy(), 'shape': field.shape, 'kept': packed(field.row_of),
-        'near': field.near, 'skip': field.skip, 'centre': field.centre,
-        'half_extent': field.half_extent,
+        'skip': field.skip, 'centre': field.centre, 'half_extent': field.half_extent,
         'first': np.zeros_like(field.grid), 'second': np.zeros_like(field.grid),
         'updates': np.zeros(len(field.grid), np.int32)})
     return trainer
