@@ -92,8 +92,7 @@ class FieldTrainer:
         low, high = self.origins.min(0) - config.margin, self.origins.max(0) + config.margin
         self.field = RadianceField.empty(
             int(config.voxels * STAGES[0][1]), (low + high) / 2, (high - low) / 2,
-            config.shell, config.sh_degree,
-            near=fit_near(config.near))
+            config.shell, config.sh_degree, near=fit_near(config.near))
         self.view_near = self.field.near if config.near is None else config.near
         self._allocate()
 
