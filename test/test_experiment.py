@@ -5,7 +5,7 @@ from typing import Any, Iterator
 
 from neo_ros.errors import ConfigError, GeometryError
 from neo_ros.experiment import Experiment, read_experiment, ViewConfig
-from neo_ros.field.fitting import FieldConfig, FIT_NEAR
+from neo_ros.field.config import FieldConfig, FIT_NEAR
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.outpaint.fitting import OutpaintConfig
 import neo_ros.paths

@@ -3,8 +3,8 @@ from typing import Any
 
 from neo_ros.errors import ConfigError, SceneError
 from neo_ros.evaluation.metrics import psnr
-from neo_ros.field.fitting import (
-    FieldConfig, FieldTrainer, FIT_NEAR, fit_near, MOST_NEAR, STAGES)
+from neo_ros.field.config import FieldConfig, FIT_NEAR, fit_near
+from neo_ros.field.fitting import FieldTrainer, MOST_NEAR, STAGES
 from neo_ros.field.rendering import render_view, to_uint8
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import Intrinsics

@@ -6,7 +6,7 @@ import cv2
 from neo_ros.errors import ConfigError, NeoError
 from neo_ros.field import memory_baking
 from neo_ros.field.baking_kernels import colour_from_photos
-from neo_ros.field.fitting import FIT_NEAR
+from neo_ros.field.config import FIT_NEAR
 from neo_ros.field.memory_baking import bake_memory, keyframe_positions, MemoryConfig, Photos
 from neo_ros.field.rendering import Rendering
 from neo_ros.field.voxel_field import RadianceField

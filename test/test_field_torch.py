@@ -8,8 +8,9 @@ from typing import Any
 
 from neo_ros.errors import ConfigError
 from neo_ros.evaluation.metrics import psnr
+from neo_ros.field.config import FieldConfig
 from neo_ros.field.device import chosen_device, field_trainer
-from neo_ros.field.fitting import FieldConfig, FieldTrainer
+from neo_ros.field.fitting import FieldTrainer
 from neo_ros.field.rendering import render_rays, render_view, to_uint8
 from neo_ros.field.torch_field import on_device
 from neo_ros.field.torch_fitting import TorchFieldTrainer

@@ -15,7 +15,7 @@ import neo_ros
 from neo_ros import pipeline
 from neo_ros.errors import ConfigError, ModelError, NeoError, SceneError
 from neo_ros.experiment import Experiment, ViewConfig
-from neo_ros.field.fitting import FIT_NEAR
+from neo_ros.field.config import FIT_NEAR
 from neo_ros.field.memory_baking import MemoryConfig
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.memory import scene_memory

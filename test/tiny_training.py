@@ -2,7 +2,7 @@
 from pathlib import Path
 
 from neo_ros.experiment import Experiment
-from neo_ros.field.fitting import FieldConfig
+from neo_ros.field.config import FieldConfig
 from neo_ros.field.memory_baking import MemoryConfig
 from neo_ros.outpaint.fitting import OutpaintConfig
 from neo_ros.outpaint.network import NetworkConfig

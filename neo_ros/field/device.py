@@ -1,6 +1,7 @@
 """Which machine part fits and renders the field: compiled kernels, or torch on a GPU."""
 from neo_ros.errors import ConfigError
-from neo_ros.field.fitting import FieldConfig, FieldTrainer
+from neo_ros.field.config import FieldConfig
+from neo_ros.field.fitting import FieldTrainer
 from neo_ros.geometry import Intrinsics
 import numpy as np
 import torch

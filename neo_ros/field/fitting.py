@@ -1,78 +1,29 @@
 """Step 1 of the paper: fit a radiance field to posed photos of one scene."""
-from dataclasses import dataclass
+from collections.abc import Iterator
 import math
 import time
-from typing import Any, Optional
+from typing import Any
 
-from neo_ros.errors import ConfigError, SceneError
+from neo_ros.errors import SceneError
 from neo_ros.field import fitting_kernels, kernels
 from neo_ros.field.compiled import get_num_threads
+from neo_ros.field.config import FieldConfig, fit_near
 from neo_ros.field.voxel_field import packed, RadianceField, unpacked
 from neo_ros.geometry import Intrinsics
 import numpy as np
-
-
-DEVICES = ('auto', 'cpu', 'cuda', 'torch')
-
-
-@dataclass(frozen=True)
-class FieldConfig:
-    """How the field is fitted."""
-
-    __pydantic_config__ = {'extra': 'forbid'}
-    voxels: int = 3_000_000         # grid points at the last stage, most of them in air: not kept
-    steps: int = 6000               # optimiser steps; not read where `minutes` is given
-    minutes: Optional[float] = None  # of fitting time, instead of steps
-    rays_per_step: int = 4096       # rays in a batch
-    sh_degree: int = 0              # view dependence: 0 none (matt), 1 or 2 for shiny scenes
-    margin: float = 3.0             # metres around the cameras that the first guess covers
-    shell: float = 0.2              # relative thickness of the contracted outside
-    # Metres before the lens that views leave out; None: found from the photos.
-    near: Optional[float] = None
-    learning_rate: float = 0.1      # of density and colour, decayed to a tenth
-    distortion: float = 0.01        # weight of the distortion loss
-    pointwise: float = 0.05         # weight of the samples' own colour error
-    sparsity: float = 1e-3          # weight of the samples' opacity: clears the air
-    exposure: bool = False          # one gain per photo and channel
-    # cpu: compiled kernels; cuda; auto: cuda where there is one; torch: what cuda does, on the CPU
-    device: str = 'auto'
-
-    def __post_init__(self) -> None:
-        if self.device not in DEVICES:
-            raise ConfigError(f'field.device: expected {", ".join(DEVICES)}, got {self.device!r}')
-        if self.sh_degree not in (0, 1, 2):
-            raise ConfigError(f'field.sh_degree: expected 0, 1 or 2, got {self.sh_degree}')
-        if self.steps < 10 or self.voxels < 1000 or self.rays_per_step < 4:
-            raise ConfigError('field: expected steps >= 10, voxels >= 1000, rays_per_step >= 4, '
-                              f'got {self.steps}, {self.voxels}, {self.rays_per_step}')
-        if self.minutes is not None and not 0 < self.minutes < math.inf:
-            raise ConfigError(f'field.minutes: expected a number > 0, got {self.minutes}')
-        if not (self.margin > 0 and self.learning_rate > 0):
-            raise ConfigError('field: expected margin > 0 and learning_rate > 0, '
-                              f'got {self.margin}, {self.learning_rate}')
-        if not (self.shell >= 0 and (self.near is None or self.near >= 0)):
-            raise ConfigError(f'field: expected shell and near >= 0, got {self.shell}, '
-                              f'{self.near}')
-
 
 # Share of the fit at which the grid is refined, and the share of voxels it then has.
 STAGES = ((0.0, 1 / 64), (0.06, 1 / 64), (0.18, 1 / 8), (0.4, 1.0))
 # From so many on voxels are finer than pixels, mostly.
 FINE_VOXELS = 9_000_000
 OCCUPANCY_EVERY = 100
-# Metres before the lens that the photos' rays leave out in a fit. Views leave out more: a share of
-# how near the nearest photo came to anything, with so many percent of its pixels. But a camera may
-# come nearer than any photo: no more than the last number.
-FIT_NEAR, NEAR_SHARE, NEAREST_PERCENT, MOST_NEAR = 0.1, 0.75, 5, 0.5
+# Views leave out a share of how near the nearest photo came to anything, with so many percent of
+# its pixels. But a camera may come nearer than any photo: no more than the last number, metres.
+NEAR_SHARE, NEAREST_PERCENT, MOST_NEAR = 0.75, 5, 0.5
 # Pixels of each photo that are asked for it.
 NEAR_PIXELS = 400
 # However short the time, with fewer steps a field is fog.
 LEAST_STEPS = 300
-
-
-def fit_near(view_near: Optional[float]) -> float:
-    """Return what the rays of photos leave out, metres, where views leave out `view_near`."""
-    return FIT_NEAR if view_near is None else min(view_near, FIT_NEAR)
 
 
 class FieldTrainer:
@@ -278,12 +229,9 @@ class FieldTrainer:
         """
         from neo_ros.field.rendering import render_rays
         stride = max(int(math.sqrt(self.images[0, ..., 0].size / NEAR_PIXELS)), 1)
-        directions = self.rays[1][::stride, ::stride].reshape(-1, 3)
         nearest = math.inf
-        for rotation, origin in zip(self.rotations, self.origins):
-            rays_d = directions @ rotation.T
-            rays_d /= np.linalg.norm(rays_d, axis=-1, keepdims=True)
-            shown = render_rays(self.field, origin, rays_d)
+        for rays_o, rays_d in self._photo_rays(stride):
+            shown = render_rays(self.field, rays_o, rays_d)
             depth = np.where(shown.opacity > 0.9, shown.depth, np.inf)
             nearest = min(nearest, float(np.percentile(depth, NEAREST_PERCENT, method='lower')))
         found = min(NEAR_SHARE * nearest, MOST_NEAR)
@@ -301,15 +249,20 @@ class FieldTrainer:
                 'field: the photos left nothing in it; are the poses right (OpenGL camera axes, '
                 'metres), and field.steps enough?')
         field.seen = np.zeros(len(field.row_of), np.uint8)
-        directions = self.rays[1].reshape(-1, 3)
-        for rotation, origin in zip(self.rotations, self.origins):
-            rays_d = directions @ rotation.T
-            rays_d /= np.linalg.norm(rays_d, axis=-1, keepdims=True)
-            self._mark_seen(np.broadcast_to(origin, rays_d.shape).copy(), rays_d)
+        for rays_o, rays_d in self._photo_rays():
+            self._mark_seen(rays_o, rays_d)
         self._bring_home()
         found = field.of_seen_cells()
         found.near = self.view_near
         return found
+
+    def _photo_rays(self, stride: int = 1) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Yield each photo's rays_o and rays_d (R, 3), through every `stride`th row and column."""
+        directions = self.rays[1][::stride, ::stride].reshape(-1, 3)
+        for rotation, origin in zip(self.rotations, self.origins):
+            rays_d = directions @ rotation.T
+            rays_d /= np.linalg.norm(rays_d, axis=-1, keepdims=True)
+            yield np.broadcast_to(origin, rays_d.shape).copy(), rays_d
 
     def _bring_home(self) -> None:
         """Take the field from the device that it was fitted on."""

@@ -9,7 +9,8 @@ import math
 import time
 from typing import Any
 
-from neo_ros.field.fitting import FieldConfig, FieldTrainer
+from neo_ros.field.config import FieldConfig
+from neo_ros.field.fitting import FieldTrainer
 from neo_ros.field.kernels import MIN_WEIGHT
 from neo_ros.field.torch_field import (
     colours, corner_weights, Samples, sh_basis, torch_device, TorchField)

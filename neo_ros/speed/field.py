@@ -3,8 +3,9 @@ from collections.abc import Callable, Iterator
 import itertools
 import math
 
+from neo_ros.field.config import FieldConfig, FIT_NEAR
 from neo_ros.field.device import field_trainer
-from neo_ros.field.fitting import FieldConfig, FieldTrainer, FIT_NEAR, STAGES
+from neo_ros.field.fitting import FieldTrainer, STAGES
 from neo_ros.field.panorama import render_panorama, view_band
 from neo_ros.field.rendering import render_view, to_uint8
 from neo_ros.field.view_cutting import view_cutter

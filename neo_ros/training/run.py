@@ -6,7 +6,7 @@ from typing import Callable, Optional
 from neo_ros.errors import ConfigError
 from neo_ros.evaluation.evaluate import TruthFrames
 from neo_ros.experiment import Experiment
-from neo_ros.field.fitting import FieldConfig
+from neo_ros.field.config import FieldConfig
 from neo_ros.geometry import ViewExpansion
 from neo_ros.outpaint.networks import check_network
 from neo_ros.scenes.posed_images import PosedImages

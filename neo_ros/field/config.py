@@ -1,0 +1,55 @@
+"""How the radiance field is fitted: the settings `field` of an experiment."""
+from dataclasses import dataclass
+import math
+from typing import Optional
+
+from neo_ros.errors import ConfigError
+
+DEVICES = ('auto', 'cpu', 'cuda', 'torch')
+# Metres before the lens that the photos' rays leave out in a fit.
+FIT_NEAR = 0.1
+
+
+@dataclass(frozen=True)
+class FieldConfig:
+    """How the field is fitted."""
+
+    __pydantic_config__ = {'extra': 'forbid'}
+    voxels: int = 3_000_000         # grid points at the last stage, most of them in air: not kept
+    steps: int = 6000               # optimiser steps; not read where `minutes` is given
+    minutes: Optional[float] = None  # of fitting time, instead of steps
+    rays_per_step: int = 4096       # rays in a batch
+    sh_degree: int = 0              # view dependence: 0 none (matt), 1 or 2 for shiny scenes
+    margin: float = 3.0             # metres around the cameras that the first guess covers
+    shell: float = 0.2              # relative thickness of the contracted outside
+    # Metres before the lens that views leave out; None: found from the photos.
+    near: Optional[float] = None
+    learning_rate: float = 0.1      # of density and colour, decayed to a tenth
+    distortion: float = 0.01        # weight of the distortion loss
+    pointwise: float = 0.05         # weight of the samples' own colour error
+    sparsity: float = 1e-3          # weight of the samples' opacity: clears the air
+    exposure: bool = False          # one gain per photo and channel
+    # cpu: compiled kernels; cuda; auto: cuda where there is one; torch: what cuda does, on the CPU
+    device: str = 'auto'
+
+    def __post_init__(self) -> None:
+        if self.device not in DEVICES:
+            raise ConfigError(f'field.device: expected {", ".join(DEVICES)}, got {self.device!r}')
+        if self.sh_degree not in (0, 1, 2):
+            raise ConfigError(f'field.sh_degree: expected 0, 1 or 2, got {self.sh_degree}')
+        if self.steps < 10 or self.voxels < 1000 or self.rays_per_step < 4:
+            raise ConfigError('field: expected steps >= 10, voxels >= 1000, rays_per_step >= 4, '
+                              f'got {self.steps}, {self.voxels}, {self.rays_per_step}')
+        if self.minutes is not None and not 0 < self.minutes < math.inf:
+            raise ConfigError(f'field.minutes: expected a number > 0, got {self.minutes}')
+        if not (self.margin > 0 and self.learning_rate > 0):
+            raise ConfigError('field: expected margin > 0 and learning_rate > 0, '
+                              f'got {self.margin}, {self.learning_rate}')
+        if not (self.shell >= 0 and (self.near is None or self.near >= 0)):
+            raise ConfigError(f'field: expected shell and near >= 0, got {self.shell}, '
+                              f'{self.near}')
+
+
+def fit_near(view_near: Optional[float]) -> float:
+    """Return what the rays of photos leave out, metres, where views leave out `view_near`."""
+    return FIT_NEAR if view_near is None else min(view_near, FIT_NEAR)
