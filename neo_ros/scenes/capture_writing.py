@@ -73,7 +73,10 @@ def write_images(capture: Capture, folder: Path,
     """
     capture = _with_lenses(capture)
     _check_names(capture, folder)
-    lenses = [frame.lens for frame in capture.frames if frame.lens is not None]
+    lenses: dict[Lens, str] = {}
+    for frame in capture.frames:
+        if frame.lens is not None:
+            lenses.setdefault(frame.lens, _where(frame))
     straightener = Straightener(common_pinhole(lenses))
     names = [_written_name(frame, straightener) for frame in capture.frames]
     _claim(folder, capture, straightener.pinhole)
@@ -120,7 +123,10 @@ def _check_names(capture: Capture, folder: Path) -> None:
     seen: set[str] = set()
     for frame in capture.frames:
         if frame.name in seen:
-            raise SceneError(f'{frame.name}: expected every image once, got it twice')
+            raise SceneError(f'{_where(frame)}: expected every image once, got it twice; remove '
+                             'the second entry')
+        if Path(frame.name).is_absolute() or '..' in Path(frame.name).parts:
+            raise SceneError(f'{frame.name}: expected a name of an image inside the scene folder')
         if frame.file is not None and frame.file.resolve() == (folder / frame.name).resolve():
             raise SceneError(f'{folder}: expected another folder than the source')
         seen.add(frame.name)
