@@ -272,6 +272,12 @@ def no_info(bag: CameraBag) -> None:
     add_tf(bag)
 
 
+def no_info_at_all(bag: CameraBag) -> None:
+    add_camera(bag, info=None)
+    add_mount(bag)
+    add_tf(bag)
+
+
 def strange_lens(bag: CameraBag) -> None:
     add_camera(bag, distortion_model='mystery', d=np.full(3, 0.1))
 
@@ -297,6 +303,7 @@ def no_image(bag: CameraBag) -> None:
     (loop, {}, 'form a loop'),
     (other_clock, {}, 'no image of /cam/image_raw has a pose.*same clock'),
     (no_info, {}, 'expected a camera_info beside /cam/image_raw.*/other/camera_info'),
+    (no_info_at_all, {}, 'expected a camera_info beside .*; the bag has no CameraInfo topic'),
     (strange_lens, {}, "/cam/camera_info: .*coefficients of plumb_bob.*'mystery'.*rectify"),
     (sixteen_bits, {}, '/cam/image_raw: .*mono16.*record another topic of this camera'),
     (no_image, {}, 'expected a topic of type sensor_msgs/msg/Image.*/tf'),

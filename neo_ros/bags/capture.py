@@ -86,9 +86,10 @@ def read_bag_capture(path: Path, image_topic: Optional[str] = None,
         raise BagError(f'{path}: no image of {image.name} has a pose near its stamp; do images '
                        'and poses have the same clock?')
     if pose_at is not None and lens is None:
+        infos = _info_topics(path)
         raise BagError(f'{path}: expected a camera_info beside {image.name}, the poses need the '
                        'calibration that belongs to them; the bag has '
-                       f'{describe_topics(_info_topics(path))}')
+                       f'{describe_topics(infos) if infos else "no CameraInfo topic"}')
     stream = _stream(path, image, places)
     next(stream([0]), None)  # What cannot be decoded at all is refused before anything is written.
     return Capture(tuple(frames), tuple(notes), stream, origin_of(path),
