@@ -247,6 +247,12 @@ def two_calibrations(bag: CameraBag) -> None:
     bag.info(RAW_INFO, START, Intrinsics(32, 24, 40.0, 40.0, 16, 12))
 
 
+def two_frames(bag: CameraBag) -> None:
+    add_camera(bag)
+    bag.image(RAW, START + COUNT * STEP, IMAGES[0], '')  # Some drivers leave it out at first.
+    bag.image(RAW, START + (COUNT + 1) * STEP, IMAGES[0], 'optical_right')
+
+
 def two_parents(bag: CameraBag) -> None:
     add_camera(bag)
     add_tf(bag)
@@ -299,6 +305,7 @@ def no_image(bag: CameraBag) -> None:
     (two_pose_topics, {'image_topic': '/nowhere'}, 'expected images on /nowhere.*image_raw'),
     (no_mount, {}, "/odom gives poses of 'base_link'; expected /tf_static"),
     (two_calibrations, {}, '/cam/camera_info: expected one calibration, but k changes'),
+    (two_frames, {}, "image_raw: expected one frame_id.* from 'optical' to 'optical_right'"),
     (two_parents, {}, "one parent of the frame 'base_link', got 'odom' and 'world'"),
     (loop, {}, 'form a loop'),
     (other_clock, {}, 'no image of /cam/image_raw has a pose.*same clock'),

@@ -126,7 +126,7 @@ def _scan(reader: BagReader, image: BagTopic, info: Optional[BagTopic],
         if topic == image:
             scan.images.append((stamp_of(content.header), place))
             scan.log_times.append(message.stamp_ns)
-            scan.camera_frame = scan.camera_frame or frame_name(content.header.frame_id)
+            _take_frame(scan, frame_name(content.header.frame_id), reader.path, topic)
         elif topic.msgtype == TF_TYPE:
             scan.tree.add(content, topic.name == TF_STATIC)
         elif topic == info:
@@ -134,6 +134,14 @@ def _scan(reader: BagReader, image: BagTopic, info: Optional[BagTopic],
         elif topic.name in tracked:
             _take_pose(scan, topic.name, content)
     return scan
+
+
+def _take_frame(scan: _Scan, frame: str, path: Path, image: BagTopic) -> None:
+    if scan.camera_frame and frame and frame != scan.camera_frame:
+        raise BagError(f'{path}: {image.name}: expected one frame_id, but it changes from '
+                       f'{scan.camera_frame!r} to {frame!r}; two cameras on one topic? Record '
+                       'each on a topic of its own')
+    scan.camera_frame = scan.camera_frame or frame
 
 
 def _take_info(scan: _Scan, message: Any, where: str) -> None:
