@@ -249,7 +249,7 @@ def two_calibrations(bag: CameraBag) -> None:
 
 def two_frames(bag: CameraBag) -> None:
     add_camera(bag)
-    bag.image(RAW, START + COUNT * STEP, IMAGES[0], '')  # Some drivers leave it out at first.
+    bag.image(RAW, START + COUNT * STEP, IMAGES[0], '')  # None said is no other one.
     bag.image(RAW, START + (COUNT + 1) * STEP, IMAGES[0], 'optical_right')
 
 

@@ -8,8 +8,8 @@ from typing import Any
 
 from neo_ros.bags.camera_topics import (
     CAMERA_INFO, COMPRESSED, find_info_topic, IMAGE, image_topics, read_lens)
-from neo_ros.bags.capture import POSE_TYPES, TF, TF_STATIC, TF_TYPE
 from neo_ros.bags.reading import BagReader, BagTopic
+from neo_ros.bags.recorded_poses import POSE_TYPES, TF, TF_STATIC, TF_TYPE
 from neo_ros.bags.transforms import frame_name, TransformTree
 from neo_ros.errors import BagError, ImageRejected, SceneError
 from neo_ros.geometry import ViewExpansion
