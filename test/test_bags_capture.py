@@ -231,6 +231,22 @@ def test_a_camera_that_never_moves_in_tf_has_no_poses_unless_they_are_asked_for(
     assert 'poses from /tf: optical in base_link, where it never moves' in capture.notes
 
 
+def test_a_frame_with_two_parents_matters_only_on_the_way_to_the_poses(tmp_path: Path) -> None:
+    with CameraBag(tmp_path / 'bag') as bag:
+        add_mount(bag)
+        add_tf(bag)
+        add_odometry(bag)
+        add_camera(bag)
+        for parent in ('hand', 'table'):
+            bag.tf('/tf', START, parent, 'cup', np.eye(4))
+    assert 'poses from /tf: optical in map' in read_bag_capture(tmp_path / 'bag').notes
+    with CameraBag(tmp_path / 'odometry') as bag:
+        two_parents_beside_odometry(bag)
+    capture = read_bag_capture(tmp_path / 'odometry', pose_topic='/odom')
+    found = [frame.pose.T_world_cam for frame in capture.frames if frame.pose is not None]
+    np.testing.assert_allclose(found, camera_poses(), atol=3e-3)
+
+
 def two_pose_topics(bag: CameraBag) -> None:
     add_camera(bag)
     add_poses(bag)
@@ -256,7 +272,18 @@ def two_frames(bag: CameraBag) -> None:
 def two_parents(bag: CameraBag) -> None:
     add_camera(bag)
     add_tf(bag)
+    add_mount(bag)
     bag.tf('/tf', START, 'world', 'base_link', np.eye(4))
+
+
+def two_parents_beside_odometry(bag: CameraBag) -> None:
+    two_parents(bag)
+    add_odometry(bag)
+
+
+def two_parents_below_the_body(bag: CameraBag) -> None:
+    two_parents_beside_odometry(bag)
+    bag.tf('/tf', START, 'arm', 'link', np.eye(4))
 
 
 def loop(bag: CameraBag) -> None:
@@ -306,8 +333,12 @@ def no_image(bag: CameraBag) -> None:
     (no_mount, {}, "/odom gives poses of 'base_link'; expected /tf_static"),
     (two_calibrations, {}, '/cam/camera_info: expected one calibration, but k changes'),
     (two_frames, {}, "image_raw: expected one frame_id.* from 'optical' to 'optical_right'"),
-    (two_parents, {}, "one parent of the frame 'base_link', got 'odom' and 'world'"),
-    (loop, {}, 'form a loop'),
+    (two_parents, {}, "bag: /tf: expected one parent of the frame 'base_link', got 'odom' and "
+     "'world'"),
+    (two_parents_beside_odometry, {}, "'odom' and 'world'; choose the poses with --pose-topic: "
+     '/odom'),
+    (two_parents_below_the_body, {'pose_topic': '/odom'}, "parent of the frame 'link'.*; /odom"),
+    (loop, {}, 'bag: /tf: the frames optical -> base_link -> optical form a loop'),
     (other_clock, {}, 'no image of /cam/image_raw has a pose.*same clock'),
     (no_info, {}, 'expected a camera_info beside /cam/image_raw.*/other/camera_info'),
     (no_info_at_all, {}, 'expected a camera_info beside .*; the bag has no CameraInfo topic'),

@@ -166,12 +166,12 @@ class _Scan:
     def find_pose(self, image: _Camera | None) -> BagTopic | None:
         """Return where the poses come from: /tf if it moves the camera, else a pose topic."""
         tf = next((topic for topic in self.infos if topic.name == TF), None)
-        try:
-            if image is not None and tf is not None and self.tree.moves(
-                    self.tree.ancestors(image.frame)):
+        if image is not None and tf is not None:
+            chain, fault = self.tree.ancestors(image.frame)
+            if fault:
+                self.notes.append(f'{TF}: {fault}')
+            elif self.tree.moves(chain):
                 return tf
-        except BagError as error:
-            self.notes.append(str(error))
         found = [topic for topic, info in self.infos.items()
                  if topic.msgtype in POSE_TYPES and info.count]
         if not found:

@@ -64,12 +64,14 @@ def find_pose_source(path: Path, recorded: RecordedPoses, camera: str, wanted: O
                      topics: list[BagTopic], notes: list[str]) -> Optional[PoseAt]:
     """Return where T_world_cam at a stamp comes from; None for a bag without poses."""
     tree = recorded.tree
-    chain = tree.ancestors(camera)
+    chain, fault = tree.ancestors(camera)
+    if fault and (wanted == TF or wanted is None and tree.moving):
+        raise BagError(f'{path}: {TF}: {fault}{_choice(topics)}')
     lost = tree.invalid + recorded.invalid
     if lost:
         notes.append(f'{lost} poses are not finite or no rotation and are left out')
     on_tf = any(frame in tree.moving for frame in chain)
-    bodies = {topic.name: _body(recorded, topic.name, chain) for topic in topics}
+    bodies = {topic.name: _body(recorded, topic.name, chain, fault) for topic in topics}
     # What moves below the body, as a pan joint does, does not say where the body is.
     top = max((chain.index(body) for body in bodies.values() if body in chain), default=0)
     if on_tf and (wanted == TF or wanted is None and tree.moves(chain[top:])):
@@ -80,8 +82,7 @@ def find_pose_source(path: Path, recorded: RecordedPoses, camera: str, wanted: O
         raise BagError(f'{path}: {TF}: expected transforms of the frame of the images, '
                        f'{camera!r}, got {" -> ".join(chain)}')
     if len(topics) > 1:
-        raise BagError(f'{path}: {TF} does not move the frame {chain[top]!r}; choose the poses '
-                       f'with --pose-topic: {describe_topics(topics)}')
+        raise BagError(f'{path}: {TF} does not move the frame {chain[top]!r}{_choice(topics)}')
     if not topics:
         if on_tf:
             logger.warning(
@@ -90,6 +91,8 @@ def find_pose_source(path: Path, recorded: RecordedPoses, camera: str, wanted: O
                 path, camera, TF, TF)
         return None
     (name, body), = bodies.items()
+    if body not in chain and fault:
+        raise BagError(f'{path}: {TF}: {fault}; {name} needs the way from its body to {camera!r}')
     if body not in chain:
         raise BagError(f'{path}: {name} gives poses of {body!r}; expected {TF_STATIC} from it to '
                        f'the image\'s frame {camera!r}, got {" -> ".join(chain)}')
@@ -107,9 +110,13 @@ def find_pose_source(path: Path, recorded: RecordedPoses, camera: str, wanted: O
     return pose_at
 
 
-def _body(recorded: RecordedPoses, topic: str, chain: list[str]) -> str:
+def _choice(topics: list[BagTopic]) -> str:
+    return f'; choose the poses with --pose-topic: {describe_topics(topics)}' if topics else ''
+
+
+def _body(recorded: RecordedPoses, topic: str, chain: list[str], fault: str) -> str:
     """Return whose poses a topic gives, if need be a guess: one of the frames of the chain."""
-    if recorded.bodies.get(topic):
-        return recorded.bodies[topic]
+    if recorded.bodies.get(topic) or fault:  # Above a fault nobody knows what is fixed.
+        return recorded.bodies.get(topic) or BASE
     fixed = [frame for index, frame in enumerate(chain) if not recorded.tree.moves(chain[:index])]
     return BASE if BASE in chain else fixed[-1]

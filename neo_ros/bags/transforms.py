@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, Optional
 
-from neo_ros.errors import BagError, GeometryError
+from neo_ros.errors import GeometryError
 from neo_ros.geometry import CameraPose
 from neo_ros.geometry.camera_pose import rotation_vector, transform_from_quaternion
 from neo_ros.messages.stamps import NS_PER_S, stamp_of
@@ -62,9 +62,16 @@ class PoseTrack:
 
 @dataclass
 class TransformTree:
-    """Frames and their parents, from tf2_msgs/TFMessage; `invalid` counts what was no pose."""
+    """
+    Frames and their parents, from tf2_msgs/TFMessage.
+
+    parents  the first parent of every frame
+    rivals   another one, of frames that have two: their transforms are of no use
+    invalid  counts what was no pose
+    """
 
     parents: dict[str, str] = field(default_factory=dict)
+    rivals: dict[str, str] = field(default_factory=dict)
     static: dict[str, np.ndarray] = field(default_factory=dict)
     moving: dict[str, PoseTrack] = field(default_factory=dict)
     invalid: int = 0
@@ -74,10 +81,8 @@ class TransformTree:
         for entry in message.transforms:
             parent = frame_name(entry.header.frame_id)
             child = frame_name(entry.child_frame_id)
-            known = self.parents.setdefault(child, parent)
-            if known != parent:
-                raise BagError(f'/tf: expected one parent of the frame {child!r}, got {known!r} '
-                               f'and {parent!r}')
+            if self.parents.setdefault(child, parent) != parent:
+                self.rivals[child] = parent
             T = read_transform(entry.transform.translation, entry.transform.rotation)
             if T is None:
                 self.invalid += 1
@@ -86,14 +91,17 @@ class TransformTree:
             else:
                 self.moving.setdefault(child, PoseTrack()).add(stamp_of(entry.header), T)
 
-    def ancestors(self, frame: str) -> list[str]:
-        """Return the frame and all frames above it, up to the root."""
+    def ancestors(self, frame: str) -> tuple[list[str], str]:
+        """Return the frame and all frames above it, and what is wrong if not up to the root."""
         chain = [frame]
         while (parent := self.parents.get(chain[-1])) is not None:
+            if chain[-1] in self.rivals:
+                return chain, (f'expected one parent of the frame {chain[-1]!r}, got {parent!r} '
+                               f'and {self.rivals[chain[-1]]!r}')
             if parent in chain:
-                raise BagError(f'/tf: the frames {" -> ".join([*chain, parent])} form a loop')
+                return chain, f'the frames {" -> ".join([*chain, parent])} form a loop'
             chain.append(parent)
-        return chain
+        return chain, ''
 
     def moves(self, frames: Iterable[str]) -> bool:
         """Whether one of the frames moves in its parent."""
