@@ -199,6 +199,25 @@ def test_a_bag_without_poses_is_unposed(tmp_path: Path) -> None:
         add_camera(bag)
     capture = read_bag_capture(tmp_path / 'bag')
     assert not capture.posed and len(capture) == 4
+    assert 'the bag has no poses: structure from motion' in capture.notes
+
+
+def test_poses_are_left_aside_where_none_are_wanted(tmp_path: Path) -> None:
+    with CameraBag(tmp_path / 'bag') as bag:
+        no_way_from_tf(bag)
+        add_odometry(bag)
+    capture = read_bag_capture(tmp_path / 'bag', pose_topic='none')
+    assert not capture.posed
+    assert 'no poses are taken from the bag: structure from motion' in capture.notes
+
+
+def test_what_moves_below_the_camera_does_not_move_it(tmp_path: Path) -> None:
+    with CameraBag(tmp_path / 'bag') as bag:
+        add_mount(bag)
+        add_camera(bag)
+        for time in range(COUNT):
+            bag.tf('/tf', START + time * STEP, 'base_link', 'wheel', base_pose(time))
+    assert not read_bag_capture(tmp_path / 'bag').posed
 
 
 @pytest.mark.parametrize('add_motion', [add_odometry, add_poses], ids=['odometry', 'pose'])
@@ -256,6 +275,24 @@ def two_pose_topics(bag: CameraBag) -> None:
 def no_mount(bag: CameraBag) -> None:
     add_camera(bag)
     add_odometry(bag)
+
+
+def no_way_from_tf(bag: CameraBag) -> None:
+    add_camera(bag)
+    add_tf(bag)
+    bag.tf('/tf_static', START, 'cam', 'optical', np.eye(4))
+
+
+def foreign_transforms(bag: CameraBag) -> None:
+    add_camera(bag)
+    add_mount(bag)
+    for time in range(COUNT):
+        bag.tf('/robot1/tf', START + time * STEP, 'odom', 'base_link', base_pose(time))
+
+
+def only_fixed(bag: CameraBag) -> None:
+    add_camera(bag)
+    add_mount(bag)
 
 
 def two_calibrations(bag: CameraBag) -> None:
@@ -328,7 +365,14 @@ def no_image(bag: CameraBag) -> None:
 @pytest.mark.parametrize('fill, topics, message', [
     (two_pose_topics, {}, r'--pose-topic: /odom .*/pose'),
     (two_pose_topics, {'pose_topic': '/nowhere'}, 'expected poses on /nowhere.*/odom'),
-    (two_pose_topics, {'pose_topic': '/tf'}, "/tf: expected transforms of.*'optical'"),
+    (two_pose_topics, {'pose_topic': '/tf'}, '/tf: expected transforms that move the frame of the '
+     r"images, 'optical', got none; .*--pose-topic: /odom .*/pose .* or none"),
+    (only_fixed, {'pose_topic': '/tf'}, 'got optical -> link -> base_link; .*--pose-topic: none'),
+    (no_way_from_tf, {}, '/tf moves base_link; expected /tf_static from there to the frame of the '
+     r"images, 'optical', got optical -> cam; .*--pose-topic: none \(structure"),
+    (no_way_from_tf, {'pose_topic': '/tf'}, '/tf moves base_link; expected /tf_static'),
+    (foreign_transforms, {}, 'expected transforms on /tf and /tf_static, got /robot1/tf .*none'),
+    (foreign_transforms, {'pose_topic': '/odom'}, 'expected poses on /odom; .*--pose-topic: none'),
     (two_pose_topics, {'image_topic': '/nowhere'}, 'expected images on /nowhere.*image_raw'),
     (no_mount, {}, "/odom gives poses of 'base_link'; expected /tf_static"),
     (two_calibrations, {}, '/cam/camera_info: expected one calibration, but k changes'),
@@ -337,7 +381,7 @@ def no_image(bag: CameraBag) -> None:
      "'world'"),
     (two_parents_beside_odometry, {}, "'odom' and 'world'; choose the poses with --pose-topic: "
      '/odom'),
-    (two_parents_below_the_body, {'pose_topic': '/odom'}, "parent of the frame 'link'.*; /odom"),
+    (two_parents_below_the_body, {'pose_topic': '/odom'}, "of the frame 'link'.*topic: none"),
     (loop, {}, 'bag: /tf: the frames optical -> base_link -> optical form a loop'),
     (other_clock, {}, 'no image of /cam/image_raw has a pose.*same clock'),
     (no_info, {}, 'expected a camera_info beside /cam/image_raw.*/other/camera_info'),

@@ -9,7 +9,7 @@ from neo_ros.bags.camera_topics import (
     COMPRESSED, find_image_topic, find_info_topic, read_lens)
 from neo_ros.bags.reading import BagReader, BagTopic, describe_topics
 from neo_ros.bags.recorded_poses import (
-    find_pose_source, find_pose_topics, RecordedPoses, TF, TF_STATIC)
+    find_pose_source, find_pose_topics, foreign_tf, RecordedPoses, TF, TF_STATIC)
 from neo_ros.bags.transforms import frame_name
 from neo_ros.errors import BagError, ImageRejected
 from neo_ros.geometry import CameraPose
@@ -41,7 +41,7 @@ def read_bag_capture(path: Path, image_topic: Optional[str] = None,
 
     image_topic  Image or CompressedImage; needed where a bag has several cameras
     pose_topic   /tf, or a PoseStamped, PoseWithCovarianceStamped or Odometry; by default /tf if
-                 the camera's body moves in it, else the one pose topic of the bag
+                 the camera's body moves in it, else the one pose topic of the bag; none: no poses
     Frames are in the order of their stamps; those without a pose are counted in the notes and
     left out. A bag without poses gives a capture without poses. Raises BagError that names the
     topics for everything that is missing, ambiguous or contradictory.
@@ -60,7 +60,8 @@ def read_bag_capture(path: Path, image_topic: Optional[str] = None,
         notes.append(f'{image.name} has no camera_info beside it: the camera is estimated')
     stamps = _ordered(scan, image, notes)
     pose_at = find_pose_source(
-        path, scan.poses, scan.camera_frame, pose_topic, pose_topics, notes)
+        path, scan.poses, scan.camera_frame, pose_topic, pose_topics, foreign_tf(reader.topics),
+        notes)
     frames: list[CapturedFrame] = []
     places: list[int] = []
     for stamp_ns, place in stamps:

@@ -1,5 +1,5 @@
 """The poses that a bag recorded, and which of them say where the camera was."""
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 import logging
 from pathlib import Path
@@ -9,6 +9,7 @@ from neo_ros.bags.reading import BagReader, BagTopic, describe_topics
 from neo_ros.bags.transforms import frame_name, PoseTrack, read_transform, TransformTree
 from neo_ros.errors import BagError
 from neo_ros.messages.stamps import stamp_of
+from neo_ros.scenes.capture import listed
 import numpy as np
 
 logger = logging.getLogger(__name__)
@@ -17,6 +18,8 @@ TF_TYPE = 'tf2_msgs/msg/TFMessage'
 POSE_TYPES = ('geometry_msgs/msg/PoseStamped', 'geometry_msgs/msg/PoseWithCovarianceStamped',
               'nav_msgs/msg/Odometry')
 BASE = 'base_link'
+# What --pose-topic says for structure from motion; no topic has this name.
+NO_POSES = 'none'
 PoseAt = Callable[[int], Optional[np.ndarray]]
 
 
@@ -50,19 +53,35 @@ class RecordedPoses:
 
 
 def find_pose_topics(reader: BagReader, wanted: Optional[str]) -> list[BagTopic]:
+    """Return the pose topic of this name, or all that may be taken. Raises BagError."""
     topics = [topic for topic in reader.topics if topic.msgtype in POSE_TYPES and topic.count]
     if wanted is None or wanted == TF:
         return topics
     found = [topic for topic in topics if topic.name == wanted]
-    if not found:
-        raise BagError(f'{reader.path}: expected poses on {wanted}, the bag has '
-                       f'{describe_topics(topics)}')
+    if not found and wanted != NO_POSES:
+        raise BagError(f'{reader.path}: expected poses on {wanted}{_choice(topics)}')
     return found
 
 
+def foreign_tf(topics: Iterable[BagTopic]) -> list[BagTopic]:
+    """Return the topics of transforms that are not read, such as /robot1/tf."""
+    return [topic for topic in topics if topic.msgtype == TF_TYPE and topic.count
+            and topic.name not in (TF, TF_STATIC)]
+
+
 def find_pose_source(path: Path, recorded: RecordedPoses, camera: str, wanted: Optional[str],
-                     topics: list[BagTopic], notes: list[str]) -> Optional[PoseAt]:
-    """Return where T_world_cam at a stamp comes from; None for a bag without poses."""
+                     topics: list[BagTopic], foreign: list[BagTopic],
+                     notes: list[str]) -> Optional[PoseAt]:
+    """
+    Return where T_world_cam at a stamp comes from; None for a bag without poses.
+
+    camera   the frame of the images
+    topics   what `find_pose_topics` returns for the `wanted` one
+    foreign  what `foreign_tf` returns
+    """
+    if wanted == NO_POSES:
+        notes.append('no poses are taken from the bag: structure from motion')
+        return None
     tree = recorded.tree
     chain, fault = tree.ancestors(camera)
     if fault and (wanted == TF or wanted is None and tree.moving):
@@ -78,24 +97,28 @@ def find_pose_source(path: Path, recorded: RecordedPoses, camera: str, wanted: O
         still = '' if tree.moves(chain) else ', where it never moves'
         notes.append(f'poses from {TF}: {camera} in {chain[-1]}{still}')
         return lambda stamp_ns: tree.transform(chain, stamp_ns)
-    if wanted == TF:
-        raise BagError(f'{path}: {TF}: expected transforms of the frame of the images, '
-                       f'{camera!r}, got {" -> ".join(chain)}')
-    if len(topics) > 1:
-        raise BagError(f'{path}: {TF} does not move the frame {chain[top]!r}{_choice(topics)}')
-    if not topics:
+    if wanted == TF or not topics:
+        lack = missing_way(tree, camera, foreign)
+        if wanted == TF and not lack:
+            lack = (f'{TF}: expected transforms that move the frame of the images, {camera!r}, '
+                    f'got {_way(chain)}')
+        if lack:
+            raise BagError(f'{path}: {lack}{_choice(topics)}')
         if on_tf:
             logger.warning(
                 '%s: %s never moves in %s, and there is no other pose: the bag is taken for one '
                 'without poses; if the camera stood still all the time, --pose-topic %s',
                 path, camera, TF, TF)
+        notes.append('the bag has no poses: structure from motion')
         return None
+    if len(topics) > 1:
+        raise BagError(f'{path}: {TF} does not move the frame {chain[top]!r}{_choice(topics)}')
     (name, body), = bodies.items()
-    if body not in chain and fault:
-        raise BagError(f'{path}: {TF}: {fault}; {name} needs the way from its body to {camera!r}')
     if body not in chain:
-        raise BagError(f'{path}: {name} gives poses of {body!r}; expected {TF_STATIC} from it to '
-                       f'the image\'s frame {camera!r}, got {" -> ".join(chain)}')
+        lack = f'{TF}: {fault}' if fault else (
+            f'{name} gives poses of {body!r}; expected {TF_STATIC} from it to the frame of the '
+            f'images, {camera!r}, got {_way(chain)}{_not_read(foreign)}')
+        raise BagError(f'{path}: {lack}{_choice([])}')
     notes.append(f'poses from {name}, taken as poses of {body or "the camera"}')
     below = chain[:chain.index(body) + 1]
     track = recorded.tracks.get(name, PoseTrack())
@@ -110,8 +133,31 @@ def find_pose_source(path: Path, recorded: RecordedPoses, camera: str, wanted: O
     return pose_at
 
 
+def missing_way(tree: TransformTree, camera: str, foreign: list[BagTopic]) -> str:
+    """Say which transforms do not reach the frame of the images; empty where there are none."""
+    chain, _ = tree.ancestors(camera)
+    apart = tree.moving_apart(chain)
+    if apart:
+        return (f'{TF} moves {listed(apart, 3)}; expected {TF_STATIC} from there to the frame of '
+                f'the images, {camera!r}, got {_way(chain)}{_not_read(foreign)}')
+    if foreign:
+        return (f'expected transforms on {TF} and {TF_STATIC}, got {describe_topics(foreign)}; '
+                f'record them again with ros2 bag play --remap {foreign[0].name}:={TF}')
+    return ''
+
+
+def _way(chain: list[str]) -> str:
+    return ' -> '.join(chain) if len(chain) > 1 else 'none'
+
+
+def _not_read(foreign: list[BagTopic]) -> str:
+    return f' ({describe_topics(foreign)} is not read)' if foreign else ''
+
+
 def _choice(topics: list[BagTopic]) -> str:
-    return f'; choose the poses with --pose-topic: {describe_topics(topics)}' if topics else ''
+    """Say what --pose-topic can be instead."""
+    names = f'{describe_topics(topics)} or ' if topics else ''
+    return f'; choose the poses with --pose-topic: {names}{NO_POSES} (structure from motion)'
 
 
 def _body(recorded: RecordedPoses, topic: str, chain: list[str], fault: str) -> str:

@@ -103,6 +103,15 @@ class TransformTree:
             chain.append(parent)
         return chain, ''
 
+    def moving_apart(self, chain: list[str]) -> list[str]:
+        """Return the frames that move in another tree than a chain's, the topmost first."""
+        found = []
+        for frame, track in self.moving.items():
+            above, fault = self.ancestors(frame)
+            if above[-1] != chain[-1] and not fault and track.moves:
+                found.append((len(above), frame))
+        return [frame for _, frame in sorted(found)]
+
     def moves(self, frames: Iterable[str]) -> bool:
         """Whether one of the frames moves in its parent."""
         return any(frame in self.moving and self.moving[frame].moves for frame in frames)
