@@ -125,6 +125,35 @@ def test_images_without_a_pose_near_their_stamp_are_counted(tmp_path: Path) -> N
     assert '2 of 4 images have no pose' in ' '.join(capture.notes)
 
 
+@pytest.mark.parametrize('with_odometry, advice', [
+    (False, ''), (True, '; other poses: --pose-topic /odom')], ids=['alone', 'odometry'])
+def test_a_link_that_comes_too_rarely_is_named(
+        tmp_path: Path, with_odometry: bool, advice: str) -> None:
+    with CameraBag(tmp_path / 'bag') as bag:
+        add_mount(bag)
+        add_tf(bag)
+        add_camera(bag)
+        if with_odometry:
+            add_odometry(bag)
+        for time in (0, 6, 12):  # The map is corrected by 5 cm.
+            bag.tf('/tf', START + time * STEP, 'map', 'odom', CameraPose.from_planar(
+                0.05 * time / 6, 0, 0, 0).T_world_cam)
+    capture = read_bag_capture(tmp_path / 'bag')
+    assert ('3 of 4 images have no pose near their stamp and are left out; 3 lie between poses of '
+            'odom in map that are up to 0.60 s apart; at most 0.5 s are interpolated' + advice
+            ) in capture.notes
+
+
+def test_a_pose_topic_that_comes_too_rarely_is_named(tmp_path: Path) -> None:
+    with CameraBag(tmp_path / 'bag') as bag:
+        add_camera(bag)
+        for time in (-5, 5):
+            bag.pose('/vio', START + time * STEP, base_pose(time))
+    with pytest.raises(BagError, match='has a pose near its stamp; 4 lie between poses of /vio '
+                       'that are up to 1.00 s apart; at most 0.5 s are interpolated$'):
+        read_bag_capture(tmp_path / 'bag')
+
+
 def test_lost_poses_are_counted(tmp_path: Path) -> None:
     with CameraBag(tmp_path / 'bag') as bag:
         add_camera(bag)

@@ -10,7 +10,7 @@ from neo_ros.bags.camera_topics import (
 from neo_ros.bags.reading import BagReader, BagTopic, describe_topics
 from neo_ros.bags.recorded_poses import (
     find_pose_source, find_pose_topics, foreign_tf, RecordedPoses, TF, TF_STATIC)
-from neo_ros.bags.transforms import frame_name
+from neo_ros.bags.transforms import frame_name, PoseSource
 from neo_ros.errors import BagError, ImageRejected
 from neo_ros.geometry import CameraPose
 from neo_ros.messages import read_compressed_image, read_image
@@ -59,25 +59,28 @@ def read_bag_capture(path: Path, image_topic: Optional[str] = None,
     if lens is None:
         notes.append(f'{image.name} has no camera_info beside it: the camera is estimated')
     stamps = _ordered(scan, image, notes)
-    pose_at = find_pose_source(
+    source = find_pose_source(
         path, scan.poses, scan.camera_frame, pose_topic, pose_topics, foreign_tf(reader.topics),
         notes)
     frames: list[CapturedFrame] = []
     places: list[int] = []
+    lost: list[int] = []
     for stamp_ns, place in stamps:
-        T = None if pose_at is None else pose_at(stamp_ns)
-        if pose_at is not None and T is None:
+        T = None if source is None else source.at(stamp_ns)
+        if source is not None and T is None:
+            lost.append(stamp_ns)
             continue
         frames.append(CapturedFrame(f'images/{len(frames):06d}.png',
                                     None if T is None else CameraPose(T), lens, 0, stamp_ns))
         places.append(place)
-    if len(frames) < len(stamps):
-        notes.append(f'{len(stamps) - len(frames)} of {len(stamps)} images have no pose near '
-                     'their stamp and are left out')
+    gaps = '' if source is None else _gaps(source, lost, pose_topics)
     if not frames:
-        raise BagError(f'{path}: no image of {image.name} has a pose near its stamp; do images '
-                       'and poses have the same clock?')
-    if pose_at is not None and lens is None:
+        raise BagError(f'{path}: no image of {image.name} has a pose near its stamp; '
+                       f'{gaps or "do images and poses have the same clock?"}')
+    if lost:
+        notes.append(f'{len(lost)} of {len(stamps)} images have no pose near their stamp and are '
+                     f'left out{gaps and "; "}{gaps}')
+    if source is not None and lens is None:
         infos = _info_topics(path)
         raise BagError(f'{path}: expected a camera_info beside {image.name}, the poses need the '
                        'calibration that belongs to them; the bag has '
@@ -85,7 +88,7 @@ def read_bag_capture(path: Path, image_topic: Optional[str] = None,
     stream = _stream(path, image, places)
     next(stream([0]), None)  # What cannot be decoded at all is refused before anything is written.
     return Capture(tuple(frames), tuple(notes), stream, origin_of(path),
-                   z_up=pose_at is not None)  # REP-103
+                   z_up=source is not None)  # REP-103
 
 
 def _scan(reader: BagReader, image: BagTopic, info: Optional[BagTopic],
@@ -153,6 +156,13 @@ def _ordered(scan: _Scan, image: BagTopic, notes: list[str]) -> list[tuple[int, 
         notes.append(f'{len(ordered) - len(unique)} images repeat the stamp of another one and '
                      'are left out')
     return unique
+
+
+def _gaps(source: PoseSource, lost: Sequence[int], topics: Sequence[BagTopic]) -> str:
+    """Say what comes too rarely for images that lack a pose, and which poses there are beside."""
+    gaps = source.gaps(lost)
+    others = [topic.name for topic in topics if topic.name not in dict(source.steps)]
+    return f'{gaps}; other poses: --pose-topic {" or ".join(others)}' if gaps and others else gaps
 
 
 def _stream(path: Path, image: BagTopic, places: Sequence[int]) -> ImageStream:

@@ -1,16 +1,16 @@
 """The poses that a bag recorded, and which of them say where the camera was."""
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 import logging
 from pathlib import Path
 from typing import Any, Optional
 
 from neo_ros.bags.reading import BagReader, BagTopic, describe_topics
-from neo_ros.bags.transforms import frame_name, PoseTrack, read_transform, TransformTree
+from neo_ros.bags.transforms import (
+    frame_name, PoseSource, PoseTrack, read_transform, TransformTree)
 from neo_ros.errors import BagError
 from neo_ros.messages.stamps import stamp_of
 from neo_ros.scenes.capture import listed
-import numpy as np
 
 logger = logging.getLogger(__name__)
 TF, TF_STATIC = '/tf', '/tf_static'
@@ -20,7 +20,6 @@ POSE_TYPES = ('geometry_msgs/msg/PoseStamped', 'geometry_msgs/msg/PoseWithCovari
 BASE = 'base_link'
 # What --pose-topic says for structure from motion; no topic has this name.
 NO_POSES = 'none'
-PoseAt = Callable[[int], Optional[np.ndarray]]
 
 
 @dataclass
@@ -71,7 +70,7 @@ def foreign_tf(topics: Iterable[BagTopic]) -> list[BagTopic]:
 
 def find_pose_source(path: Path, recorded: RecordedPoses, camera: str, wanted: Optional[str],
                      topics: list[BagTopic], foreign: list[BagTopic],
-                     notes: list[str]) -> Optional[PoseAt]:
+                     notes: list[str]) -> Optional[PoseSource]:
     """
     Return where T_world_cam at a stamp comes from; None for a bag without poses.
 
@@ -96,7 +95,7 @@ def find_pose_source(path: Path, recorded: RecordedPoses, camera: str, wanted: O
     if on_tf and (wanted == TF or wanted is None and tree.moves(chain[top:])):
         still = '' if tree.moves(chain) else ', where it never moves'
         notes.append(f'poses from {TF}: {camera} in {chain[-1]}{still}')
-        return lambda stamp_ns: tree.transform(chain, stamp_ns)
+        return PoseSource(tree.steps(chain))
     if wanted == TF or not topics:
         lack = missing_way(tree, camera, foreign)
         if wanted == TF and not lack:
@@ -121,16 +120,7 @@ def find_pose_source(path: Path, recorded: RecordedPoses, camera: str, wanted: O
         raise BagError(f'{path}: {lack}{_choice([])}')
     notes.append(f'poses from {name}, taken as poses of {body or "the camera"}')
     below = chain[:chain.index(body) + 1]
-    track = recorded.tracks.get(name, PoseTrack())
-
-    def pose_at(stamp_ns: int) -> Optional[np.ndarray]:
-        T_world_body = track.at(stamp_ns)
-        T_body_camera = tree.transform(below, stamp_ns)
-        if T_world_body is None or T_body_camera is None:
-            return None
-        return T_world_body @ T_body_camera
-
-    return pose_at
+    return PoseSource([*tree.steps(below), (name, recorded.tracks.get(name, PoseTrack()))])
 
 
 def missing_way(tree: TransformTree, camera: str, foreign: list[BagTopic]) -> str:

@@ -1,6 +1,6 @@
 """Poses over time: tracks that are interpolated, and the tree of frames that /tf describes."""
 from bisect import bisect_left
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Optional
 
@@ -42,11 +42,9 @@ class PoseTrack:
         Linear in the position and on the sphere in the rotation, between poses at most half a
         second apart or of a body that stood still.
         """
-        if not self._stamps:
-            self._stamps = sorted(self.poses)
-        if not self._stamps:
+        if not self.poses:
             return None
-        place = bisect_left(self._stamps, stamp_ns)
+        place = self._place(stamp_ns)
         if place in (0, len(self._stamps)):
             nearest = self._stamps[min(place, len(self._stamps) - 1)]
             return self.poses[nearest] if abs(nearest - stamp_ns) <= MAX_BEYOND_NS else None
@@ -58,6 +56,22 @@ class PoseTrack:
             return None
         fraction = (stamp_ns - before) / (after - before)
         return CameraPose(T0).interpolated(CameraPose(T1), fraction).T_world_cam
+
+    def gap_ns(self, stamp_ns: int) -> int:
+        """Return how far the poses around a time are apart if that is too far, else 0."""
+        place = self._place(stamp_ns)
+        if place in (0, len(self._stamps)) or self.at(stamp_ns) is not None:
+            return 0
+        return self._stamps[place] - self._stamps[place - 1]
+
+    def _place(self, stamp_ns: int) -> int:
+        if not self._stamps:
+            self._stamps = sorted(self.poses)
+        return bisect_left(self._stamps, stamp_ns)
+
+
+# What a transform is called, and what it is: one that changes or one that stays.
+Step = tuple[str, PoseTrack | np.ndarray]
 
 
 @dataclass
@@ -116,16 +130,40 @@ class TransformTree:
         """Whether one of the frames moves in its parent."""
         return any(frame in self.moving and self.moving[frame].moves for frame in frames)
 
-    def transform(self, chain: list[str], stamp_ns: int) -> Optional[np.ndarray]:
-        """Return T_last_first of a chain of ancestors at a time; None where it is not known."""
-        T = np.eye(4)
-        for frame in chain[:-1]:
-            step = (self.moving[frame].at(stamp_ns) if frame in self.moving
-                    else self.static.get(frame))
-            if step is None:
+    def steps(self, chain: list[str]) -> list[Step]:
+        """Return the transforms of a chain of ancestors, from its first frame to its last."""
+        return [(f'{frame} in {parent}', self.moving[frame] if frame in self.moving
+                 else self.static.get(frame, PoseTrack()))
+                for frame, parent in zip(chain, chain[1:])]
+
+
+@dataclass(frozen=True)
+class PoseSource:
+    """Where a camera was: the product of `steps`, from the camera up to the world."""
+
+    steps: list[Step]
+
+    def at(self, stamp_ns: int) -> Optional[np.ndarray]:
+        """Return T_world_cam at a time; None where it is not known."""
+        T_world_cam = np.eye(4)
+        for _, step in self.steps:
+            T = step.at(stamp_ns) if isinstance(step, PoseTrack) else step
+            if T is None:
                 return None
-            T = step @ T
-        return T
+            T_world_cam = T @ T_world_cam
+        return T_world_cam
+
+    def gaps(self, stamps: Sequence[int]) -> str:
+        """Say which transforms come too rarely at these times; empty where none does."""
+        found = []
+        for name, step in self.steps:
+            gaps = [gap for stamp_ns in stamps if isinstance(step, PoseTrack)
+                    and (gap := step.gap_ns(stamp_ns))]
+            if gaps:
+                found.append(f'{len(gaps)} lie between poses of {name} that are up to '
+                             f'{max(gaps) / NS_PER_S:.2f} s apart')
+        return ', '.join(found) + (
+            f'; at most {MAX_GAP_NS / NS_PER_S:g} s are interpolated' if found else '')
 
 
 def read_transform(position: Any, orientation: Any) -> Optional[np.ndarray]:
