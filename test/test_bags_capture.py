@@ -6,6 +6,7 @@ from typing import Any, Callable, Optional
 
 from camera_bags import as_sqlite, CameraBag
 from capture_files import demo_photos, write_bag
+import cv2
 from neo_ros.bags import BagReader, BagWriter
 from neo_ros.bags.capture import read_bag_capture
 from neo_ros.bags.transforms import PoseTrack
@@ -436,6 +437,19 @@ def test_an_image_of_another_size_is_named_by_its_stamp(tmp_path: Path) -> None:
         bag.image(RAW, START + STEP // 2, IMAGES[0][:12])
     with pytest.raises(SceneError, match='image of 1700000000.050 s: expected 32x24 .* got 32x12'):
         write_capture(read_bag_capture(tmp_path / 'bag'), tmp_path / 'scene')
+
+
+def test_an_image_that_cannot_be_decoded_is_named_by_its_stamp(
+        tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    with CameraBag(tmp_path / 'bag') as bag:
+        add_mount(bag)
+        add_tf(bag)
+        add_camera(bag, RAW + '/compressed', compressed=True)
+        bag.send(RAW + '/compressed', 'sensor_msgs/msg/CompressedImage', START + STEP // 2,
+                 header=bag.header(START + STEP // 2, 'optical'), format='png',
+                 data=cv2.imencode('.png', IMAGES[0])[1].reshape(-1)[:60])
+    assert len(write_capture(read_bag_capture(tmp_path / 'bag'), tmp_path / 'scene')) == COUNT
+    assert '1 images cannot be read and are left out: the image of 1700000000.050 s' in caplog.text
 
 
 def test_a_cut_off_bag_gives_what_is_left_of_it(tmp_path: Path) -> None:
