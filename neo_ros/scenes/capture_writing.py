@@ -96,7 +96,7 @@ def write_images(capture: Capture, folder: Path,
         raise SceneError(f'{folder}: none of the {len(names)} images can be read')
     if unreadable:
         logger.warning('%d images cannot be read and are left out: %s', len(unreadable),
-                       listed([capture.frames[index].name for index in unreadable]))
+                       listed([_where(capture.frames[index]) for index in unreadable]))
     return [None if index in set(unreadable) else name
             for index, name in enumerate(names)], straightener.pinhole
 
