@@ -172,9 +172,6 @@ def test_the_device_is_chosen_by_the_experiment(
 
 FIT = """
 import sys
-hidden = sys.argv[2:]
-for name in hidden:
-    sys.modules[name] = None
 import numpy as np
 import torch
 from torch import distributed
@@ -197,7 +194,7 @@ with process_group() as rank:
 """
 
 
-def fitted_by_processes(folder: Path, photos: np.ndarray, count: int, *hidden: str
+def fitted_by_processes(folder: Path, photos: np.ndarray, count: int
                         ) -> list[dict[str, np.ndarray]]:
     """Fit ten steps in so many processes; return what each of them has then."""
     np.savez(folder / 'data.npz', photos=photos, poses=POSES)
@@ -205,7 +202,7 @@ def fitted_by_processes(folder: Path, photos: np.ndarray, count: int, *hidden: s
         free.bind(('127.0.0.1', 0))
         port = str(free.getsockname()[1])
     processes = [subprocess.Popen(
-        [sys.executable, '-c', FIT, str(folder / 'data.npz'), *hidden],
+        [sys.executable, '-c', FIT, str(folder / 'data.npz')],
         env=os.environ | {'WORLD_SIZE': str(count), 'RANK': str(rank), 'MASTER_PORT': port,
                           'MASTER_ADDR': '127.0.0.1', 'CUDA_VISIBLE_DEVICES': ''},
         cwd=Path(__file__).parent.parent, stderr=subprocess.PIPE, text=True)
@@ -220,23 +217,10 @@ def fitted_by_processes(folder: Path, photos: np.ndarray, count: int, *hidden: s
 
 
 def test_two_processes_fit_what_one_fits(photos: np.ndarray, tmp_path: Path) -> None:
-    # The one has neither numba nor SciPy, as a machine for GPU work may have.
-    alone = fitted_by_processes(tmp_path, photos, 1, 'numba', 'scipy')[0]
+    alone = fitted_by_processes(tmp_path, photos, 1)[0]
     first, second = fitted_by_processes(tmp_path, photos, 2)
     np.testing.assert_array_equal(first['grid'], second['grid'])
     np.testing.assert_array_equal(first['updates'], alone['updates'])
     assert first['psnr'] == pytest.approx(alone['psnr'], abs=1e-4)
     assert np.isclose(first['grid'], alone['grid'], atol=2e-3).mean() > 0.999
     np.testing.assert_allclose(first['log_gain'], alone['log_gain'], atol=1e-5)
-
-
-def test_without_numba_the_compiled_path_says_what_is_missing() -> None:
-    code = ('import sys; sys.modules["numba"] = None\n'
-            'from neo_ros.field.rendering import render_rays\n'
-            'from neo_ros.field.voxel_field import RadianceField\n'
-            'import numpy as np\n'
-            'field = RadianceField.empty(1000, np.zeros(3), np.ones(3), 0.2, 0)\n'
-            'render_rays(field, np.zeros(3), np.eye(3))')
-    result = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
-                            cwd=Path(__file__).parent.parent, check=False)
-    assert 'field.device: cpu needs numba' in result.stderr

@@ -1,8 +1,9 @@
 """Compiled loop that colours a panorama from the photos themselves."""
 import math
 
-from neo_ros.field.compiled import njit, prange
 from neo_ros.field.kernels import FAST
+from neo_ros.memory.compiled import njit
+from numba import prange
 import numpy as np
 
 # Photos that are blended in a pixel.

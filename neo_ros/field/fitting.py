@@ -6,10 +6,10 @@ from typing import Any
 
 from neo_ros.errors import SceneError
 from neo_ros.field import fitting_kernels, kernels
-from neo_ros.field.compiled import get_num_threads
 from neo_ros.field.config import FieldConfig, fit_near
 from neo_ros.field.voxel_field import packed, RadianceField, unpacked
 from neo_ros.geometry import Intrinsics
+from numba import get_num_threads
 import numpy as np
 
 # Share of the fit at which the grid is refined, and the share of voxels it then has.

@@ -6,8 +6,9 @@ its voxel, in ray order, so results do not depend on the number of threads or th
 """
 import math
 
-from neo_ros.field.compiled import njit, prange
 from neo_ros.field.kernels import FAST, march, MIN_WEIGHT, sample_colour, sh_basis
+from neo_ros.memory.compiled import njit
+from numba import prange
 import numpy as np
 
 # Adam's corrections of the moments by the number of updates; in the end there is none.

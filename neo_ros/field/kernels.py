@@ -11,7 +11,8 @@ the inner box the map is linear, and the world outside fills a shell of relative
 import math
 from typing import Any
 
-from neo_ros.field.compiled import njit, prange
+from neo_ros.memory.compiled import njit
+from numba import prange
 import numpy as np
 
 # Light that is left is taken for none; at 8 bits a pixel this is far below one step.

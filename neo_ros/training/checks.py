@@ -1,5 +1,4 @@
 """What can be found wrong with a training before any of its work is done."""
-from importlib.util import find_spec
 
 from neo_ros.errors import ConfigError
 from neo_ros.field.device import chosen_device
@@ -31,8 +30,6 @@ def check_training(run: TrainingRun) -> None:
     share_of_batch(config.batch, world)
     if run.sampling_area != 'free_space':  # It needs the field.
         make_sampler(run, None)
-    if run.experiment.memory is not None and find_spec('numba') is None:
-        raise ConfigError('memory: needs numba: pip install numba, or set it to null')
     if config.tensorboard:
         TrainingLog(run.out / 'tensorboard')
     if config.perceptual > 0 and rank == 0:
