@@ -155,5 +155,5 @@ def _import_capture(source: Path, scene: Path, format_: Any, image_topic: Option
             capture, keyframe_distance,
             None if keyframe_angle is None else math.radians(keyframe_angle),
             lambda done, total: show('sharpness', done, total))
-    write_capture(capture, scene, lambda done, total: show('photos', done, total))
-    return [*capture.notes, *notes]
+    written = write_capture(capture, scene, lambda done, total: show('photos', done, total))
+    return [*written, *notes]

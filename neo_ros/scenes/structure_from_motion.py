@@ -11,7 +11,7 @@ from typing import Any, Callable, Iterator, Optional, Sequence
 from neo_ros.errors import NeoError, SceneError
 from neo_ros.geometry import Intrinsics
 from neo_ros.scenes.capture import Capture, listed
-from neo_ros.scenes.capture_writing import write_images
+from neo_ros.scenes.capture_writing import unreadable_note, write_images
 from neo_ros.scenes.colmap import read_colmap_model
 from neo_ros.scenes.lens import common_pinhole, Lens
 from neo_ros.scenes.levelling import level, scaled
@@ -93,7 +93,8 @@ def reconstruct(capture: Capture, work: Path,
                                   name=str(name)))
         elif name is not None:
             lost.append((frame.file or Path(frame.name)).name)
-    registered = Capture(tuple(frames), capture.notes + _notes(reconstruction, lost))
+    registered = Capture(tuple(frames), capture.notes + unreadable_note(capture, names)
+                         + _notes(reconstruction, lost))
     scale = MEDIAN_DISTANCE / _median_depth(reconstruction)
     return scaled(level(registered), scale), verdict
 
