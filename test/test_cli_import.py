@@ -2,6 +2,7 @@
 import json
 import math
 from pathlib import Path
+import re
 
 from capture_files import (
     demo_photos, Photos, write_bag, write_image, write_seven_scenes, write_transforms_capture)
@@ -135,6 +136,11 @@ def test_photos_become_a_scene_and_stay_where_they_are(tmp_path: Path) -> None:
     output = run(tmp_path / 'room', tmp_path / 'scene')
     assert '6 of 6 photos' in output and 'arbitrary, not metres' in output
     assert len(read_scene(tmp_path / 'scene').train) == 6
+    assert re.search(r'Extent: \S+ x \S+ x \S+ units ', output)
+    run(tmp_path / 'scene', tmp_path / 'copy')
+    assert read_scene(tmp_path / 'copy').train.arbitrary_scale
+    output = run(tmp_path / 'room', tmp_path / 'scene', '--scale', '0.5')
+    assert re.search(r'Extent: \S+ x \S+ x \S+ m ', output)
     after = [path.read_bytes() for path in sorted((tmp_path / 'room/images').iterdir())]
     assert after == before
 

@@ -23,7 +23,8 @@ NOTE_FILE = 'import.json'
 FARTHEST_M = 10_000
 
 
-def write_capture(capture: Capture, scene: Path, progress: Progress = no_progress) -> tuple[str, ...]:
+def write_capture(capture: Capture, scene: Path, progress: Progress = no_progress,
+                  arbitrary_scale: bool = False) -> tuple[str, ...]:
     """
     Write posed frames into a scene folder: images and transforms_train.json.
 
@@ -42,7 +43,7 @@ def write_capture(capture: Capture, scene: Path, progress: Progress = no_progres
     images = PosedImages(
         pinhole, tuple(scene / str(names[index]) for index in kept),
         tuple(pose for index in kept if (pose := capture.frames[index].pose) is not None),
-        tuple(capture.frames[index].path_id for index in kept), capture.z_up)
+        tuple(capture.frames[index].path_id for index in kept), capture.z_up, arbitrary_scale)
     clear_earlier_import(scene)
     write_transforms(scene / 'transforms_train.json', images)
     return capture.notes + unreadable_note(capture, names)
