@@ -132,6 +132,9 @@ def _import_capture(source: Path, scene: Path, format_: Any, image_topic: Option
         from neo_ros.bags.capture import read_bag_capture
         capture = read_bag_capture(source, image_topic, pose_topic,
                                    lambda done, total: show('messages', done, total))
+    elif format_ == CaptureFormat.VIDEO:
+        from neo_ros.scenes.video import read_video
+        capture = read_video(source, lambda done, total: show('video frames', done, total))
     else:
         capture = FOLDER_READERS[format_](source)
     arbitrary_scale = not capture.posed and scale is None
