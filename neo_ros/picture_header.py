@@ -1,4 +1,6 @@
 """How large a compressed picture is, before anything is decoded."""
+from typing import Iterator
+
 from neo_ros.errors import ImageRejected
 
 # Far above any camera or view of ours: what is larger would only fill a robot's memory.
@@ -58,21 +60,38 @@ def _jpeg_size(data: bytes) -> tuple[int, int]:
         raise broken_picture('a JPEG without an end')
     if data.count(bytes([0xff, JPEG_SCAN])) > MAX_SCANS:
         raise broken_picture(f'a JPEG of more than {MAX_SCANS} scans')
-    place = 2
     sizes = set()
+    for marker, place in _jpeg_segments(data):
+        if marker in JPEG_FRAMES:
+            length = int.from_bytes(data[place + 2:place + 4], 'big')
+            segment = data[place + 4:place + 2 + length]
+            if len(segment) < 6 or segment[0] != 8:
+                raise ImageRejected('encoding', 'data: expected a JPEG of 8 bits')
+            sizes.add((int.from_bytes(segment[3:5], 'big'), int.from_bytes(segment[1:3], 'big')))
+    if len(sizes) != 1:
+        raise broken_picture('a JPEG without one size')
+    return sizes.pop()
+
+
+def jpeg_is_whole(data: bytes) -> bool:
+    """
+    Tell whether the picture of a JPEG file comes to its end.
+
+    Cameras write other things behind it, and a small picture of its own into its head.
+    """
+    return all(data.find(JPEG_END, place) > 0
+               for marker, place in _jpeg_segments(data) if marker == JPEG_SCAN)
+
+
+def _jpeg_segments(data: bytes) -> Iterator[tuple[int, int]]:
+    """Yield each marker and its place up to the first scan, that included."""
+    place = 2
     while place + 4 <= len(data) and data[place] == 0xff:
         marker = data[place + 1]
         if marker == 0xff:  # A fill byte.
             place += 1
             continue
+        yield marker, place
         if marker == JPEG_SCAN:
-            break
-        segment = data[place + 4:place + 2 + int.from_bytes(data[place + 2:place + 4], 'big')]
-        if marker in JPEG_FRAMES:
-            if len(segment) < 6 or segment[0] != 8:
-                raise ImageRejected('encoding', 'data: expected a JPEG of 8 bits')
-            sizes.add((int.from_bytes(segment[3:5], 'big'), int.from_bytes(segment[1:3], 'big')))
-        place += 4 + len(segment)
-    if len(sizes) != 1:
-        raise broken_picture('a JPEG without one size')
-    return sizes.pop()
+            return
+        place += 2 + max(int.from_bytes(data[place + 2:place + 4], 'big'), 2)

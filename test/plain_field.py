@@ -82,8 +82,11 @@ def _sample_points(field: RadianceField, rays_o: np.ndarray, rays_d: np.ndarray,
         points.append(point)
         depths.append(t)
         inside.append(norm <= 1000)
-        stretch = np.where(norm > 1, np.maximum(norm ** 2 / field.shell, 1), 1)
-        t = t + np.where(norm <= 1000, length * stretch, 0)
+        # As far as the ray takes to move as far through the grid as inside the box.
+        little = 1e-6 * np.maximum(norm, 1)[:, None]
+        moved = field.grid_position(point + little * rays_d) - field.grid_position(point)
+        speed = np.linalg.norm(moved / little * field.half_extent * (1 + field.shell), axis=1)
+        t = t + np.where(norm <= 1000, length / np.maximum(speed, 1e-9), 0)
     return np.stack(points, 1), np.stack(depths, 1), np.stack(inside, 1)
 
 

@@ -10,7 +10,7 @@ from neo_ros.bags import BagWriter
 from neo_ros.bags.bag_info import BagInfo, read_bag_info, TopicInfo
 from neo_ros.cli.main import app
 from neo_ros.errors import BagError
-from neo_ros.geometry import Intrinsics, ViewExpansion
+from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
 import numpy as np
 import pytest
 from tiny_model import write_tiny_model
@@ -71,6 +71,15 @@ def test_a_gap_and_a_lack_of_poses_are_told(tmp_path: Path) -> None:
     assert ['no camera_info' in note or 'no poses' in note for note in info.notes] == [True] * 2
 
 
+def test_transforms_that_do_not_reach_the_camera_are_told(tmp_path: Path) -> None:
+    with CameraBag(tmp_path / 'bag') as bag:
+        for stamp in range(3):
+            bag.image('/eye/image', stamp, np.zeros((24, 32, 3), np.uint8))
+            bag.tf('/tf', stamp, 'odom', 'base_link', CameraPose.from_planar(
+                stamp, 0, 0, 0).T_world_cam)
+    assert '/tf moves base_link; expected /tf_static' in read_bag_info(tmp_path / 'bag').notes[-1]
+
+
 def test_several_pose_topics_are_named_in_the_command(tmp_path: Path) -> None:
     with CameraBag(tmp_path / 'bag') as bag:
         bag.info('/eye/camera_info', 0, EXPANSION.source)
@@ -81,6 +90,17 @@ def test_several_pose_topics_are_named_in_the_command(tmp_path: Path) -> None:
     info = read_bag_info(tmp_path / 'bag')
     assert _topic(info, '/slam/pose').roles == ['pose'] and _topic(info, '/goal').roles == []
     assert info.next.endswith('out/scenes/bag --pose-topic /slam/pose')
+
+
+def test_a_frame_with_two_parents_is_told_and_another_topic_chosen(tmp_path: Path) -> None:
+    with CameraBag(tmp_path / 'bag') as bag:
+        for stamp, parent in enumerate(('map', 'odom')):
+            bag.image('/eye/image', stamp, np.zeros((24, 32, 3), np.uint8))
+            bag.tf('/tf', stamp, parent, 'optical', np.eye(4))
+            bag.odometry('/odom', stamp, 'optical', np.eye(4))
+    info = read_bag_info(tmp_path / 'bag')
+    assert "/tf: expected one parent of the frame 'optical', got 'map' and 'odom'" in info.notes
+    assert info.next.endswith('out/scenes/bag --pose-topic /odom')
 
 
 @pytest.mark.parametrize(('topic', 'rectifies'), [('image_raw', True), ('image_rect', False)])

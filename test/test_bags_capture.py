@@ -6,6 +6,7 @@ from typing import Any, Callable, Optional
 
 from camera_bags import as_sqlite, CameraBag
 from capture_files import demo_photos, write_bag
+import cv2
 from neo_ros.bags import BagReader, BagWriter
 from neo_ros.bags.capture import read_bag_capture
 from neo_ros.bags.transforms import PoseTrack
@@ -125,6 +126,35 @@ def test_images_without_a_pose_near_their_stamp_are_counted(tmp_path: Path) -> N
     assert '2 of 4 images have no pose' in ' '.join(capture.notes)
 
 
+@pytest.mark.parametrize('with_odometry, advice', [
+    (False, ''), (True, '; other poses: --pose-topic /odom')], ids=['alone', 'odometry'])
+def test_a_link_that_comes_too_rarely_is_named(
+        tmp_path: Path, with_odometry: bool, advice: str) -> None:
+    with CameraBag(tmp_path / 'bag') as bag:
+        add_mount(bag)
+        add_tf(bag)
+        add_camera(bag)
+        if with_odometry:
+            add_odometry(bag)
+        for time in (0, 6, 12):  # The map is corrected by 5 cm.
+            bag.tf('/tf', START + time * STEP, 'map', 'odom', CameraPose.from_planar(
+                0.05 * time / 6, 0, 0, 0).T_world_cam)
+    capture = read_bag_capture(tmp_path / 'bag')
+    assert ('3 of 4 images have no pose near their stamp and are left out; 3 lie between poses of '
+            'odom in map that are up to 0.60 s apart; at most 0.5 s are interpolated' + advice
+            ) in capture.notes
+
+
+def test_a_pose_topic_that_comes_too_rarely_is_named(tmp_path: Path) -> None:
+    with CameraBag(tmp_path / 'bag') as bag:
+        add_camera(bag)
+        for time in (-5, 5):
+            bag.pose('/vio', START + time * STEP, base_pose(time))
+    with pytest.raises(BagError, match='has a pose near its stamp; 4 lie between poses of /vio '
+                       'that are up to 1.00 s apart; at most 0.5 s are interpolated$'):
+        read_bag_capture(tmp_path / 'bag')
+
+
 def test_lost_poses_are_counted(tmp_path: Path) -> None:
     with CameraBag(tmp_path / 'bag') as bag:
         add_camera(bag)
@@ -199,6 +229,25 @@ def test_a_bag_without_poses_is_unposed(tmp_path: Path) -> None:
         add_camera(bag)
     capture = read_bag_capture(tmp_path / 'bag')
     assert not capture.posed and len(capture) == 4
+    assert 'the bag has no poses: structure from motion' in capture.notes
+
+
+def test_poses_are_left_aside_where_none_are_wanted(tmp_path: Path) -> None:
+    with CameraBag(tmp_path / 'bag') as bag:
+        no_way_from_tf(bag)
+        add_odometry(bag)
+    capture = read_bag_capture(tmp_path / 'bag', pose_topic='none')
+    assert not capture.posed
+    assert 'no poses are taken from the bag: structure from motion' in capture.notes
+
+
+def test_what_moves_below_the_camera_does_not_move_it(tmp_path: Path) -> None:
+    with CameraBag(tmp_path / 'bag') as bag:
+        add_mount(bag)
+        add_camera(bag)
+        for time in range(COUNT):
+            bag.tf('/tf', START + time * STEP, 'base_link', 'wheel', base_pose(time))
+    assert not read_bag_capture(tmp_path / 'bag').posed
 
 
 @pytest.mark.parametrize('add_motion', [add_odometry, add_poses], ids=['odometry', 'pose'])
@@ -231,6 +280,22 @@ def test_a_camera_that_never_moves_in_tf_has_no_poses_unless_they_are_asked_for(
     assert 'poses from /tf: optical in base_link, where it never moves' in capture.notes
 
 
+def test_a_frame_with_two_parents_matters_only_on_the_way_to_the_poses(tmp_path: Path) -> None:
+    with CameraBag(tmp_path / 'bag') as bag:
+        add_mount(bag)
+        add_tf(bag)
+        add_odometry(bag)
+        add_camera(bag)
+        for parent in ('hand', 'table'):
+            bag.tf('/tf', START, parent, 'cup', np.eye(4))
+    assert 'poses from /tf: optical in map' in read_bag_capture(tmp_path / 'bag').notes
+    with CameraBag(tmp_path / 'odometry') as bag:
+        two_parents_beside_odometry(bag)
+    capture = read_bag_capture(tmp_path / 'odometry', pose_topic='/odom')
+    found = [frame.pose.T_world_cam for frame in capture.frames if frame.pose is not None]
+    np.testing.assert_allclose(found, camera_poses(), atol=3e-3)
+
+
 def two_pose_topics(bag: CameraBag) -> None:
     add_camera(bag)
     add_poses(bag)
@@ -242,15 +307,50 @@ def no_mount(bag: CameraBag) -> None:
     add_odometry(bag)
 
 
+def no_way_from_tf(bag: CameraBag) -> None:
+    add_camera(bag)
+    add_tf(bag)
+    bag.tf('/tf_static', START, 'cam', 'optical', np.eye(4))
+
+
+def foreign_transforms(bag: CameraBag) -> None:
+    add_camera(bag)
+    add_mount(bag)
+    for time in range(COUNT):
+        bag.tf('/robot1/tf', START + time * STEP, 'odom', 'base_link', base_pose(time))
+
+
+def only_fixed(bag: CameraBag) -> None:
+    add_camera(bag)
+    add_mount(bag)
+
+
 def two_calibrations(bag: CameraBag) -> None:
     add_camera(bag)
     bag.info(RAW_INFO, START, Intrinsics(32, 24, 40.0, 40.0, 16, 12))
 
 
+def two_frames(bag: CameraBag) -> None:
+    add_camera(bag)
+    bag.image(RAW, START + COUNT * STEP, IMAGES[0], '')  # None said is no other one.
+    bag.image(RAW, START + (COUNT + 1) * STEP, IMAGES[0], 'optical_right')
+
+
 def two_parents(bag: CameraBag) -> None:
     add_camera(bag)
     add_tf(bag)
+    add_mount(bag)
     bag.tf('/tf', START, 'world', 'base_link', np.eye(4))
+
+
+def two_parents_beside_odometry(bag: CameraBag) -> None:
+    two_parents(bag)
+    add_odometry(bag)
+
+
+def two_parents_below_the_body(bag: CameraBag) -> None:
+    two_parents_beside_odometry(bag)
+    bag.tf('/tf', START, 'arm', 'link', np.eye(4))
 
 
 def loop(bag: CameraBag) -> None:
@@ -272,6 +372,12 @@ def no_info(bag: CameraBag) -> None:
     add_tf(bag)
 
 
+def no_info_at_all(bag: CameraBag) -> None:
+    add_camera(bag, info=None)
+    add_mount(bag)
+    add_tf(bag)
+
+
 def strange_lens(bag: CameraBag) -> None:
     add_camera(bag, distortion_model='mystery', d=np.full(3, 0.1))
 
@@ -289,14 +395,27 @@ def no_image(bag: CameraBag) -> None:
 @pytest.mark.parametrize('fill, topics, message', [
     (two_pose_topics, {}, r'--pose-topic: /odom .*/pose'),
     (two_pose_topics, {'pose_topic': '/nowhere'}, 'expected poses on /nowhere.*/odom'),
-    (two_pose_topics, {'pose_topic': '/tf'}, "/tf: expected transforms of.*'optical'"),
+    (two_pose_topics, {'pose_topic': '/tf'}, '/tf: expected transforms that move the frame of the '
+     r"images, 'optical', got none; .*--pose-topic: /odom .*/pose .* or none"),
+    (only_fixed, {'pose_topic': '/tf'}, 'got optical -> link -> base_link; .*--pose-topic: none'),
+    (no_way_from_tf, {}, '/tf moves base_link; expected /tf_static from there to the frame of the '
+     r"images, 'optical', got optical -> cam; .*--pose-topic: none \(structure"),
+    (no_way_from_tf, {'pose_topic': '/tf'}, '/tf moves base_link; expected /tf_static'),
+    (foreign_transforms, {}, 'expected transforms on /tf and /tf_static, got /robot1/tf .*none'),
+    (foreign_transforms, {'pose_topic': '/odom'}, 'expected poses on /odom; .*--pose-topic: none'),
     (two_pose_topics, {'image_topic': '/nowhere'}, 'expected images on /nowhere.*image_raw'),
     (no_mount, {}, "/odom gives poses of 'base_link'; expected /tf_static"),
     (two_calibrations, {}, '/cam/camera_info: expected one calibration, but k changes'),
-    (two_parents, {}, "one parent of the frame 'base_link', got 'odom' and 'world'"),
-    (loop, {}, 'form a loop'),
+    (two_frames, {}, "image_raw: expected one frame_id.* from 'optical' to 'optical_right'"),
+    (two_parents, {}, "bag: /tf: expected one parent of the frame 'base_link', got 'odom' and "
+     "'world'"),
+    (two_parents_beside_odometry, {}, "'odom' and 'world'; choose the poses with --pose-topic: "
+     '/odom'),
+    (two_parents_below_the_body, {'pose_topic': '/odom'}, "of the frame 'link'.*topic: none"),
+    (loop, {}, 'bag: /tf: the frames optical -> base_link -> optical form a loop'),
     (other_clock, {}, 'no image of /cam/image_raw has a pose.*same clock'),
     (no_info, {}, 'expected a camera_info beside /cam/image_raw.*/other/camera_info'),
+    (no_info_at_all, {}, 'expected a camera_info beside .*; the bag has no CameraInfo topic'),
     (strange_lens, {}, "/cam/camera_info: .*coefficients of plumb_bob.*'mystery'.*rectify"),
     (sixteen_bits, {}, '/cam/image_raw: .*mono16.*record another topic of this camera'),
     (no_image, {}, 'expected a topic of type sensor_msgs/msg/Image.*/tf'),
@@ -318,6 +437,20 @@ def test_an_image_of_another_size_is_named_by_its_stamp(tmp_path: Path) -> None:
         bag.image(RAW, START + STEP // 2, IMAGES[0][:12])
     with pytest.raises(SceneError, match='image of 1700000000.050 s: expected 32x24 .* got 32x12'):
         write_capture(read_bag_capture(tmp_path / 'bag'), tmp_path / 'scene')
+
+
+def test_an_image_that_cannot_be_decoded_is_named_by_its_stamp(tmp_path: Path) -> None:
+    with CameraBag(tmp_path / 'bag') as bag:
+        add_mount(bag)
+        add_tf(bag)
+        add_camera(bag, RAW + '/compressed', compressed=True)
+        bag.send(RAW + '/compressed', 'sensor_msgs/msg/CompressedImage', START + STEP // 2,
+                 header=bag.header(START + STEP // 2, 'optical'), format='png',
+                 data=cv2.imencode('.png', IMAGES[0])[1].reshape(-1)[:60])
+    notes = write_capture(read_bag_capture(tmp_path / 'bag'), tmp_path / 'scene')
+    assert notes[-1] == (
+        '1 images cannot be read and are left out: the image of 1700000000.050 s')
+    assert len(read_scene(tmp_path / 'scene').train) == COUNT
 
 
 def test_a_cut_off_bag_gives_what_is_left_of_it(tmp_path: Path) -> None:

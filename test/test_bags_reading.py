@@ -61,14 +61,16 @@ def test_split_bags_without_metadata_are_read_in_the_order_of_their_numbers(
         tmp_path: Path) -> None:
     folder = tmp_path / 'split'
     folder.mkdir()
-    for number in (10, 2, 1):
-        with BagWriter(tmp_path / f'part{number}') as writer:
+    # A superscript is a digit to Python and no number.
+    for stamp, name in enumerate(('b_10', 'b_2', 'b_1', 'b_4²5')):
+        with BagWriter(tmp_path / name) as writer:
             topic = writer.add_topic('/text', STRING)
-            writer.write(topic, number, writer.typestore.types[STRING](data=str(number)))
-        shutil.move(tmp_path / f'part{number}' / f'part{number}.mcap', folder / f'b_{number}.mcap')
+            writer.write(topic, stamp, writer.typestore.types[STRING](data=name))
+        shutil.move(tmp_path / name / f'{name}.mcap', folder)
     with BagReader(folder) as bag:
-        assert [message.read().data for message in bag.messages()] == ['1', '2', '10']
-        assert bag.topics[0].count == 3
+        assert [message.read().data for message in bag.messages()] == [
+            'b_1', 'b_2', 'b_4²5', 'b_10']
+        assert bag.topics[0].count == 4
 
 
 def test_only_the_wanted_topics_come(tmp_path: Path) -> None:

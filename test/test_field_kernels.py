@@ -42,7 +42,7 @@ def foggy_field(sh_degree: int) -> RadianceField:
     """Return a small field in which rays have many samples of middling opacity."""
     field = room_field(3000, sh_degree=sh_degree)
     random = np.random.default_rng(1)
-    field.grid[:, 0] = field.grid[:, 0] * 0.1 + 6 + random.normal(0, 1, len(field.grid))
+    field.grid[:, 0] = field.grid[:, 0] * 0.1 + 5.8 + random.normal(0, 1, len(field.grid))
     field.grid[:, 1:] += random.normal(0, 1, field.grid[:, 1:].shape)
     return field
 

@@ -4,6 +4,7 @@ from neo_ros.evaluation.metrics import psnr
 from neo_ros.field import kernels
 from neo_ros.field.rendering import (
     BACKGROUND, box_filtered, render_rays, render_view, to_uint8, world_rays)
+from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import Intrinsics
 import numpy as np
 from plain_field import CENTRE, plain_samples, random_rays, room_field, standing, WALLS
@@ -59,6 +60,21 @@ def test_skipping_empty_space_changes_nothing_to_be_seen(
     quick = render_view(field, VIEW, standing(0.3, 0.2, 0.4))
     assert psnr(to_uint8(brute.image), to_uint8(quick.image)) > 40
     assert np.abs(quick.depth - brute.depth).max() < step
+
+
+def test_rays_that_leave_the_box_aslant_meet_what_is_behind_it() -> None:
+    field = RadianceField.empty(200_000, np.zeros(3), np.full(3, 2.0), 0.2, 0)
+    x, y, _ = np.moveaxis(field.world_points(), -1, 0)
+    fence = (x > 2) & (x < 3) & (y > 1) & (y < 1 + 3 * field.voxel)
+    field.grid[:, 0] = np.where(fence.ravel(), 40, -8)
+    random = np.random.default_rng(0)
+    rays_o = random.uniform((1.6, -1.8, -1), (1.95, 0.3, 1), (1000, 3))
+    rays_d = np.array([2.3, 1.1, 0]) - rays_o
+    rays_d /= np.linalg.norm(rays_d, axis=1, keepdims=True)
+    brute = render_rays(field, rays_o, rays_d).opacity
+    field.update_occupancy()
+    quick = render_rays(field, rays_o, rays_d).opacity
+    assert (brute > 0.9).mean() > 0.95 and ((quick > 0.9) == (brute > 0.9)).mean() > 0.99
 
 
 def test_rays_end_at_the_walls() -> None:

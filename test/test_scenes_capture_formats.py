@@ -12,7 +12,7 @@ from capture_files import (
     write_transforms_capture, write_turned_jpeg)
 from neo_ros.bags.capture import read_bag_capture
 from neo_ros.errors import SceneError
-from neo_ros.scenes.capture import Capture, read_photo
+from neo_ros.scenes.capture import Capture, natural_key, read_photo
 from neo_ros.scenes.capture_writing import write_capture, write_images
 from neo_ros.scenes.colmap import read_colmap
 from neo_ros.scenes.formats import CaptureFormat, detect_format, FOLDER_READERS
@@ -194,6 +194,54 @@ def test_instant_ngp_states_an_angle_and_leaves_the_ending_out(tmp_path: Path) -
     lens = capture.frames[0].lens
     assert lens is not None and lens.intrinsics.fx == pytest.approx(58.5)
     assert (lens.intrinsics.width, lens.intrinsics.height) == (64, 48)
+
+
+@pytest.mark.parametrize('name', ['images\\2.png', 'images/2', './images/2.png'])
+def test_images_are_found_as_other_systems_name_them(tmp_path: Path, name: str) -> None:
+    source = write_transforms_capture(tmp_path / 'in', demo_photos())
+    path = source / 'transforms.json'
+    (source / 'images/2.png').rename(source / 'images/2.PNG')
+    document = json.loads(path.read_text())
+    document['frames'][2]['file_path'] = name.replace('.png', '.PNG')
+    # Windows' editors write a mark in front.
+    path.write_text(json.dumps(document), 'utf-8-sig')
+    assert [frame.name for frame in read_transforms_capture(source).frames] == [
+        'images/0.png', 'images/1.png', 'images/2.PNG', 'images/3.png', 'images/4.png']
+
+
+def test_missing_images_name_a_file(tmp_path: Path) -> None:
+    source = write_transforms_capture(tmp_path, demo_photos())
+    shutil.rmtree(source / 'images')
+    with pytest.raises(SceneError, match=f'none of the 5 listed .* {source}/images/0.png'):
+        read_transforms_capture(source)
+
+
+def test_angles_stand_in_for_focal_lengths_and_null_for_nothing(tmp_path: Path) -> None:
+    angles = {'camera_angle_x': 2 * math.atan(32 / 58.5), 'camera_angle_y': 2 * math.atan(24 / 50)}
+    source = write_transforms_capture(tmp_path, demo_photos(), **angles, fl_x=None, fl_y=None,
+                                      cx=None)
+    lens = read_transforms_capture(source).frames[0].lens
+    assert lens is not None
+    assert astuple(lens.intrinsics) == pytest.approx((64, 48, 58.5, 50, 32, 24))
+    source = write_transforms_capture(tmp_path, demo_photos(), cx='middle')
+    with pytest.raises(SceneError, match=r"frames\[0\]: camera: cx: expected a number, got 'mid"):
+        read_transforms_capture(source)
+
+
+def test_images_of_colmap_stay_inside_the_scene(tmp_path: Path) -> None:
+    source = write_colmap_text(tmp_path / 'a/b', demo_photos())
+    shutil.copy(source / 'images/0.png', tmp_path / 'a/other.png')
+    listing = source / 'sparse/0/images.txt'
+    listing.write_text(listing.read_text().replace('0.png', '../../other.png', 1))
+    write_capture(read_colmap(source), tmp_path / 'scene')
+    images = sorted(path.relative_to(tmp_path / 'scene').as_posix()
+                    for path in (tmp_path / 'scene').rglob('*.png'))
+    assert images == [f'images/{index}.png' for index in range(1, 5)] + [
+        'images/beside/beside/other.png']
+
+
+def test_any_digits_may_be_in_a_name() -> None:
+    assert sorted(['4²10.png', '4²9.png'], key=natural_key) == ['4²9.png', '4²10.png']
 
 
 @pytest.mark.parametrize('write, reader, where, names, notes', [
@@ -395,6 +443,12 @@ def test_folders_without_a_capture_are_refused(tmp_path: Path, files: list[str],
         (tmp_path / name).write_text('')
     with pytest.raises(SceneError, match=message):
         detect_format(tmp_path)
+
+
+def test_a_bag_of_ros_1_is_told_how_to_convert_it(tmp_path: Path) -> None:
+    (tmp_path / 'old.bag').write_bytes(b'#ROSBAG V2.0\n')
+    with pytest.raises(SceneError, match='ROS 1; convert it: rosbags-convert --src .*--dst old'):
+        detect_format(tmp_path / 'old.bag')
 
 
 def test_photos_of_several_sizes_are_refused_by_name(tmp_path: Path) -> None:

@@ -65,10 +65,21 @@ def test_exif_orientation_does_not_turn_the_pixels(tmp_path: Path) -> None:
 def test_unreadable_images_are_named_and_left_out(tmp_path: Path, source: Path) -> None:
     (source / 'images/3.png').write_bytes(b'no image')
     notes = write_capture(read_transforms_capture(source), tmp_path / 'scene')
-    assert notes == ('1 images cannot be read and are left out: images/3.png',)
+    assert notes == (f'1 images cannot be read and are left out: {source}/images/3.png',)
     found = read_scene(tmp_path / 'scene').train
     np.testing.assert_allclose(
         found.T_world_cam, [demo_photos().poses[i].T_world_cam for i in (0, 1, 2, 4)], atol=1e-9)
+
+
+@pytest.mark.parametrize('kept, readable', [(1.0, True), (0.5, False), (0.01, False)])
+def test_a_jpeg_that_was_cut_off_is_no_photo(tmp_path: Path, kept: float, readable: bool) -> None:
+    path = write_turned_jpeg(tmp_path / 'a.jpg', demo_photos().images[0], 1)
+    whole = path.read_bytes()
+    # The small picture in a camera's file has an end of its own; other things may follow it.
+    small = b'\xff\xe2' + (2 + len(whole)).to_bytes(2, 'big') + whole
+    path.write_bytes(whole[:2] + small + whole[2:2 + int(kept * len(whole))]
+                     + (b'more' if readable else b''))
+    assert (read_photo(path) is not None) == readable
 
 
 def test_a_capture_without_a_readable_image_is_refused(tmp_path: Path, source: Path) -> None:
@@ -98,6 +109,15 @@ def test_images_that_no_import_wrote_are_left_alone(tmp_path: Path, source: Path
     with pytest.raises(SceneError, match='mine: expected no images .* got images/3.png; choose'):
         write_capture(read_transforms_capture(source), tmp_path / 'mine')
     assert own.read_bytes() == before and len(list((tmp_path / 'mine').rglob('*'))) == 2
+
+
+def test_no_image_is_written_outside_of_the_scene(tmp_path: Path, source: Path) -> None:
+    capture = read_transforms_capture(source)
+    for name in ('images/../../0.png', str(tmp_path / '0.png')):
+        frames = (replace(capture.frames[0], name=name), *capture.frames[1:])
+        with pytest.raises(SceneError, match='expected a name of an image inside the scene'):
+            write_capture(replace(capture, frames=frames), tmp_path / 'scene')
+    assert not (tmp_path / 'scene').exists()
 
 
 def test_a_scene_is_not_written_over_its_source(source: Path) -> None:

@@ -1,4 +1,5 @@
 """Distorted cameras become one pinhole camera, and what it shows is where it should be."""
+from dataclasses import replace
 from functools import lru_cache
 import math
 
@@ -44,7 +45,7 @@ def distorted_photo(lens: Lens) -> np.ndarray:
 
 @pytest.mark.parametrize('lens', LENSES.values(), ids=LENSES.keys())
 def test_a_straightened_photo_is_the_pinhole_view_of_the_scene(lens: Lens) -> None:
-    pinhole = common_pinhole([lens])
+    pinhole = common_pinhole({lens: 'a.png'})
     assert (pinhole.width, pinhole.height) == (CAMERA.width, CAMERA.height)
     straight = Straightener(pinhole).apply(distorted_photo(lens), lens)
     truth = build_demo_flat().render(pinhole, POSE)[0]
@@ -61,7 +62,7 @@ def test_a_straightened_photo_is_the_pinhole_view_of_the_scene(lens: Lens) -> No
 
 @pytest.mark.parametrize('lens', LENSES.values(), ids=LENSES.keys())
 def test_the_pinhole_view_has_no_border_and_wastes_no_side(lens: Lens) -> None:
-    pinhole = common_pinhole([lens])
+    pinhole = common_pinhole({lens: 'a.png'})
     x, y = lens.straighten_maps(pinhole)
     # Half a pixel beyond the last centre is still inside the picture.
     assert x.min() > -0.6 and x.max() < CAMERA.width - 0.4
@@ -73,7 +74,7 @@ def test_the_pinhole_view_has_no_border_and_wastes_no_side(lens: Lens) -> None:
 def test_a_single_pinhole_camera_stays_as_it_is() -> None:
     lens = Lens(CAMERA, (0.0, 0.0, 0.0, 0.0))
     assert lens.is_pinhole
-    assert common_pinhole([lens, Lens(CAMERA, (0.0, 0.0, 0.0, 0.0))]) == CAMERA
+    assert common_pinhole({lens: 'a.png'}) == CAMERA
     image = np.random.default_rng(0).integers(0, 256, (72, 96, 3), np.uint8)
     assert Straightener(CAMERA).apply(image, lens) is image
 
@@ -81,7 +82,7 @@ def test_a_single_pinhole_camera_stays_as_it_is() -> None:
 def test_several_cameras_are_brought_to_what_all_of_them_see() -> None:
     a = Intrinsics(96, 72, 60, 60, 48, 36)
     b = Intrinsics(96, 72, 66, 60, 40, 36)
-    common = common_pinhole([Lens(a), Lens(b)])
+    common = common_pinhole({Lens(a): 'a.png', Lens(b): 'b.png'})
     left, right = -common.cx / common.fx, (96 - common.cx) / common.fx
     assert left == pytest.approx(max(-48 / 60, -40 / 66))
     assert right == pytest.approx(min(48 / 60, 56 / 66))
@@ -89,12 +90,24 @@ def test_several_cameras_are_brought_to_what_all_of_them_see() -> None:
 
 
 @pytest.mark.parametrize('make, message', [
-    (lambda: common_pinhole([Lens(CAMERA), Lens(Intrinsics(48, 36, 30, 30, 24, 18))]),
-     'one size, got 48x36, 96x72'),
-    (lambda: common_pinhole([Lens(Intrinsics(96, 72, 20, 20, 48, 36), (-0.9, 0, 0, 0))]),
-     'no pinhole view fits'),
+    (lambda: common_pinhole({Lens(CAMERA): 'a.png',
+                             Lens(Intrinsics(48, 36, 30, 30, 24, 18)): 'b.png'}),
+     r'one size, got 48x36 \(b.png\), 96x72 \(a.png\)'),
+    (lambda: common_pinhole({Lens(Intrinsics(96, 72, 20, 20, 48, 36), (-0.9, 0, 0, 0)): 'a.png'}),
+     'a.png: lens: no pinhole view fits'),
+    (lambda: common_pinhole({Lens(Intrinsics(96, 72, 0.9, 0.9, 0.5, 0.5)): 'a.png'}),
+     'a.png: expected a camera that sees 3 to 170 degrees, .*are they in pixels of .* 96x72?'),
+    (lambda: common_pinhole({Lens(CAMERA): 'a.png', Lens(replace(CAMERA, fy=6000)): 'b.png'}),
+     r'b.png: expected a camera that sees 3 to 170 degrees, got 77.* across and 0.7 down'),
+    (lambda: common_pinhole({Lens(CAMERA): 'a.png', Lens(replace(CAMERA, fx=90)): 'b.png',
+                             Lens(replace(CAMERA, fx=61)): 'c.png'}),
+     'b.png: expected a camera like those .* shows 6.% of what they show'),
+    (lambda: common_pinhole({Lens(CAMERA): 'a.png', Lens(replace(CAMERA, cy=-80)): 'b.png',
+                             Lens(replace(CAMERA, cy=36)): 'c.png'}),
+     'b.png: expected a camera like those .* shows 0% of what they show'),
     (lambda: Lens(CAMERA, (math.nan,)), 'distortion: expected finite'),
-], ids=['two sizes', 'absurd distortion', 'nan'])
+], ids=['two sizes', 'absurd distortion', 'a focal length in widths', 'a focal length too long',
+        'one is zoomed', 'one looks elsewhere', 'nan'])
 def test_lenses_that_cannot_be_used_are_refused(make: object, message: str) -> None:
     assert callable(make)
     with pytest.raises((SceneError, GeometryError), match=message):

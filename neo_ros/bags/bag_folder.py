@@ -93,7 +93,7 @@ def _storage_files(path: Path) -> list[Path]:
         if files:
             # bag_2.mcap comes before bag_10.mcap.
             return [files[name] for name in sorted(files, key=lambda name: [
-                int(part) if part.isdigit() else part for part in re.split(r'(\d+)', name)])]
+                int(part) if part.isdecimal() else part for part in re.split(r'(\d+)', name)])]
     raise BagError(f'{path}: expected a rosbag2 folder, there is no {MCAP} or {SQLITE} in it')
 
 

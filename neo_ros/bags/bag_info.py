@@ -8,8 +8,9 @@ from typing import Any
 
 from neo_ros.bags.camera_topics import (
     CAMERA_INFO, COMPRESSED, find_info_topic, IMAGE, image_topics, read_lens)
-from neo_ros.bags.capture import POSE_TYPES, TF, TF_STATIC, TF_TYPE
 from neo_ros.bags.reading import BagReader, BagTopic
+from neo_ros.bags.recorded_poses import (
+    foreign_tf, missing_way, POSE_TYPES, TF, TF_STATIC)
 from neo_ros.bags.transforms import frame_name, TransformTree
 from neo_ros.errors import BagError, ImageRejected, SceneError
 from neo_ros.geometry import ViewExpansion
@@ -135,7 +136,7 @@ class _Scan:
             info.longest_gap_s = gap / 1e9
             info.rate_hz = (info.count - 1) / ((last - first) / 1e9) if last > first else None
         try:
-            if topic.msgtype == TF_TYPE:
+            if topic.name in (TF, TF_STATIC):
                 self.tree.add(message.read(), topic.name == TF_STATIC)
             elif not info.content:
                 info.content = self._describe(topic, message)
@@ -166,17 +167,19 @@ class _Scan:
     def find_pose(self, image: _Camera | None) -> BagTopic | None:
         """Return where the poses come from: /tf if it moves the camera, else a pose topic."""
         tf = next((topic for topic in self.infos if topic.name == TF), None)
-        try:
-            if image is not None and tf is not None and self.tree.moves(
-                    self.tree.ancestors(image.frame)):
+        if image is not None and tf is not None:
+            chain, fault = self.tree.ancestors(image.frame)
+            if fault:
+                self.notes.append(f'{TF}: {fault}')
+            elif self.tree.moves(chain):
                 return tf
-        except BagError as error:
-            self.notes.append(str(error))
         found = [topic for topic, info in self.infos.items()
                  if topic.msgtype in POSE_TYPES and info.count]
         if not found:
-            self.notes.append('no poses: an import computes them from the photos (structure from '
-                              'motion), at an unknown scale')
+            missing = '' if image is None else missing_way(
+                self.tree, image.frame, foreign_tf(self._reader.topics))
+            self.notes.append(missing or 'no poses: an import computes them from the photos '
+                              '(structure from motion), at an unknown scale')
             return None
         return max(found, key=lambda topic: self.infos[topic].count)
 
@@ -233,8 +236,9 @@ def _next_command(path: Path, model: Path | None, scan: _Scan, image: _Camera | 
         words = ['replay', str(path), '--model', str(model), '--out', f'out/{name}_wide',
                  *several, *(['--rectify'] if image.distorted else []), *score]
     else:
+        names = {topic.name for topic in scan.infos}
         poses = [topic for topic in scan.infos if topic.msgtype in POSE_TYPES]
         chosen = ['--pose-topic', pose.name] if (
-            pose is not None and pose.name != TF and len(poses) > 1) else []
+            pose is not None and pose.name != TF and (len(poses) > 1 or TF in names)) else []
         words = ['import', str(path), f'out/scenes/{name}', *several, *chosen]
     return shlex.join(['neo', *words])

@@ -1,15 +1,16 @@
 """A recorded bag as a capture: images, calibration, and poses at the images' stamps."""
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-import logging
 from pathlib import Path
 from typing import Any, Optional
 
 from neo_ros.bags.camera_topics import (
     COMPRESSED, find_image_topic, find_info_topic, read_lens)
 from neo_ros.bags.reading import BagReader, BagTopic, describe_topics
-from neo_ros.bags.transforms import frame_name, PoseTrack, read_transform, TransformTree
+from neo_ros.bags.recorded_poses import (
+    find_pose_source, find_pose_topics, foreign_tf, RecordedPoses, TF, TF_STATIC)
+from neo_ros.bags.transforms import frame_name, PoseSource
 from neo_ros.errors import BagError, ImageRejected
 from neo_ros.geometry import CameraPose
 from neo_ros.messages import read_compressed_image, read_image
@@ -18,29 +19,18 @@ from neo_ros.scenes.capture import (
     Capture, CapturedFrame, ImageStream, no_progress, origin_of, Progress)
 import numpy as np
 
-logger = logging.getLogger(__name__)
-TF, TF_STATIC = '/tf', '/tf_static'
-TF_TYPE = 'tf2_msgs/msg/TFMessage'
-POSE_TYPES = ('geometry_msgs/msg/PoseStamped', 'geometry_msgs/msg/PoseWithCovarianceStamped',
-              'nav_msgs/msg/Odometry')
-BASE = 'base_link'
-PoseAt = Callable[[int], Optional[np.ndarray]]
-
 
 @dataclass
 class _Scan:
     """What one pass over the bag collects; images are not decoded."""
 
-    tree: TransformTree = field(default_factory=TransformTree)
     images: list[tuple[int, int]] = field(default_factory=list)  # (stamp, place in the topic)
     places: int = 0
     damaged: Counter[str] = field(default_factory=Counter)  # messages by topic
     log_times: list[int] = field(default_factory=list)
     camera_frame: str = ''
     info: Any = None
-    tracks: dict[str, PoseTrack] = field(default_factory=dict)
-    bodies: dict[str, str] = field(default_factory=dict)
-    invalid: int = 0
+    poses: RecordedPoses = field(default_factory=RecordedPoses)
 
 
 def read_bag_capture(path: Path, image_topic: Optional[str] = None,
@@ -51,7 +41,7 @@ def read_bag_capture(path: Path, image_topic: Optional[str] = None,
 
     image_topic  Image or CompressedImage; needed where a bag has several cameras
     pose_topic   /tf, or a PoseStamped, PoseWithCovarianceStamped or Odometry; by default /tf if
-                 the camera's body moves in it, else the one pose topic of the bag
+                 the camera's body moves in it, else the one pose topic of the bag; none: no poses
     Frames are in the order of their stamps; those without a pose are counted in the notes and
     left out. A bag without poses gives a capture without poses. Raises BagError that names the
     topics for everything that is missing, ambiguous or contradictory.
@@ -59,7 +49,7 @@ def read_bag_capture(path: Path, image_topic: Optional[str] = None,
     with BagReader(path) as reader:
         image = find_image_topic(reader, image_topic)
         info = find_info_topic(reader, image)
-        pose_topics = _pose_topics(reader, pose_topic)
+        pose_topics = find_pose_topics(reader, pose_topic)
         scan = _scan(reader, image, info, pose_topics, progress)
         notes = [reader.recovered] if reader.recovered else []
     notes += [f'{count} messages of {name} are damaged and are left out'
@@ -69,48 +59,43 @@ def read_bag_capture(path: Path, image_topic: Optional[str] = None,
     if lens is None:
         notes.append(f'{image.name} has no camera_info beside it: the camera is estimated')
     stamps = _ordered(scan, image, notes)
-    pose_at = _pose_source(path, scan, pose_topic, pose_topics, notes)
+    source = find_pose_source(
+        path, scan.poses, scan.camera_frame, pose_topic, pose_topics, foreign_tf(reader.topics),
+        notes)
     frames: list[CapturedFrame] = []
     places: list[int] = []
+    lost: list[int] = []
     for stamp_ns, place in stamps:
-        T = None if pose_at is None else pose_at(stamp_ns)
-        if pose_at is not None and T is None:
+        T = None if source is None else source.at(stamp_ns)
+        if source is not None and T is None:
+            lost.append(stamp_ns)
             continue
         frames.append(CapturedFrame(f'images/{len(frames):06d}.png',
                                     None if T is None else CameraPose(T), lens, 0, stamp_ns))
         places.append(place)
-    if len(frames) < len(stamps):
-        notes.append(f'{len(stamps) - len(frames)} of {len(stamps)} images have no pose near '
-                     'their stamp and are left out')
+    gaps = '' if source is None else _gaps(source, lost, pose_topics)
     if not frames:
-        raise BagError(f'{path}: no image of {image.name} has a pose near its stamp; do images '
-                       'and poses have the same clock?')
-    if pose_at is not None and lens is None:
+        raise BagError(f'{path}: no image of {image.name} has a pose near its stamp; '
+                       f'{gaps or "do images and poses have the same clock?"}')
+    if lost:
+        notes.append(f'{len(lost)} of {len(stamps)} images have no pose near their stamp and are '
+                     f'left out{gaps and "; "}{gaps}')
+    if source is not None and lens is None:
+        infos = _info_topics(path)
         raise BagError(f'{path}: expected a camera_info beside {image.name}, the poses need the '
                        'calibration that belongs to them; the bag has '
-                       f'{describe_topics(_info_topics(path))}')
+                       f'{describe_topics(infos) if infos else "no CameraInfo topic"}')
     stream = _stream(path, image, places)
     next(stream([0]), None)  # What cannot be decoded at all is refused before anything is written.
     return Capture(tuple(frames), tuple(notes), stream, origin_of(path),
-                   z_up=pose_at is not None)  # REP-103
-
-
-def _pose_topics(reader: BagReader, wanted: Optional[str]) -> list[BagTopic]:
-    topics = [topic for topic in reader.topics if topic.msgtype in POSE_TYPES and topic.count]
-    if wanted is None or wanted == TF:
-        return topics
-    found = [topic for topic in topics if topic.name == wanted]
-    if not found:
-        raise BagError(f'{reader.path}: expected poses on {wanted}, the bag has '
-                       f'{describe_topics(topics)}')
-    return found
+                   z_up=source is not None)  # REP-103
 
 
 def _scan(reader: BagReader, image: BagTopic, info: Optional[BagTopic],
           pose_topics: list[BagTopic], progress: Progress) -> _Scan:
     scan = _Scan()
-    tracked = {topic.name for topic in pose_topics}
-    names = {image.name, TF, TF_STATIC, *tracked} | ({info.name} if info else set())
+    names = {image.name, TF, TF_STATIC, *(topic.name for topic in pose_topics)} | (
+        {info.name} if info else set())
     total = sum(topic.count for topic in reader.topics if topic.name in names)
     for done, message in enumerate(reader.messages(names), start=1):
         topic = message.topic
@@ -125,14 +110,20 @@ def _scan(reader: BagReader, image: BagTopic, info: Optional[BagTopic],
         if topic == image:
             scan.images.append((stamp_of(content.header), place))
             scan.log_times.append(message.stamp_ns)
-            scan.camera_frame = scan.camera_frame or frame_name(content.header.frame_id)
-        elif topic.msgtype == TF_TYPE:
-            scan.tree.add(content, topic.name == TF_STATIC)
+            _take_frame(scan, frame_name(content.header.frame_id), reader.path, topic)
         elif topic == info:
             _take_info(scan, content, f'{reader.path}: {topic.name}')
-        elif topic.name in tracked:
-            _take_pose(scan, topic.name, content)
+        else:
+            scan.poses.add(topic, content)
     return scan
+
+
+def _take_frame(scan: _Scan, frame: str, path: Path, image: BagTopic) -> None:
+    if scan.camera_frame and frame and frame != scan.camera_frame:
+        raise BagError(f'{path}: {image.name}: expected one frame_id, but it changes from '
+                       f'{scan.camera_frame!r} to {frame!r}; two cameras on one topic? Record '
+                       'each on a topic of its own')
+    scan.camera_frame = scan.camera_frame or frame
 
 
 def _take_info(scan: _Scan, message: Any, where: str) -> None:
@@ -144,16 +135,6 @@ def _take_info(scan: _Scan, message: Any, where: str) -> None:
             raise BagError(f'{where}: expected one calibration, but {name} changes from '
                            f'{getattr(scan.info, name)} to {getattr(message, name)}; two '
                            'cameras on one topic?')
-
-
-def _take_pose(scan: _Scan, topic: str, message: Any) -> None:
-    pose = message.pose if hasattr(message.pose, 'position') else message.pose.pose
-    T = read_transform(pose.position, pose.orientation)
-    if T is None:
-        scan.invalid += 1
-        return
-    scan.tracks.setdefault(topic, PoseTrack()).add(stamp_of(message.header), T)
-    scan.bodies[topic] = frame_name(getattr(message, 'child_frame_id', ''))
 
 
 def _ordered(scan: _Scan, image: BagTopic, notes: list[str]) -> list[tuple[int, int]]:
@@ -177,59 +158,11 @@ def _ordered(scan: _Scan, image: BagTopic, notes: list[str]) -> list[tuple[int, 
     return unique
 
 
-def _pose_source(path: Path, scan: _Scan, wanted: Optional[str], topics: list[BagTopic],
-                 notes: list[str]) -> Optional[PoseAt]:
-    """Return where T_world_cam at a stamp comes from; None for a bag without poses."""
-    tree, camera = scan.tree, scan.camera_frame
-    chain = tree.ancestors(camera)
-    lost = tree.invalid + scan.invalid
-    if lost:
-        notes.append(f'{lost} poses are not finite or no rotation and are left out')
-    on_tf = any(frame in tree.moving for frame in chain)
-    bodies = {topic.name: _body(scan, topic.name, chain) for topic in topics}
-    # What moves below the body, as a pan joint does, does not say where the body is.
-    top = max((chain.index(body) for body in bodies.values() if body in chain), default=0)
-    if on_tf and (wanted == TF or wanted is None and tree.moves(chain[top:])):
-        still = '' if tree.moves(chain) else ', where it never moves'
-        notes.append(f'poses from {TF}: {camera} in {chain[-1]}{still}')
-        return lambda stamp_ns: tree.transform(chain, stamp_ns)
-    if wanted == TF:
-        raise BagError(f'{path}: {TF}: expected transforms of the frame of the images, '
-                       f'{camera!r}, got {" -> ".join(chain)}')
-    if len(topics) > 1:
-        raise BagError(f'{path}: {TF} does not move the frame {chain[top]!r}; choose the poses '
-                       f'with --pose-topic: {describe_topics(topics)}')
-    if not topics:
-        if on_tf:
-            logger.warning(
-                '%s: %s never moves in %s, and there is no other pose: the bag is taken for one '
-                'without poses; if the camera stood still all the time, --pose-topic %s',
-                path, camera, TF, TF)
-        return None
-    (name, body), = bodies.items()
-    if body not in chain:
-        raise BagError(f'{path}: {name} gives poses of {body!r}; expected {TF_STATIC} from it to '
-                       f'the image\'s frame {camera!r}, got {" -> ".join(chain)}')
-    notes.append(f'poses from {name}, taken as poses of {body or "the camera"}')
-    below = chain[:chain.index(body) + 1]
-    track = scan.tracks.get(name, PoseTrack())
-
-    def pose_at(stamp_ns: int) -> Optional[np.ndarray]:
-        T_world_body = track.at(stamp_ns)
-        T_body_camera = tree.transform(below, stamp_ns)
-        if T_world_body is None or T_body_camera is None:
-            return None
-        return T_world_body @ T_body_camera
-
-    return pose_at
-
-
-def _body(scan: _Scan, topic: str, chain: list[str]) -> str:
-    """Return whose poses a topic gives, if need be a guess: one of the frames of the chain."""
-    if scan.bodies.get(topic):
-        return scan.bodies[topic]
-    fixed = [frame for index, frame in enumerate(chain) if not scan.tree.moves(chain[:index])]
-    return BASE if BASE in chain else fixed[-1]
+def _gaps(source: PoseSource, lost: Sequence[int], topics: Sequence[BagTopic]) -> str:
+    """Say what comes too rarely for images that lack a pose, and which poses there are beside."""
+    gaps = source.gaps(lost)
+    others = [topic.name for topic in topics if topic.name not in dict(source.steps)]
+    return f'{gaps}; other poses: --pose-topic {" or ".join(others)}' if gaps and others else gaps
 
 
 def _stream(path: Path, image: BagTopic, places: Sequence[int]) -> ImageStream:

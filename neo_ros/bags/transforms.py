@@ -1,10 +1,10 @@
 """Poses over time: tracks that are interpolated, and the tree of frames that /tf describes."""
 from bisect import bisect_left
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Optional
 
-from neo_ros.errors import BagError, GeometryError
+from neo_ros.errors import GeometryError
 from neo_ros.geometry import CameraPose
 from neo_ros.geometry.camera_pose import rotation_vector, transform_from_quaternion
 from neo_ros.messages.stamps import NS_PER_S, stamp_of
@@ -42,11 +42,9 @@ class PoseTrack:
         Linear in the position and on the sphere in the rotation, between poses at most half a
         second apart or of a body that stood still.
         """
-        if not self._stamps:
-            self._stamps = sorted(self.poses)
-        if not self._stamps:
+        if not self.poses:
             return None
-        place = bisect_left(self._stamps, stamp_ns)
+        place = self._place(stamp_ns)
         if place in (0, len(self._stamps)):
             nearest = self._stamps[min(place, len(self._stamps) - 1)]
             return self.poses[nearest] if abs(nearest - stamp_ns) <= MAX_BEYOND_NS else None
@@ -59,12 +57,35 @@ class PoseTrack:
         fraction = (stamp_ns - before) / (after - before)
         return CameraPose(T0).interpolated(CameraPose(T1), fraction).T_world_cam
 
+    def gap_ns(self, stamp_ns: int) -> int:
+        """Return how far the poses around a time are apart if that is too far, else 0."""
+        place = self._place(stamp_ns)
+        if place in (0, len(self._stamps)) or self.at(stamp_ns) is not None:
+            return 0
+        return self._stamps[place] - self._stamps[place - 1]
+
+    def _place(self, stamp_ns: int) -> int:
+        if not self._stamps:
+            self._stamps = sorted(self.poses)
+        return bisect_left(self._stamps, stamp_ns)
+
+
+# What a transform is called, and what it is: one that changes or one that stays.
+Step = tuple[str, PoseTrack | np.ndarray]
+
 
 @dataclass
 class TransformTree:
-    """Frames and their parents, from tf2_msgs/TFMessage; `invalid` counts what was no pose."""
+    """
+    Frames and their parents, from tf2_msgs/TFMessage.
+
+    parents  the first parent of every frame
+    rivals   another one, of frames that have two: their transforms are of no use
+    invalid  counts what was no pose
+    """
 
     parents: dict[str, str] = field(default_factory=dict)
+    rivals: dict[str, str] = field(default_factory=dict)
     static: dict[str, np.ndarray] = field(default_factory=dict)
     moving: dict[str, PoseTrack] = field(default_factory=dict)
     invalid: int = 0
@@ -74,10 +95,8 @@ class TransformTree:
         for entry in message.transforms:
             parent = frame_name(entry.header.frame_id)
             child = frame_name(entry.child_frame_id)
-            known = self.parents.setdefault(child, parent)
-            if known != parent:
-                raise BagError(f'/tf: expected one parent of the frame {child!r}, got {known!r} '
-                               f'and {parent!r}')
+            if self.parents.setdefault(child, parent) != parent:
+                self.rivals[child] = parent
             T = read_transform(entry.transform.translation, entry.transform.rotation)
             if T is None:
                 self.invalid += 1
@@ -86,29 +105,65 @@ class TransformTree:
             else:
                 self.moving.setdefault(child, PoseTrack()).add(stamp_of(entry.header), T)
 
-    def ancestors(self, frame: str) -> list[str]:
-        """Return the frame and all frames above it, up to the root."""
+    def ancestors(self, frame: str) -> tuple[list[str], str]:
+        """Return the frame and all frames above it, and what is wrong if not up to the root."""
         chain = [frame]
         while (parent := self.parents.get(chain[-1])) is not None:
+            if chain[-1] in self.rivals:
+                return chain, (f'expected one parent of the frame {chain[-1]!r}, got {parent!r} '
+                               f'and {self.rivals[chain[-1]]!r}')
             if parent in chain:
-                raise BagError(f'/tf: the frames {" -> ".join([*chain, parent])} form a loop')
+                return chain, f'the frames {" -> ".join([*chain, parent])} form a loop'
             chain.append(parent)
-        return chain
+        return chain, ''
+
+    def moving_apart(self, chain: list[str]) -> list[str]:
+        """Return the frames that move in another tree than a chain's, the topmost first."""
+        found = []
+        for frame, track in self.moving.items():
+            above, fault = self.ancestors(frame)
+            if above[-1] != chain[-1] and not fault and track.moves:
+                found.append((len(above), frame))
+        return [frame for _, frame in sorted(found)]
 
     def moves(self, frames: Iterable[str]) -> bool:
         """Whether one of the frames moves in its parent."""
         return any(frame in self.moving and self.moving[frame].moves for frame in frames)
 
-    def transform(self, chain: list[str], stamp_ns: int) -> Optional[np.ndarray]:
-        """Return T_last_first of a chain of ancestors at a time; None where it is not known."""
-        T = np.eye(4)
-        for frame in chain[:-1]:
-            step = (self.moving[frame].at(stamp_ns) if frame in self.moving
-                    else self.static.get(frame))
-            if step is None:
+    def steps(self, chain: list[str]) -> list[Step]:
+        """Return the transforms of a chain of ancestors, from its first frame to its last."""
+        return [(f'{frame} in {parent}', self.moving[frame] if frame in self.moving
+                 else self.static.get(frame, PoseTrack()))
+                for frame, parent in zip(chain, chain[1:])]
+
+
+@dataclass(frozen=True)
+class PoseSource:
+    """Where a camera was: the product of `steps`, from the camera up to the world."""
+
+    steps: list[Step]
+
+    def at(self, stamp_ns: int) -> Optional[np.ndarray]:
+        """Return T_world_cam at a time; None where it is not known."""
+        T_world_cam = np.eye(4)
+        for _, step in self.steps:
+            T = step.at(stamp_ns) if isinstance(step, PoseTrack) else step
+            if T is None:
                 return None
-            T = step @ T
-        return T
+            T_world_cam = T @ T_world_cam
+        return T_world_cam
+
+    def gaps(self, stamps: Sequence[int]) -> str:
+        """Say which transforms come too rarely at these times; empty where none does."""
+        found = []
+        for name, step in self.steps:
+            gaps = [gap for stamp_ns in stamps if isinstance(step, PoseTrack)
+                    and (gap := step.gap_ns(stamp_ns))]
+            if gaps:
+                found.append(f'{len(gaps)} lie between poses of {name} that are up to '
+                             f'{max(gaps) / NS_PER_S:.2f} s apart')
+        return ', '.join(found) + (
+            f'; at most {MAX_GAP_NS / NS_PER_S:g} s are interpolated' if found else '')
 
 
 def read_transform(position: Any, orientation: Any) -> Optional[np.ndarray]:

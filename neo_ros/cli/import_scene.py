@@ -19,7 +19,7 @@ def import_scene(
     image_topic: Annotated[Optional[str], typer.Option(
         help='Bags: the camera, where there are several.')] = None,
     pose_topic: Annotated[Optional[str], typer.Option(
-        help='Bags: /tf, or a topic of PoseStamped, PoseWithCovarianceStamped or Odometry.',
+        help='Bags: /tf, a topic of PoseStamped, PoseWithCovarianceStamped or Odometry, or none.',
     )] = None,
     keyframe_distance: Annotated[Optional[float], typer.Option(
         help='Keep the sharpest frame of every so many metres.')] = None,

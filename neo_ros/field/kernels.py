@@ -80,12 +80,21 @@ def march(ox, oy, oz, dx, dy, dz, jitter, grid, row_of, shape, skip, box, step, 
             if shell == 0 or n > 1000:
                 break
             squeeze = (extent - shell / n) / n
+            # How fast the ray moves through the grid, in what it does inside the box: outwards
+            # shell / n^2, sideways by `squeeze`. n grows with the largest of |q|.
+            if abs(qx) >= max(abs(qy), abs(qz)):
+                growth = math.copysign(dx / box[3], qx * dx)
+            elif abs(qy) >= abs(qz):
+                growth = math.copysign(dy / box[4], qy * dy)
+            else:
+                growth = math.copysign(dz / box[5], qz * dz)
+            growth *= (2 * shell / n - extent) / (n * n)
+            vx, vy, vz = (squeeze * dx + growth * qx * box[3], squeeze * dy + growth * qy * box[4],
+                          squeeze * dz + growth * qz * box[5])
+            stretch = 1 / max(math.sqrt(vx * vx + vy * vy + vz * vz), 1e-9)
             qx *= squeeze
             qy *= squeeze
             qz *= squeeze
-            # One grid cell spans n^2 / shell metres out here; a shell thinner than 1 would
-            # stretch the first cells all at once.
-            stretch = max(n * n / shell, 1.0)
         gx = (qx / extent + 1) * 0.5 * (sx - 1)
         gy = (qy / extent + 1) * 0.5 * (sy - 1)
         gz = (qz / extent + 1) * 0.5 * (sz - 1)

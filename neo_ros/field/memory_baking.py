@@ -5,7 +5,6 @@ The field knows where things are better than how they look: each point of a pano
 colour from the photos that saw it from nearly the same direction, and from the field where no
 photo agrees.
 """
-import copy
 from dataclasses import dataclass
 import math
 from pathlib import Path
@@ -15,7 +14,6 @@ from zipfile import BadZipFile
 import cv2
 from neo_ros.errors import ConfigError, NeoError
 from neo_ros.field.baking_kernels import colour_from_photos
-from neo_ros.field.config import fit_near
 from neo_ros.field.panorama import view_band
 from neo_ros.field.rendering import render_rays, to_uint8, world_rays
 from neo_ros.field.voxel_field import RadianceField
@@ -66,9 +64,6 @@ def bake_memory(field: RadianceField, photos: Photos, expansion: ViewExpansion,
 
     Finished keyframes lie in the folder `work`, and are not made again.
     """
-    # Keyframes look all around, also where things are nearer than before the photos' lenses.
-    field = copy.copy(field)
-    field.near = fit_near(field.near)
     random = np.random.default_rng([seed, 3])
     band = view_band(expansion.target,
                      np.stack([sampler.draw_rotation(random) for _ in range(500)]),

@@ -71,16 +71,21 @@ class TorchField:
         """Rows of the eight corners of cells (N,): int64 (N, 8)."""
         return self.row_of[base[:, None] + self.corners].long()
 
-    def _locate(self, points: torch.Tensor) -> tuple[torch.Tensor, ...]:
+    def _locate(self, points: torch.Tensor, rays_d: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Return cell (N,), place in it (N, 3), stretch of a step (N,) and whether it exists."""
         q = (points - self.centre) / self.half_extent
-        norm = q.abs().amax(1)
+        norm, axis = q.abs().max(1)
         outside = norm > 1
         exists = ~outside | ((norm <= 1000) & (self.shell > 0))
         safe = norm.clamp(min=1)
         shell, extent = self.shell, 1 + self.shell
-        q = torch.where(outside[:, None], q * ((extent - shell / safe) / safe)[:, None], q)
-        stretch = torch.where(outside, (safe * safe / max(shell, 1e-9)).clamp(min=1), 1.0)
+        squeeze = torch.where(outside, (extent - shell / safe) / safe, 1.0)[:, None]
+        # As in `kernels.march`: how fast a ray moves through the grid out there.
+        growth = (q.sign() * rays_d / self.half_extent).gather(1, axis[:, None]) * (
+            (2 * shell / safe - extent) / (safe * safe))[:, None]
+        speed = torch.linalg.norm(squeeze * rays_d + growth * q * self.half_extent, dim=1)
+        stretch = torch.where(outside, 1 / speed.clamp(min=1e-9), 1.0)
+        q = squeeze * q
         g = (q / extent + 1) * 0.5 * (self.size - 1)
         cell = torch.minimum(g.long().clamp(min=0), self.size - 2)
         base = (cell[:, 0] * self.shape[1] + cell[:, 1]) * self.shape[2] + cell[:, 2]
@@ -107,7 +112,7 @@ class TorchField:
                 ray, slot, t, o, d, alive = (
                     x[left] for x in (ray, slot, t, o, d, alive))
             turn += 1
-            base, frac, stretch, exists = self._locate(o + t[:, None] * d)
+            base, frac, stretch, exists = self._locate(o + t[:, None] * d, d)
             alive = alive & exists & (slot < self.limit)
             free = self.skip[base].float()
             here = (alive & (free == 0)).nonzero()[:, 0]

@@ -1,5 +1,6 @@
 """What the readers of all formats return: frames as they were recorded, posed or not."""
 from dataclasses import dataclass, replace
+import os
 from pathlib import Path
 import re
 from typing import Callable, Iterator, Optional, Sequence
@@ -7,6 +8,7 @@ from typing import Callable, Iterator, Optional, Sequence
 import cv2
 from neo_ros.errors import SceneError
 from neo_ros.geometry import CameraPose
+from neo_ros.picture_header import jpeg_is_whole, JPEG_START
 from neo_ros.scenes.lens import Lens
 import numpy as np
 
@@ -98,12 +100,20 @@ def origin_of(source: Path) -> str:
 
 def read_photo(path: Path, upright: bool = False) -> Optional[np.ndarray]:
     """
-    Read an image file as RGB uint8 (H, W, 3), None if it cannot be read.
+    Read an image file as RGB uint8 (H, W, 3), None if it cannot be read or was cut off.
 
     16-bit photos are scaled to 8 bit (full scale stays full scale), grayscale becomes three
     equal channels, transparency is dropped; upright: turned as a viewer shows it (EXIF).
     """
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR if upright else READ_FLAGS)
+    try:
+        data = path.read_bytes()
+    except OSError:
+        return None
+    # OpenCV fills with grey what a file that was cut off lacks.
+    if not data or data.startswith(JPEG_START) and not jpeg_is_whole(data):
+        return None
+    image = cv2.imdecode(np.frombuffer(data, np.uint8),
+                         cv2.IMREAD_COLOR if upright else READ_FLAGS)
     return None if image is None else cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
 
 
@@ -133,8 +143,14 @@ def list_photos(folder: Path) -> list[Path]:
 
 def natural_key(name: str) -> list[tuple[int, str]]:
     """Sort key by which digits count as numbers."""
-    return [(int(part), '') if part.isdigit() else (-1, part)
+    return [(int(part), '') if part.isdecimal() else (-1, part)
             for part in re.split(r'(\d+)', name)]
+
+
+def scene_name(file: Path, folder: Path) -> str:
+    """Keep the folders of images below `folder`; those beside it come to 'beside/'."""
+    parts = Path(os.path.relpath(file, folder)).parts
+    return Path(*('beside' if part == '..' else part for part in parts)).as_posix()
 
 
 def listed(names: Sequence[object], most: int = 5) -> str:

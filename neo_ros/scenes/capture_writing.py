@@ -72,7 +72,10 @@ def write_images(capture: Capture, folder: Path,
     """
     capture = _with_lenses(capture)
     _check_names(capture, folder)
-    lenses = [frame.lens for frame in capture.frames if frame.lens is not None]
+    lenses: dict[Lens, str] = {}
+    for frame in capture.frames:
+        if frame.lens is not None:
+            lenses.setdefault(frame.lens, _where(frame))
     straightener = Straightener(common_pinhole(lenses))
     names = [_written_name(frame, straightener) for frame in capture.frames]
     _claim(folder, capture, straightener.pinhole)
@@ -96,7 +99,7 @@ def write_images(capture: Capture, folder: Path,
 
 def unreadable_note(capture: Capture, names: Sequence[Optional[str]]) -> tuple[str, ...]:
     """Name the images that `write_images` could not read, if there are any."""
-    unreadable = [frame.name for frame, name in zip(capture.frames, names) if name is None]
+    unreadable = [_where(frame) for frame, name in zip(capture.frames, names) if name is None]
     return (f'{len(unreadable)} images cannot be read and are left out: {listed(unreadable)}',
             ) if unreadable else ()
 
@@ -123,7 +126,10 @@ def _check_names(capture: Capture, folder: Path) -> None:
     seen: set[str] = set()
     for frame in capture.frames:
         if frame.name in seen:
-            raise SceneError(f'{frame.name}: expected every image once, got it twice')
+            raise SceneError(f'{_where(frame)}: expected every image once, got it twice; remove '
+                             'the second entry')
+        if Path(frame.name).is_absolute() or '..' in Path(frame.name).parts:
+            raise SceneError(f'{frame.name}: expected a name of an image inside the scene folder')
         if frame.file is not None and frame.file.resolve() == (folder / frame.name).resolve():
             raise SceneError(f'{folder}: expected another folder than the source')
         seen.add(frame.name)

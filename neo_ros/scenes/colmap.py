@@ -13,7 +13,7 @@ from typing import BinaryIO, Iterator, Optional, Sequence
 from neo_ros.errors import GeometryError, NeoError, SceneError
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.geometry.camera_pose import transform_from_quaternion
-from neo_ros.scenes.capture import Capture, CapturedFrame, listed, natural_key
+from neo_ros.scenes.capture import Capture, CapturedFrame, listed, natural_key, scene_name
 from neo_ros.scenes.lens import Lens
 import numpy as np
 
@@ -25,6 +25,7 @@ _ALL_MODELS = (
     (8, 'SIMPLE_RADIAL_FISHEYE', 4), (9, 'RADIAL_FISHEYE', 5), (10, 'THIN_PRISM_FISHEYE', 12))
 _ONE_FOCAL_LENGTH = {'SIMPLE_PINHOLE', 'SIMPLE_RADIAL', 'RADIAL', 'SIMPLE_RADIAL_FISHEYE',
                      'RADIAL_FISHEYE'}
+_UNDISTORT = 'undistort the images first: colmap image_undistorter'
 _UNREADABLE = {'FOV', 'THIN_PRISM_FISHEYE'}
 
 
@@ -57,7 +58,7 @@ def read_colmap(source: Path) -> Capture:
     images = next((place for place in places if place.is_dir()), source)
     capture = read_colmap_model(model, images)
     others = sorted(folder.name for folder in model.parent.iterdir()
-                    if model.name.isdigit() and folder.name.isdigit() and folder != model
+                    if model.name.isdecimal() and folder.name.isdecimal() and folder != model
                     and find_model(folder) == folder)
     if not others:
         return capture
@@ -95,8 +96,9 @@ def read_colmap_model(model: Path, image_folder: Path) -> Capture:
             pose = CameraPose(CameraPose(T_cam_world).inverse())
         except GeometryError as error:
             raise SceneError(f'{where}: {error}') from error
+        file = image_folder / image.name
         frames.append(CapturedFrame(
-            f'images/{image.name}', pose, lens, file=image_folder / image.name))
+            f'images/{scene_name(file, image_folder)}', pose, lens, file=file))
     if not frames and lost:
         raise SceneError(f'{model}: none of its {len(images)} images has a finite pose and a file '
                          f'in {image_folder}')
@@ -114,8 +116,8 @@ def read_colmap_model(model: Path, image_folder: Path) -> Capture:
 
 def _lens(model: str, width: int, height: int, params: Sequence[float], where: str) -> Lens:
     if model in _UNREADABLE:
-        raise SceneError(f'{where}: the camera model {model} is not supported; undistort the '
-                         'images first: colmap image_undistorter')
+        raise SceneError(f'{where}: the camera model {model} is not supported; '
+                         + _UNDISTORT)
     one = model in _ONE_FOCAL_LENGTH
     focal = (params[0], params[0]) if one else params[:2]
     centre, distortion = params[2 - one:4 - one], tuple(params[4 - one:])
@@ -136,7 +138,7 @@ def _read_text(model: Path) -> tuple[dict[int, Lens], list[_ModelImage]]:
             camera_id, name, width, height, *words = line.split()
             count = {known: n for _, known, n in _ALL_MODELS}.get(name)
             if count is None:
-                raise SceneError(f'{where}: unknown camera model {name!r}')
+                raise SceneError(f'{where}: unknown camera model {name!r}; {_UNDISTORT}')
             params = [float(word) for word in words]
             if len(params) != count:
                 raise ValueError(f'{name} has {count} parameters, got {len(params)}')
@@ -190,7 +192,8 @@ def _binary_cameras(file: BinaryIO, path: Path) -> Iterator[tuple[int, Lens]]:
     for _ in range(_unpack(file, 'Q')[0]):
         camera_id, model_id, width, height = _unpack(file, 'IiQQ')
         if model_id not in known:
-            raise SceneError(f'{path}: camera {camera_id}: unknown camera model {model_id}')
+            raise SceneError(f'{path}: camera {camera_id}: unknown camera model {model_id}; '
+                             + _UNDISTORT)
         name, count = known[model_id]
         yield camera_id, _lens(name, width, height, _unpack(file, f'{count}d'),
                                f'{path}: camera {camera_id}')

@@ -3,6 +3,7 @@ from enum import Enum
 from pathlib import Path
 
 from neo_ros.errors import SceneError
+from neo_ros.scenes.capture import PHOTO_SUFFIXES
 from neo_ros.scenes.colmap import find_model, read_colmap
 from neo_ros.scenes.photos import find_photos, read_photos
 from neo_ros.scenes.scannet import is_scannet, read_scannet
@@ -53,6 +54,9 @@ def detect_format(source: Path) -> CaptureFormat:
             return CaptureFormat.BAG
         if source.suffix.lower() in VIDEO_SUFFIXES:
             return CaptureFormat.VIDEO
+        if source.suffix == '.bag':
+            raise SceneError(f'{source}: expected a bag of ROS 2, got one of ROS 1; convert it: '
+                             f'rosbags-convert --src {source} --dst {source.stem}')
         raise SceneError(f'{source}: expected a folder, a .json, a bag (.mcap, .db3) or a video '
                          f'({", ".join(VIDEO_SUFFIXES)})')
     if not source.is_dir():
@@ -74,4 +78,5 @@ def detect_format(source: Path) -> CaptureFormat:
     raise SceneError(
         f'{source}: no capture found; looked for transforms_train.json, transforms.json, a COLMAP '
         'model (cameras.bin or .txt), color/ with pose/ (ScanNet), frame-*.color.png '
-        '(7-Scenes), traj.txt, a bag (.mcap, .db3) and photos')
+        '(7-Scenes), traj.txt, a bag (.mcap, .db3) and photos ('
+        f'{", ".join(PHOTO_SUFFIXES)})')

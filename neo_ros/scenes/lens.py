@@ -1,6 +1,6 @@
 """Calibrated cameras with lens distortion, and the pinhole view that is cut out of them."""
 from dataclasses import dataclass
-from typing import Iterable, Optional
+from typing import Mapping, Optional
 
 import cv2
 from neo_ros.errors import GeometryError, SceneError
@@ -10,6 +10,10 @@ import numpy as np
 # OpenCV counts pixel centres from 0, `Intrinsics` has them at +0.5.
 CENTRE = 0.5
 EDGE_POINTS = 65
+# What a camera may see across and down, degrees: beyond, its focal length is in no pixels of ours.
+LEAST_VIEW, MOST_VIEW = 3.0, 170.0
+# All cameras have to show so much of what the middle one of them shows, across and down.
+LEAST_COMMON = 0.7
 
 
 @dataclass(frozen=True)
@@ -102,32 +106,65 @@ class Lens:
         return bool(np.abs(found[:, 0] + CENTRE - pixels).max() < CENTRE)
 
 
-def common_pinhole(lenses: Iterable[Lens]) -> Intrinsics:
+def common_pinhole(lenses: Mapping[Lens, str]) -> Intrinsics:
     """
     Return the one pinhole camera that all images are brought to.
 
-    A single camera without distortion stays as it is. Otherwise the result has the images' size
-    and shows the largest rectangle that every one of the cameras sees, without black borders.
-    Raises SceneError for images of several sizes.
+    lenses: each with the name of an image that was taken with it. A single camera without
+    distortion stays as it is. Otherwise the result has the images' size and shows the largest
+    rectangle that every one of the cameras sees, without black borders.
+    Raises SceneError for images of several sizes, and names the image whose camera sees next to
+    nothing or all around, or not nearly what the others see.
     """
-    cameras = list(dict.fromkeys(lenses))
-    sizes = {(lens.intrinsics.width, lens.intrinsics.height) for lens in cameras}
+    cameras = list(lenses)
+    sizes: dict[tuple[int, int], str] = {}
+    for lens, name in lenses.items():
+        sizes.setdefault((lens.intrinsics.width, lens.intrinsics.height), name)
     if len(sizes) > 1:
         raise SceneError(
             'expected photos of one size, got '
-            + ', '.join(f'{w}x{h}' for w, h in sorted(sizes))
+            + ', '.join(f'{w}x{h} ({name})' for (w, h), name in sorted(sizes.items()))
             + '; photos are never resized: import the sizes as scenes of their own')
+    rectangles = np.array([_plausible_rectangle(lens, name) for lens, name in lenses.items()])
     if len(cameras) == 1 and cameras[0].is_pinhole:
         return cameras[0].intrinsics
-    rectangles = np.array([lens.straight_rectangle() for lens in cameras])
+    _check_alike(rectangles, list(lenses.values()))
     left, top = rectangles[:, 0].max(), rectangles[:, 2].max()
     right, bottom = rectangles[:, 1].min(), rectangles[:, 3].min()
     (width, height), = sizes
+    fx, fy = width / (right - left), height / (bottom - top)
+    return Intrinsics(width, height, fx, fy, -left * fx, -top * fy)
+
+
+def _plausible_rectangle(lens: Lens, name: str) -> tuple[float, float, float, float]:
     try:
-        fx, fy = width / (right - left), height / (bottom - top)
-        return Intrinsics(width, height, fx, fy, -left * fx, -top * fy)
-    except (GeometryError, ZeroDivisionError) as error:
-        raise SceneError(f'the {len(cameras)} cameras have no view in common: {error}') from error
+        rectangle = lens.straight_rectangle()
+    except SceneError as error:
+        raise SceneError(f'{name}: {error}') from error
+    left, right, top, bottom = rectangle
+    # As if the optical axis were in the middle: at the rim, it may be a cut of a larger picture.
+    across, down = np.degrees(2 * np.arctan([(right - left) / 2, (bottom - top) / 2]))
+    camera = lens.intrinsics
+    if not (LEAST_VIEW <= min(across, down) and max(across, down) <= MOST_VIEW):
+        raise SceneError(
+            f'{name}: expected a camera that sees {LEAST_VIEW:g} to {MOST_VIEW:g} degrees, got '
+            f'{across:.1f} across and {down:.1f} down (focal lengths {camera.fx:g} '
+            f'and {camera.fy:g}); are they in pixels of images of {camera.width}x{camera.height}?')
+    return rectangle
+
+
+def _check_alike(rectangles: np.ndarray, names: list[str]) -> None:
+    """Raise SceneError that names the odd one: all images would be cut to what it sees."""
+    low, high = rectangles[:, ::2], rectangles[:, 1::2]  # (N, 2): across and down
+    middle = np.median(low, axis=0), np.median(high, axis=0)
+    common = np.minimum(high, middle[1]) - np.maximum(low, middle[0])
+    share = (common / (middle[1] - middle[0])).min(1)
+    odd = int(share.argmin())
+    if share[odd] < LEAST_COMMON:
+        raise SceneError(
+            f'{names[odd]}: expected a camera like those of the other images, got one that shows '
+            f'{max(share[odd], 0):.0%} of what they show; as all images are cut to what every '
+            'camera shows, correct its calibration, or leave its images out')
 
 
 class Straightener:

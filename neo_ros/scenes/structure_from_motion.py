@@ -13,7 +13,7 @@ from neo_ros.geometry import Intrinsics
 from neo_ros.scenes.capture import Capture, listed
 from neo_ros.scenes.capture_writing import unreadable_note, write_images
 from neo_ros.scenes.colmap import read_colmap_model
-from neo_ros.scenes.lens import common_pinhole, Lens
+from neo_ros.scenes.lens import Lens
 from neo_ros.scenes.levelling import level, scaled
 import numpy as np
 
@@ -247,9 +247,10 @@ def _usable(reconstruction: Any) -> bool:
     f, cx, cy, k1 = camera.params
     try:
         lens = Lens(Intrinsics(camera.width, camera.height, f, f, cx, cy), (k1, 0.0, 0.0, 0.0))
-        hfov = common_pinhole([lens]).hfov
+        left, right, _, _ = lens.straight_rectangle()
     except NeoError:
         return False
+    hfov = math.atan(right) - math.atan(left)
     return NARROWEST <= hfov <= WIDEST and abs(k1) <= STRONGEST_DISTORTION
 
 

@@ -2,20 +2,20 @@
 Captures as nerfstudio and instant-ngp describe them: one transforms.json.
 
 Read are OPENCV and OPENCV_FISHEYE cameras with distortion, cameras per frame, focal lengths as
-`camera_angle_x`, and image names without their ending. `applied_transform` is not undone: it
-says how the world was turned, and the poses fit one another as they are. Frames come in the
-natural order of their names: the file's is often that in which they were registered.
+`camera_angle_x` and `camera_angle_y`, and image names without their ending or with backslashes.
+`applied_transform` is not undone: it says how the world was turned, and the poses fit one another
+as they are. Frames come in the natural order of their names: the file's is often that in which
+they were registered.
 """
 import json
 import math
-import os
 from pathlib import Path
 from typing import Any, Optional
 
 from neo_ros.errors import SceneError
 from neo_ros.geometry import Intrinsics
 from neo_ros.scenes.capture import (
-    Capture, CapturedFrame, first_photo_size, listed, natural_key, PHOTO_SUFFIXES)
+    Capture, CapturedFrame, first_photo_size, listed, natural_key, PHOTO_SUFFIXES, scene_name)
 from neo_ros.scenes.lens import Lens
 from neo_ros.scenes.pose_files import pose_or_lost
 from neo_ros.scenes.transforms_json import STRAIGHT_MODELS
@@ -35,7 +35,7 @@ def read_transforms_capture(source: Path) -> Capture:
     """
     path = source / TRANSFORMS_FILE if source.is_dir() else source
     try:
-        document = json.loads(path.read_text())
+        document = json.loads(path.read_text('utf-8-sig'))
         entries = document['frames']
     except FileNotFoundError as error:
         raise SceneError(f'{path}: no such file') from error
@@ -47,9 +47,12 @@ def read_transforms_capture(source: Path) -> Capture:
     files = [_image_file(path, index, entry) for index, entry in enumerate(entries)]
     present = [file for file in files if file is not None]
     if not present:
-        raise SceneError(f'{path}: none of the {len(entries)} listed images exists')
+        raise SceneError(f'{path}: none of the {len(entries)} listed images exists; the first one '
+                         f'is {path.parent / entries[0]["file_path"]}')
     size: Optional[tuple[int, int]] = None
-    order = sorted(range(len(entries)), key=lambda index: natural_key(entries[index]['file_path']))
+    names = [entry['file_path'] if file is None else scene_name(file, path.parent)
+             for entry, file in zip(entries, files)]
+    order = sorted(range(len(entries)), key=lambda index: natural_key(names[index]))
     for index in order:
         entry, file = entries[index], files[index]
         where = f'{path}: frames[{index}]'
@@ -65,7 +68,7 @@ def read_transforms_capture(source: Path) -> Capture:
             size = size or first_photo_size(present, path)
             values |= {'w': size[0], 'h': size[1]}
         frames.append(CapturedFrame(
-            _scene_name(file, path.parent), pose, _read_lens(values, where),
+            names[index], pose, _read_lens(values, where),
             _path_id(entry, where), file=file))
     if not frames:
         raise SceneError(f'{path}: none of the {len(entries)} frames has a pose')
@@ -80,11 +83,16 @@ def read_transforms_capture(source: Path) -> Capture:
 def _image_file(path: Path, index: int, entry: Any) -> Optional[Path]:
     if not isinstance(entry, dict) or not isinstance(entry.get('file_path'), str):
         raise SceneError(f'{path}: frames[{index}]: expected an object with "file_path"')
-    file = path.parent / entry['file_path']
-    names = [file]
-    if file.suffix.lower() not in PHOTO_SUFFIXES:
-        names += [file.with_name(file.name + suffix) for suffix in PHOTO_SUFFIXES]
-    return next((name for name in names if name.is_file()), None)
+    for name in (entry['file_path'], entry['file_path'].replace('\\', '/')):
+        file = path.parent / name
+        files = [file]
+        if file.suffix.lower() not in PHOTO_SUFFIXES:
+            files += [file.with_name(file.name + ending) for suffix in PHOTO_SUFFIXES
+                      for ending in (suffix, suffix.upper())]
+        for one in files:
+            if one.is_file():
+                return one
+    return None
 
 
 def _matrix(entry: dict[str, Any], where: str) -> np.ndarray:
@@ -106,10 +114,20 @@ def _path_id(entry: dict[str, Any], where: str) -> int:
         raise SceneError(f'{where}: path_id: {error}') from error
 
 
-def _scene_name(file: Path, folder: Path) -> str:
-    """Keep the folders of images below the file; those beside it come to 'beside/'."""
-    parts = Path(os.path.relpath(file, folder)).parts
-    return Path(*('beside' if part == '..' else part for part in parts)).as_posix()
+def _focal(values: dict[str, Any], axis: str, size: int) -> Optional[float]:
+    """Return fl_x or fl_y in pixels, from the angle where it is not there; None without both."""
+    focal, angle = (_number(values, f'{key}_{axis}') for key in ('fl', 'camera_angle'))
+    if focal is None and angle is not None:
+        focal = size / 2 / math.tan(angle / 2)
+    return focal
+
+
+def _number(values: dict[str, Any], key: str) -> Optional[float]:
+    """Return a number, None where the key is missing or null."""
+    try:
+        return None if values.get(key) is None else float(values[key])
+    except (TypeError, ValueError) as error:
+        raise ValueError(f'{key}: expected a number, got {values[key]!r}') from error
 
 
 def _read_lens(values: dict[str, Any], where: str) -> Lens:
@@ -119,15 +137,15 @@ def _read_lens(values: dict[str, Any], where: str) -> Lens:
                          f'got {model!r}')
     try:
         width, height = int(values['w']), int(values['h'])
-        focal_x = values.get('fl_x')
+        focal_x = _focal(values, 'x', width)
         if focal_x is None:
-            if 'camera_angle_x' not in values:
-                raise SceneError(f'{where}: expected the key fl_x or camera_angle_x')
-            focal_x = width / 2 / math.tan(values['camera_angle_x'] / 2)
-        intrinsics = Intrinsics(width, height, focal_x, values.get('fl_y', focal_x),
-                                values.get('cx', width / 2), values.get('cy', height / 2))
+            raise SceneError(f'{where}: expected the key fl_x or camera_angle_x')
+        focal_y, cx, cy = (_focal(values, 'y', height), _number(values, 'cx'),
+                           _number(values, 'cy'))
+        intrinsics = Intrinsics(width, height, focal_x, focal_x if focal_y is None else focal_y,
+                                width / 2 if cx is None else cx, height / 2 if cy is None else cy)
         k1, k2, k3, k4, p1, p2 = (
-            float(values.get(key) or 0) for key in ('k1', 'k2', 'k3', 'k4', 'p1', 'p2'))
+            _number(values, key) or 0.0 for key in ('k1', 'k2', 'k3', 'k4', 'p1', 'p2'))
         if model == _FISHEYE or values.get('is_fisheye'):
             return Lens(intrinsics, (k1, k2, k3, k4), fisheye=True)
         if k4:
