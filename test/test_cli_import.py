@@ -2,6 +2,7 @@
 import json
 import math
 from pathlib import Path
+import re
 
 from capture_files import (
     demo_photos, Photos, write_bag, write_image, write_seven_scenes, write_transforms_capture)
@@ -135,8 +136,21 @@ def test_photos_become_a_scene_and_stay_where_they_are(tmp_path: Path) -> None:
     output = run(tmp_path / 'room', tmp_path / 'scene')
     assert '6 of 6 photos' in output and 'arbitrary, not metres' in output
     assert len(read_scene(tmp_path / 'scene').train) == 6
+    assert re.search(r'Extent: \S+ x \S+ x \S+ units ', output)
+    run(tmp_path / 'scene', tmp_path / 'copy')
+    assert read_scene(tmp_path / 'copy').train.arbitrary_scale
+    output = run(tmp_path / 'room', tmp_path / 'scene', '--scale', '0.5')
+    assert re.search(r'Extent: \S+ x \S+ x \S+ m ', output)
     after = [path.read_bytes() for path in sorted((tmp_path / 'room/images').iterdir())]
     assert after == before
+
+
+def test_the_report_names_images_that_are_left_out(tmp_path: Path) -> None:
+    source = write_transforms_capture(tmp_path / 'source', demo_photos())
+    (source / 'images/3.png').write_bytes(b'no image')
+    note = '1 images cannot be read and are left out: '
+    assert note in run(source, tmp_path / 'scene')
+    assert f'{note}{source}/images/3.png' in (tmp_path / 'scene/capture.html').read_text()
 
 
 def test_the_demo_is_in_metres(tmp_path: Path) -> None:

@@ -154,6 +154,21 @@ def test_only_unseen_directions_are_named(tmp_path: Path) -> None:
     assert table.rows[0][3] == '0 deg'
 
 
+@pytest.mark.parametrize('arbitrary, m, metres', [
+    (True, 'units', 'units'), (False, 'm', 'metres')], ids=['units', 'metres'])
+def test_lengths_have_the_unit_of_the_scene(tmp_path: Path, arbitrary: bool, m: str,
+                                            metres: str) -> None:
+    scene = make_scene(tmp_path, turning(12, full=0.3))
+    lines = write_capture_report(tmp_path, replace(
+        scene, train=replace(scene.train, arbitrary_scale=arbitrary)))
+    assert f'Extent: 0.2 x 0.0 x 0.0 {m}' in lines
+    page = (tmp_path / 'capture.html').read_text()
+    for text in (f'0.2 x 0.0 x 0.0 {m}', f'Numbers are {metres}.', f'Place, {metres}<',
+                 f'2.5 {m} away', f'Squares of 1 x 1 {m}.'):
+        assert text in page
+    assert ('metres' in page) != arbitrary
+
+
 def test_the_page_stands_alone_and_says_what_the_terminal_says(tmp_path: Path) -> None:
     scene = make_scene(tmp_path, turning(12, full=0.3))
     lines = write_capture_report(tmp_path, scene, ['4 frames <lost> their pose'])

@@ -2,17 +2,20 @@
 from dataclasses import replace
 import math
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, Callable
 
 from capture_files import write_image
 from neo_ros.errors import SceneError
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.geometry.camera_pose import rotation_vector
+from neo_ros.scenes.capture import Capture
 from neo_ros.scenes.capture_writing import write_capture
 from neo_ros.scenes.demo_captures import render_demo_views
 from neo_ros.scenes.lens import Lens
 from neo_ros.scenes.photos import read_photos
 from neo_ros.scenes.scene import read_scene
-from neo_ros.scenes.structure_from_motion import photo_pairs, reconstruct
+from neo_ros.scenes.structure_from_motion import _usable, photo_pairs, reconstruct
 import numpy as np
 import pytest
 
@@ -98,12 +101,132 @@ def check_poses(frames: object, poses: list[CameraPose]) -> None:
     assert all(abs(pose.forward[2]) < math.sin(math.radians(3)) for pose in found)  # level
 
 
-def test_photos_of_nothing_are_refused(tmp_path: Path) -> None:
+def walk(folder: Path, count: int) -> Capture:
+    for index, image in enumerate(render_demo_views(CAMERA, arc(count), workers=1)):
+        write_image(folder / f'{index}.png', image)
+    return read_photos(folder)
+
+
+def change_mapping(monkeypatch: pytest.MonkeyPatch,
+                   *changes: Callable[[dict[int, Any]], object]) -> list[int]:
+    """Change what each mapping in turn finds; returns a list with an entry for each mapping."""
+    import pycolmap
+    real = pycolmap.incremental_mapping
+    done: list[int] = []
+
+    def mapping(*arguments: Any, **options: Any) -> dict[int, Any]:
+        models: dict[int, Any] = real(*arguments, **options)
+        changes[len(done)](models)
+        done.append(len(models))
+        return models
+
+    monkeypatch.setattr(pycolmap, 'incremental_mapping', mapping)
+    return done
+
+
+def camera_of(focal_length: float, k1: float) -> Callable[[dict[int, Any]], object]:
+    def change(models: dict[int, Any]) -> None:
+        for model in models.values():
+            camera, = model.cameras.values()
+            camera.params = [focal_length, 120, 90, k1]
+    return change
+
+
+def keep(models: dict[int, Any]) -> None:
+    """Change nothing."""
+
+
+@pytest.mark.parametrize('placed, focal_length, k1, usable', [
+    (3, 262, -0.05, True), (3, 262, 0.0, True), (2, 262, -0.05, False), (9, 5002.8, 0.01, False),
+    (9, 50, 0.01, False), (9, 1017.8, -3.92, False), (9, 262, -0.9, False), (9, 262, 1.1, False)],
+    ids=['estimated', 'held', 'two photos', 'tele', 'wide', 'bent', 'no pinhole view', 'cushion'])
+def test_what_counts_as_a_camera(placed: int, focal_length: float, k1: float,
+                                 usable: bool) -> None:
+    camera = SimpleNamespace(model=SimpleNamespace(name='SIMPLE_RADIAL'), width=320, height=240,
+                             params=[focal_length, 160, 120, k1])
+    assert usable == _usable(SimpleNamespace(
+        num_reg_images=lambda: placed, cameras={1: camera}))
+
+
+def test_a_camera_that_cannot_be_is_not_taken(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    needs_pycolmap()
+    mappings = change_mapping(monkeypatch, camera_of(3800, 0.01), keep)
+    capture, verdict = reconstruct(walk(tmp_path / 'photos', 6), tmp_path / 'sfm')
+    assert verdict.registered == 6 and len(mappings) == 2
+    lens, = {frame.lens for frame in capture.frames}
+    assert lens is not None and lens.is_pinhole
+    assert lens.intrinsics.fx == pytest.approx(1.2 * 240)  # held where COLMAP begins
+    note = 'focal length could not be estimated and is taken to be 288 px (45 degrees across)'
+    assert note in capture.notes[0]
+    again, _ = reconstruct(read_photos(tmp_path / 'photos'), tmp_path / 'sfm')  # the kept model
+    assert again.notes == capture.notes and len(mappings) == 2
+
+
+def test_a_bad_model_is_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    needs_pycolmap()
+    photos = walk(tmp_path / 'photos', 6)
+    with monkeypatch.context() as broken:
+        change_mapping(broken, camera_of(3800, 0.01), dict.clear)
+        with pytest.raises(SceneError, match='camera and poses could not be estimated.* placed '
+                           'none of the 6 photos.*moves sideways'):
+            reconstruct(photos, tmp_path / 'sfm')
+    assert not (tmp_path / 'sfm/model').exists()
+    reconstruct(photos, tmp_path / 'sfm')
+    # Nor is one that an earlier version kept.
+    import pycolmap
+    model = pycolmap.Reconstruction(tmp_path / 'sfm/model')
+    camera_of(3800, 0.01)({0: model})
+    model.write(tmp_path / 'sfm/model')
+    capture, _ = reconstruct(photos, tmp_path / 'sfm')
+    assert all(frame.lens is not None and frame.lens.intrinsics.fx < 400
+               for frame in capture.frames)
+
+
+@pytest.mark.parametrize('lost', [1, 2])
+def test_photos_that_cannot_be_placed_are_named(tmp_path: Path, lost: int) -> None:
+    needs_pycolmap()
+    walk(tmp_path / 'photos', 6)
+    for index in range(lost):
+        write_image(tmp_path / f'photos/wall {index}.png', np.full((180, 240, 3), 128, np.uint8))
+    capture, verdict = reconstruct(read_photos(tmp_path / 'photos'), tmp_path / 'sfm')
+    assert (verdict.registered, verdict.photos) == (6, 6 + lost)
+    names = ', '.join(f'wall {index}.png' for index in range(lost))
+    assert f'{lost} photos could not be placed and are left out: {names}' in capture.notes[0]
+    assert ('Record more' in capture.notes[0]) == (lost == 2)  # of fewer than 80 %
+
+
+def test_a_mapping_that_begins_anew_is_shown_once(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    needs_pycolmap()
+    import pycolmap
+
+    def mapping(*arguments: Any, initial_image_pair_callback: Callable[[], None],
+                next_image_callback: Callable[[], None], **options: Any) -> dict[int, Any]:
+        for more in (2, 2, 1, 3):
+            initial_image_pair_callback()
+            for _ in range(more):
+                next_image_callback()
+        return {}
+
+    monkeypatch.setattr(pycolmap, 'incremental_mapping', mapping)
+    photos = walk(tmp_path / 'photos', 5)
+    shown: list[int] = []
+    with pytest.raises(SceneError, match='/sfm: the poses could not be estimated'):
+        reconstruct(replace(photos, frames=tuple(
+            replace(frame, lens=Lens(CAMERA)) for frame in photos.frames)), tmp_path / 'sfm',
+            lambda stage, done, total: shown.append(done) if stage == 'poses' else None)
+    assert shown == [2, 3, 4, 5]
+
+
+def test_photos_of_nothing_are_refused(
+        tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     needs_pycolmap()
     for index in range(3):
         write_image(tmp_path / f'photos/{index}.png', np.full((60, 80, 3), 128, np.uint8))
     with pytest.raises(SceneError, match='placed none of the 3 photos.*texture'):
         reconstruct(read_photos(tmp_path / 'photos'), tmp_path / 'sfm')
+    assert capfd.readouterr().err == ''  # pycolmap's own log says nothing more
 
 
 @pytest.mark.parametrize('count', [2, 100, 101, 1000])

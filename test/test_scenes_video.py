@@ -2,7 +2,9 @@
 from pathlib import Path
 
 import cv2
+from neo_ros.cli.import_scene import import_scene
 from neo_ros.errors import SceneError
+from neo_ros.scenes import video
 from neo_ros.scenes.formats import CaptureFormat, detect_format
 from neo_ros.scenes.video import read_video, STEP
 import numpy as np
@@ -29,7 +31,9 @@ def test_sharp_frames_are_chosen_step_by_step(tmp_path: Path) -> None:
     path = tmp_path / 'walk.avi'
     sharp = write_video(path, 40)
     assert detect_format(path) == CaptureFormat.VIDEO
-    capture = read_video(path)
+    shown: list[tuple[int, int]] = []
+    capture = read_video(path, lambda done, total: shown.append((done, total)))
+    assert shown == [(done, 40) for done in range(1, 41)]
     numbers = [int(Path(frame.name).stem) for frame in capture.frames]
     assert set(numbers) <= set(sharp)
     steps = 40 * SHIFT / (STEP * WIDTH)
@@ -37,14 +41,33 @@ def test_sharp_frames_are_chosen_step_by_step(tmp_path: Path) -> None:
     assert not capture.posed
     images = dict(capture.images([2, 0]))
     assert images[0] is not None and images[0].shape == (HEIGHT, WIDTH, 3)
-    video = cv2.VideoCapture(str(path))
-    everything = [video.read()[1][..., ::-1] for _ in range(40)]
+    opened = cv2.VideoCapture(str(path))
+    everything = [opened.read()[1][..., ::-1] for _ in range(40)]
     np.testing.assert_array_equal(images[2], everything[numbers[2]])
 
 
 def test_a_video_that_stands_still_is_one_frame(tmp_path: Path) -> None:
     write_video(tmp_path / 'still.avi', 12, shift=0)
     assert len(read_video(tmp_path / 'still.avi')) == 1
+
+
+@pytest.mark.parametrize('said, shown', [(0, []), (-1, []), (9, [*range(1, 9), 12])])
+def test_progress_needs_the_number_of_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+                                             said: int, shown: list[int]) -> None:
+    write_video(tmp_path / 'still.avi', 12, shift=0)
+    monkeypatch.setattr(video, '_frame_count', lambda source: said)
+    steps: list[int] = []
+    read_video(tmp_path / 'still.avi', lambda done, total: steps.append(done))
+    assert steps == shown
+
+
+def test_an_import_shows_how_far_the_video_is_read(
+        tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip('pycolmap', reason='needs pycolmap (the train extra)')
+    write_video(tmp_path / 'still.avi', 12, shift=0)
+    with pytest.raises(SceneError, match='placed none of the 1 photos'):
+        import_scene(str(tmp_path / 'still.avi'), tmp_path / 'scene')
+    assert 'video frames 12/12' in capsys.readouterr().out
 
 
 def test_what_is_no_video_is_refused(tmp_path: Path) -> None:

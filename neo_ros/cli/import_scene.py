@@ -132,8 +132,12 @@ def _import_capture(source: Path, scene: Path, format_: Any, image_topic: Option
         from neo_ros.bags.capture import read_bag_capture
         capture = read_bag_capture(source, image_topic, pose_topic,
                                    lambda done, total: show('messages', done, total))
+    elif format_ == CaptureFormat.VIDEO:
+        from neo_ros.scenes.video import read_video
+        capture = read_video(source, lambda done, total: show('video frames', done, total))
     else:
         capture = FOLDER_READERS[format_](source)
+    arbitrary_scale = not capture.posed and scale is None
     if not capture.posed:
         from neo_ros.scenes.structure_from_motion import reconstruct
         capture, verdict = reconstruct(capture, scene / 'sfm', show)
@@ -155,5 +159,6 @@ def _import_capture(source: Path, scene: Path, format_: Any, image_topic: Option
             capture, keyframe_distance,
             None if keyframe_angle is None else math.radians(keyframe_angle),
             lambda done, total: show('sharpness', done, total))
-    write_capture(capture, scene, lambda done, total: show('photos', done, total))
-    return [*capture.notes, *notes]
+    written = write_capture(capture, scene, lambda done, total: show('photos', done, total),
+                            arbitrary_scale)
+    return [*written, *notes]

@@ -16,7 +16,7 @@ REPORT_FILE = 'capture.html'
 FEW_PHOTOS = 50
 # A side of the wide view that was seen less than this is worth recording more of.
 WELL_SEEN = 0.8
-PLACE_M = 1.0
+PLACE = 1.0
 HEADINGS = 8
 
 
@@ -30,6 +30,7 @@ def write_capture_report(folder: Path, scene: Scene, notes: Sequence[str] = (),
     """
     measures = measure_capture(scene, progress)
     facts, advice = describe(measures)
+    m, metres = _units(measures)
     sections: list[Section] = [Text('\n'.join(advice) or 'Nothing stands out: go on to neo train.',
                                     'What to record more of')]
     if notes:
@@ -37,11 +38,11 @@ def write_capture_report(folder: Path, scene: Scene, notes: Sequence[str] = (),
     sections += [
         Table(['Measure', 'Value'], facts, 'In figures',
               f'Overlap and wide view are estimates: everything is taken to be '
-              f'{ASSUMED_DISTANCE:g} m away, and walls in between are not known.'),
+              f'{ASSUMED_DISTANCE:g} {m} away, and walls in between are not known.'),
         Picture('From above', draw_map(measures, scene.walkable),
                 'Every dot is a photo, its tick the viewing direction; red: little of the wide '
                 'view was seen from near there, green: all of it. Shaded: walkable floor. '
-                'Numbers are metres.'),
+                f'Numbers are {metres}.'),
         Picture('The wide view, averaged over the photos', _draw_wide(measures),
                 'The brighter, the more often some photo saw this direction; the frame is the '
                 'photo itself.'),
@@ -62,7 +63,7 @@ def describe(measures: CaptureMeasures) -> tuple[list[tuple[str, str]], list[str
     facts = [
         ('Photos', f'{len(photos)}'),
         ('Extent', ' x '.join(f'{size:.1f}' for size in np.ptp(
-            photos.T_world_cam[:, :3, 3], axis=0)) + ' m'),
+            photos.T_world_cam[:, :3, 3], axis=0)) + f' {_units(measures)[0]}'),
         ('Photos with a good neighbour', f'{overlapping:.0%} (another photo sees at least '
                                          f'{GOOD_OVERLAP:.0%} of the same)'),
         ('Wide view seen by some photo', f'{wide:.0%}, {extra}'),
@@ -89,6 +90,10 @@ def describe(measures: CaptureMeasures) -> tuple[list[tuple[str, str]], list[str
     return facts, advice
 
 
+def _units(measures: CaptureMeasures) -> tuple[str, str]:
+    return ('units', 'units') if measures.photos.arbitrary_scale else ('m', 'metres')
+
+
 def _side_advice(measures: CaptureMeasures) -> list[str]:
     rows, columns = np.nonzero(measures.beyond_photo)
     height, width = measures.beyond_photo.shape
@@ -111,9 +116,9 @@ def _side_advice(measures: CaptureMeasures) -> list[str]:
 
 
 def _places(measures: CaptureMeasures) -> list[Section]:
-    """Tabulate the places of 1 m where the wide view was seen least, and which way to look."""
+    """Tabulate the squares where the wide view was seen least, and which way to look."""
     T = measures.photos.T_world_cam[measures.viewed]
-    cells = np.floor(T[:, :2, 3] / PLACE_M).astype(int)
+    cells = np.floor(T[:, :2, 3] / PLACE).astype(int)
     headings = measures.wide_headings
     found = []
     for cell in np.unique(cells, axis=0):
@@ -125,7 +130,7 @@ def _places(measures: CaptureMeasures) -> list[Section]:
         sectors = np.round(heading / (360 / HEADINGS)).astype(int) % HEADINGS
         counts = np.bincount(sectors, minlength=HEADINGS)
         worst = [sector for sector in counts.argsort()[::-1][:2] if counts[sector]]
-        centre = (cell + 0.5) * PLACE_M
+        centre = (cell + 0.5) * PLACE
         found.append((float(seen.mean()), (
             f'x {centre[0]:.1f}, y {centre[1]:.1f}', f'{seen.mean():.0%}', f'{len(here)}',
             ' and '.join(f'{sector * 360 // HEADINGS} deg' for sector in worst),
@@ -133,9 +138,11 @@ def _places(measures: CaptureMeasures) -> list[Section]:
     if not found:
         return []
     found.sort(key=lambda entry: entry[0])
-    return [Table(['Place, metres', 'Wide view seen', 'Photos', 'Look towards', 'For example'],
+    m, metres = _units(measures)
+    return [Table([f'Place, {metres}', 'Wide view seen', 'Photos', 'Look towards', 'For example'],
                   [row for _, row in found[:8]], 'Places to go back to',
-                  'Squares of 1 m. Headings: 0 deg is along +x, 90 deg along +y.')]
+                  f'Squares of {PLACE:g} x {PLACE:g} {m}. '
+                  'Headings: 0 deg is along +x, 90 deg along +y.')]
 
 
 def _plots(measures: CaptureMeasures) -> list[Section]:

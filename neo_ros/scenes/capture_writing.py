@@ -1,7 +1,6 @@
 """Write a capture as a scene folder: one pinhole camera, images that are known to be readable."""
 from dataclasses import replace
 import json
-import logging
 from pathlib import Path
 import shutil
 from typing import Any, Iterable, Optional, Sequence
@@ -18,23 +17,23 @@ from neo_ros.scenes.scene import clear_earlier_import
 from neo_ros.scenes.transforms_json import write_transforms
 import numpy as np
 
-logger = logging.getLogger(__name__)
 # What an interrupted import was doing, so that the next one knows which images it can keep.
 NOTE_FILE = 'import.json'
 # Beyond it, single precision rounds positions to more than a millimetre.
 FARTHEST_M = 10_000
 
 
-def write_capture(capture: Capture, scene: Path, progress: Progress = no_progress) -> PosedImages:
+def write_capture(capture: Capture, scene: Path, progress: Progress = no_progress,
+                  arbitrary_scale: bool = False) -> tuple[str, ...]:
     """
     Write posed frames into a scene folder: images and transforms_train.json.
 
     Image files of a camera without distortion are copied as they are; all others are made
-    straight and written as PNG. Frames whose image cannot be read are named in a warning and
-    left out. An import that was broken off goes on where it stopped; test frames and floor map of
-    an earlier one are taken away. Raises SceneError where no image can be read, for images whose
-    size is not their camera's, for cameras far from the origin, and where the folder cannot be
-    written.
+    straight and written as PNG. Frames whose image cannot be read are left out; returns the notes
+    of the capture, and one that names these. An import that was broken off goes on where it
+    stopped; test frames and floor map of an earlier one are taken away. Raises SceneError where
+    no image can be read, for images whose size is not their camera's, for cameras far from the
+    origin, and where the folder cannot be written.
     """
     assert capture.posed, 'structure from motion comes first'
     check_near_origin([frame.name for frame in capture.frames],
@@ -44,10 +43,10 @@ def write_capture(capture: Capture, scene: Path, progress: Progress = no_progres
     images = PosedImages(
         pinhole, tuple(scene / str(names[index]) for index in kept),
         tuple(pose for index in kept if (pose := capture.frames[index].pose) is not None),
-        tuple(capture.frames[index].path_id for index in kept), capture.z_up)
+        tuple(capture.frames[index].path_id for index in kept), capture.z_up, arbitrary_scale)
     clear_earlier_import(scene)
     write_transforms(scene / 'transforms_train.json', images)
-    return images
+    return capture.notes + unreadable_note(capture, names)
 
 
 def check_near_origin(names: Sequence[object], poses: Sequence[CameraPose]) -> None:
@@ -94,11 +93,15 @@ def write_images(capture: Capture, folder: Path,
         progress(done, len(names))
     if len(unreadable) == len(names):
         raise SceneError(f'{folder}: none of the {len(names)} images can be read')
-    if unreadable:
-        logger.warning('%d images cannot be read and are left out: %s', len(unreadable),
-                       listed([_where(capture.frames[index]) for index in unreadable]))
     return [None if index in set(unreadable) else name
             for index, name in enumerate(names)], straightener.pinhole
+
+
+def unreadable_note(capture: Capture, names: Sequence[Optional[str]]) -> tuple[str, ...]:
+    """Name the images that `write_images` could not read, if there are any."""
+    unreadable = [_where(frame) for frame, name in zip(capture.frames, names) if name is None]
+    return (f'{len(unreadable)} images cannot be read and are left out: {listed(unreadable)}',
+            ) if unreadable else ()
 
 
 def _with_lenses(capture: Capture) -> Capture:

@@ -10,7 +10,7 @@ from neo_ros.scenes.scannet import is_scannet, read_scannet
 from neo_ros.scenes.seven_scenes import is_seven_scenes, read_seven_scenes
 from neo_ros.scenes.trajectory import read_trajectory, TRAJECTORY_FILE
 from neo_ros.scenes.transforms_capture import read_transforms_capture, TRANSFORMS_FILE
-from neo_ros.scenes.video import read_video, VIDEO_SUFFIXES
+from neo_ros.scenes.video import VIDEO_SUFFIXES
 
 
 class CaptureFormat(str, Enum):
@@ -27,7 +27,8 @@ class CaptureFormat(str, Enum):
     VIDEO = 'video'
 
 
-# Readers of folders and files; scenes are copied, bags are read in their own room.
+# Readers of folders and files; scenes are copied, bags are read in their own room, and videos,
+# which take long, show their progress.
 FOLDER_READERS = {
     CaptureFormat.TRANSFORMS: read_transforms_capture,
     CaptureFormat.COLMAP: read_colmap,
@@ -35,7 +36,6 @@ FOLDER_READERS = {
     CaptureFormat.SEVEN_SCENES: read_seven_scenes,
     CaptureFormat.TRAJECTORY: read_trajectory,
     CaptureFormat.PHOTOS: read_photos,
-    CaptureFormat.VIDEO: read_video,
 }
 _BAG_SUFFIXES = ('.mcap', '.db3', '.mcap.zstd', '.db3.zstd')
 

@@ -15,10 +15,11 @@ class PosedImages:
     """
     Images of one camera with their poses; pixels stay on disk until they are read.
 
-    image_paths  files of `intrinsics` size
-    poses        one CameraPose (OpenCV camera axes, metres) per image
-    path_ids     which walk or run each image belongs to; scores are averaged over these
-    z_up         the world's z axis points up by definition, however the photos were held
+    image_paths      files of `intrinsics` size
+    poses            one CameraPose (OpenCV camera axes, metres) per image
+    path_ids         which walk or run each image belongs to; scores are averaged over these
+    z_up             the world's z axis points up by definition, however the photos were held
+    arbitrary_scale  nobody knows how long a unit of the poses is
     """
 
     intrinsics: Intrinsics
@@ -26,6 +27,7 @@ class PosedImages:
     poses: tuple[CameraPose, ...]
     path_ids: tuple[int, ...]
     z_up: bool = False
+    arbitrary_scale: bool = False
 
     def __post_init__(self) -> None:
         counts = {len(self.image_paths), len(self.poses), len(self.path_ids)}

@@ -2,16 +2,18 @@
 from dataclasses import dataclass, replace
 from itertools import combinations
 import json
+import math
 from pathlib import Path
 import re
 import shutil
 from typing import Any, Callable, Iterator, Optional, Sequence
 
-from neo_ros.errors import SceneError
+from neo_ros.errors import NeoError, SceneError
 from neo_ros.geometry import Intrinsics
-from neo_ros.scenes.capture import Capture
-from neo_ros.scenes.capture_writing import write_images
+from neo_ros.scenes.capture import Capture, listed
+from neo_ros.scenes.capture_writing import unreadable_note, write_images
 from neo_ros.scenes.colmap import read_colmap_model
+from neo_ros.scenes.lens import Lens
 from neo_ros.scenes.levelling import level, scaled
 import numpy as np
 
@@ -22,6 +24,13 @@ EXHAUSTIVE_UP_TO = 100
 NEIGHBOURS, ANCHORS = 10, 60
 FEATURES = 4096
 CHUNK = 100
+# Two photos alone fit almost any camera, and so do photos that hardly move: the focal length then
+# runs away, with a small error. No camera of a robot or phone is outside these limits.
+FEWEST = 3
+NARROWEST, WIDEST = math.radians(20), math.radians(140)
+STRONGEST_DISTORTION = 1.0
+# With fewer than this placed, more should be recorded.
+WELL_PLACED = 0.8
 # Nobody knows the scale: the median point is put as far away as walls of a room often are.
 MEDIAN_DISTANCE = 3.0
 StageProgress = Callable[[str, int, int], None]
@@ -51,10 +60,11 @@ def reconstruct(capture: Capture, work: Path,
     Find the poses of an unposed capture; needs pycolmap (the train extra).
 
     All photos are of one camera: of the capture's lens if it has one, else its focal length and
-    radial distortion are estimated. `work` keeps the images, the database and the model, so
-    that an interrupted run goes on. The world is turned so that z points up. Photos that could
-    not be placed are counted in the verdict and left out. Raises SceneError where no model
-    comes about.
+    radial distortion are estimated; where that gives no camera that can be, the focal length is
+    held at a common one, and a note says so. `work` keeps the images, the database and the model,
+    so that an interrupted run goes on. The world is turned so that z points up. Photos that could
+    not be placed are named in the notes and left out. Raises SceneError where fewer than three
+    are placed.
     """
     import pycolmap
     capture = _without_blanks(capture)
@@ -62,10 +72,10 @@ def reconstruct(capture: Capture, work: Path,
         capture, work, lambda done, total: progress('images', done, total))
     chosen = [name for name in names if name is not None]
     calibrated = all(frame.lens is not None for frame in capture.frames)
-    pycolmap.logging.minloglevel = int(pycolmap.logging.ERROR)
+    pycolmap.logging.minloglevel = int(pycolmap.logging.FATAL)  # What fails is raised.
     _claim(work, chosen, pinhole if calibrated else None)
     model = work / 'model'
-    if not (model / 'images.bin').is_file():
+    if not (model / 'images.bin').is_file() or not _usable(pycolmap.Reconstruction(model)):
         database = work / 'database.db'
         _extract(database, work, chosen, pinhole if calibrated else None, progress)
         _match(database, work, chosen, progress)
@@ -75,13 +85,16 @@ def reconstruct(capture: Capture, work: Path,
         reconstruction.num_reg_images(), len(capture),
         reconstruction.compute_mean_reprojection_error(), reconstruction.num_points3D())
     posed = {str(frame.file): frame for frame in read_colmap_model(model, work).frames}
-    frames = []
+    frames, lost = [], []
     for frame, name in zip(capture.frames, names):
         found = posed.get(str(work / str(name)))
         if found is not None:
             frames.append(replace(frame, pose=found.pose, lens=found.lens, file=found.file,
                                   name=str(name)))
-    registered = Capture(tuple(frames), capture.notes)
+        elif name is not None:
+            lost.append((frame.file or Path(frame.name)).name)
+    registered = Capture(tuple(frames), capture.notes + unreadable_note(capture, names)
+                         + _notes(reconstruction, lost))
     scale = MEDIAN_DISTANCE / _median_depth(reconstruction)
     return scaled(level(registered), scale), verdict
 
@@ -161,34 +174,108 @@ def _match(database: Path, work: Path, names: list[str], progress: StageProgress
 def _map(database: Path, work: Path, model: Path, count: int, calibrated: bool,
          progress: StageProgress) -> None:
     import pycolmap
+    most = 0
+
+    def show(placed: int) -> None:
+        nonlocal most
+        if placed > most:  # Where a model fails, the next one begins with two photos again.
+            most = placed
+            progress('poses', placed, count)
+
+    found = _largest_model(database, work, count, not calibrated, show)
+    if not (calibrated or found is not None and _usable(found)):
+        with pycolmap.Database.open(database) as stored:
+            camera, = stored.read_all_cameras()
+            camera.has_prior_focal_length = True  # Else the first pair estimates it again.
+            stored.update_camera(camera)
+        most = 0
+        found = _largest_model(database, work, count, False, show)
+    if found is None or not _usable(found):
+        what = 'the poses' if calibrated else 'camera and poses'
+        placed = 'none' if found is None else found.num_reg_images()
+        raise SceneError(
+            f'{work}: {what} could not be estimated: structure from motion placed {placed} of '
+            f'the {count} photos, expected at least {FEWEST}. Photos need texture, more than half '
+            'in common with the one before, and a camera that moves sideways and does not only '
+            'turn')
+    partial = work / 'model.partial'
+    for old in (partial, model):
+        shutil.rmtree(old, ignore_errors=True)
+    partial.mkdir()
+    found.write(partial)
+    partial.rename(model)
+    show(count)
+
+
+def _largest_model(database: Path, work: Path, count: int, refine: bool,
+                   show: Callable[[int], None]) -> Optional[Any]:
+    """Place the photos; `refine` estimates focal length and distortion, too."""
+    import pycolmap
     options = pycolmap.IncrementalPipelineOptions()
     options.random_seed = 0
-    options.min_model_size = 3
-    options.ba_refine_focal_length = options.ba_refine_extra_params = not calibrated
-    placed = [0]
+    options.min_model_size = FEWEST
+    options.ba_refine_focal_length = options.ba_refine_extra_params = refine
+    placed = 0
+
+    def first_pair() -> None:
+        nonlocal placed
+        placed = 2
+        show(placed)
 
     def one_more() -> None:
-        placed[0] = min(placed[0] + 1, count)
-        progress('poses', placed[0], count)
+        nonlocal placed
+        placed = min(placed + 1, count)  # A photo that was taken out may come again.
+        show(placed)
 
     folder = work / 'models'
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
     models = pycolmap.incremental_mapping(
-        database, work, folder, options, next_image_callback=one_more)
-    if not models:
-        raise SceneError(
-            f'{work}: structure from motion placed none of the {count} photos. Photos need '
-            'texture, more than half in common with the one before, and a camera that moves '
-            'sideways and does not only turn')
-    best = max(models.values(), key=lambda found: found.num_reg_images())
-    partial = work / 'model.partial'
-    shutil.rmtree(partial, ignore_errors=True)
-    partial.mkdir()
-    best.write(partial)
-    partial.rename(model)
+        database, work, folder, options, initial_image_pair_callback=first_pair,
+        next_image_callback=one_more)
     shutil.rmtree(folder, ignore_errors=True)
-    progress('poses', count, count)
+    return max(models.values(), key=lambda found: found.num_reg_images(), default=None)
+
+
+def _usable(reconstruction: Any) -> bool:
+    """Whether enough photos are placed, with a camera that can be."""
+    if reconstruction.num_reg_images() < FEWEST:
+        return False
+    camera, = reconstruction.cameras.values()
+    if camera.model.name == 'PINHOLE' or _focal_length_held(camera):
+        return True
+    f, cx, cy, k1 = camera.params
+    try:
+        lens = Lens(Intrinsics(camera.width, camera.height, f, f, cx, cy), (k1, 0.0, 0.0, 0.0))
+        left, right, _, _ = lens.straight_rectangle()
+    except NeoError:
+        return False
+    hfov = math.atan(right) - math.atan(left)
+    return NARROWEST <= hfov <= WIDEST and abs(k1) <= STRONGEST_DISTORTION
+
+
+def _focal_length_held(camera: Any) -> bool:
+    # A distortion that was estimated is never exactly 0.
+    return bool(camera.model.name == 'SIMPLE_RADIAL' and camera.params[3] == 0)
+
+
+def _notes(reconstruction: Any, lost: list[str]) -> tuple[str, ...]:
+    """Say what the verdict does not: which photos are lost, and that the camera is guessed."""
+    notes = []
+    if lost:
+        notes.append(f'{len(lost)} photos could not be placed and are left out: {listed(lost)}')
+        placed = reconstruction.num_reg_images()
+        if placed < WELL_PLACED * (placed + len(lost)):
+            notes[-1] += ('. Record more photos around them, each with more than half in common '
+                          'with the one before, from a camera that moves sideways')
+    camera, = reconstruction.cameras.values()
+    if _focal_length_held(camera):
+        f, width = camera.params[0], camera.width
+        notes.append(
+            f'the focal length could not be estimated and is taken to be {f:.0f} px '
+            f'({math.degrees(2 * math.atan(width / 2 / f)):.0f} degrees across), so shapes may be '
+            'wrong. Record more photos, of things near and far, from a camera that moves sideways')
+    return tuple(notes)
 
 
 def _median_depth(reconstruction: Any) -> float:

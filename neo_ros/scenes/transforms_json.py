@@ -58,7 +58,7 @@ def read_transforms(path: Path) -> PosedImages:
     if not image_paths:
         raise SceneError(f'{path}: none of the {len(frames)} listed images exists')
     return PosedImages(intrinsics, tuple(image_paths), tuple(poses), tuple(path_ids),
-                       document.get('z_up') is True)
+                       document.get('z_up') is True, document.get('arbitrary_scale') is True)
 
 
 def read_input_crop(path: Path) -> Optional[ViewExpansion]:
@@ -83,12 +83,15 @@ def write_transforms(path: Path, images: PosedImages,
     `expansion` marks wide truth: its source window is written as `input_crop`.
     """
     camera = images.intrinsics
+    unit = 'units of arbitrary length' if images.arbitrary_scale else 'metres'
     document: dict[str, Any] = {
         'camera_model': 'PINHOLE', 'w': camera.width, 'h': camera.height,
         'fl_x': camera.fx, 'fl_y': camera.fy, 'cx': camera.cx, 'cy': camera.cy,
-        'note': 'camera-to-world, OpenGL axes (+X right, +Y up, +Z back), metres'}
+        'note': f'camera-to-world, OpenGL axes (+X right, +Y up, +Z back), {unit}'}
     if images.z_up:
         document['z_up'] = True
+    if images.arbitrary_scale:
+        document['arbitrary_scale'] = True
     if expansion is not None:
         document['input_crop'] = {
             'x': expansion.left, 'y': expansion.top,

@@ -5,7 +5,8 @@ from typing import Optional
 
 import cv2
 from neo_ros.errors import SceneError
-from neo_ros.scenes.capture import Capture, CapturedFrame, origin_of
+from neo_ros.scenes.capture import (
+    Capture, CapturedFrame, no_progress, origin_of, Progress)
 from neo_ros.scenes.sharpness import sharpness
 import numpy as np
 
@@ -16,12 +17,14 @@ STEP = 0.08
 _TRACK_WIDTH, _CORNERS, _LOST = 320, 300, 0.5
 
 
-def read_video(source: Path) -> Capture:
+def read_video(source: Path, progress: Progress = no_progress) -> Capture:
     """
     Choose frames of a video for structure from motion.
 
-    Raises SceneError for files that are no video.
+    Progress is shown of videos that say how many frames they have. Raises SceneError for files
+    that are no video.
     """
+    total = _frame_count(source)
     chosen: list[int] = []
     best, count = (-1, -1.0), 0
     start: Optional[_Corners] = None
@@ -34,9 +37,13 @@ def read_video(source: Path) -> Capture:
         score = sharpness(image)
         if score > best[1]:
             best = (index, score)
+        if count < total:
+            progress(count, total)
     if start is None:
         raise SceneError(f'{source}: expected a video that OpenCV can read, got no frame')
     chosen.append(best[0])
+    if total > 0:
+        progress(count, count)  # Many videos say a few more or less than they have.
 
     def stream(indices: Sequence[int]) -> Iterator[tuple[int, Optional[np.ndarray]]]:
         wanted = {chosen[index]: index for index in indices}
@@ -88,6 +95,15 @@ def _frames(source: Path) -> Iterator[tuple[int, np.ndarray]]:
                 return
             yield number, cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
             number += 1
+    finally:
+        video.release()
+
+
+def _frame_count(source: Path) -> int:
+    """Return how many frames the file says it has; 0 or less if it does not."""
+    video = cv2.VideoCapture(str(source))
+    try:
+        return int(video.get(cv2.CAP_PROP_FRAME_COUNT))
     finally:
         video.release()
 
