@@ -18,10 +18,10 @@ def photos(*places: tuple[float, float]) -> PosedImages:
     return PosedImages(CAMERA, (Path('none.png'),) * len(poses), poses, (0,) * len(poses))
 
 
-def furnished(low: tuple[float, float, float], high: tuple[float, float, float]
-              ) -> RadianceField:
+def furnished(low: tuple[float, float, float], high: tuple[float, float, float],
+              voxels: int = 80_000) -> RadianceField:
     """Put a block between two corners, relative to the room's centre, into the room."""
-    field = room_field(80_000)
+    field = room_field(voxels)
     points = field.world_points().reshape(-1, 3) - CENTRE
     field.grid[((points > low) & (points < high)).all(1), 0] = 30
     field.update_occupancy()
@@ -56,6 +56,21 @@ def test_what_no_photo_looked_into_is_not_free() -> None:
     assert (floor.centres()[:, 0] < CENTRE[0] + 0.5).all()
     both = find_free_floor(field, photos((-0.8, 0.5), (1.4, 0.0)), SamplingConfig())
     assert both.contains(CENTRE[:2] + np.array([[1.4, 0.8], [-1.0, 0.8]])).all()
+
+
+@pytest.mark.parametrize('robot_radius', [0.2, 0.5])
+def test_photos_close_to_both_sides_of_a_wall_leave_it_standing(robot_radius: float) -> None:
+    field = furnished((-0.06, -3, -3), (0.06, 3, 3), voxels=200_000)
+    places = [(x, y) for x in (-0.15, 0.15) for y in np.arange(-1, 1.01, 0.1)]
+    floor = find_free_floor(field, photos(*places), SamplingConfig(robot_radius=robot_radius))
+    assert (np.abs(floor.centres()[:, 0] - CENTRE[0]) > 0.05).all()
+    assert floor.contains(CENTRE[:2] + np.array(places)).all()
+
+
+def test_where_a_photo_was_taken_is_free_whatever_the_field_says() -> None:
+    field = furnished((0.3, -0.2, -0.2), (0.7, 0.2, 0.2))
+    floor = find_free_floor(field, photos((0.5, 0), (-0.8, 0)), SamplingConfig())
+    assert floor.contains(CENTRE[:2] + np.array([[0.5, 0], [-0.8, 0]])).all()
 
 
 def test_the_height_may_be_another() -> None:

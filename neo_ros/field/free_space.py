@@ -22,7 +22,8 @@ def find_free_floor(field: RadianceField, photos: PosedImages,
 
     A cell is free if the photos looked through it at that height and the field has no matter in
     it, from a step above the floor to a little above the camera; or if a photo was taken there.
-    It must hang together with such a place. The floor is what lies below the photos.
+    Within a robot's radius of a photo, matter counts at the camera's height only. A cell must
+    hang together with a place of a photo. The floor is what lies below the photos.
     """
     positions = photos.T_world_cam[:, :3, 3]
     height = (float(np.median(positions[:, 2])) if config.camera_height is None
@@ -36,9 +37,11 @@ def find_free_floor(field: RadianceField, photos: PosedImages,
     free = _looked_through(field, photos, low, size, height) & ~_matter(
         field, low, size, bottom, height + SLAB)
     near = cv2.distanceTransform((~stood).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    free |= near * RESOLUTION <= config.robot_radius + RESOLUTION
+    free |= (near * RESOLUTION <= config.robot_radius + RESOLUTION) & ~_matter(
+        field, low, size, height - SLAB, height + SLAB)
+    free |= stood
     _, labels = cv2.connectedComponents(free.astype(np.uint8), connectivity=4)
-    reached = np.isin(labels, np.unique(labels[stood & free])) & free
+    reached = np.isin(labels, np.unique(labels[stood])) & free
     return WalkableMap(RESOLUTION, (float(low[0]), float(low[1])), reached, height, clearance=0.0)
 
 
