@@ -2,6 +2,7 @@
 from dataclasses import replace
 import math
 from pathlib import Path
+from typing import Optional
 
 from capture_files import demo_photos
 import cv2
@@ -138,6 +139,28 @@ def test_any_axis_may_point_up(
     np.testing.assert_allclose(
         np.linalg.inv(photos.T_world_cam[0]) @ photos.T_world_cam[7],
         np.linalg.inv(scene.train.T_world_cam[0]) @ scene.train.T_world_cam[7], atol=1e-9)
+
+
+@pytest.mark.parametrize('degrees, warned', [(10, None), (20, 20), (29, 29), (44, 44), (50, 40)])
+def test_a_world_that_no_quarter_turn_stands_up_is_told(
+        degrees: float, warned: Optional[int], caplog: pytest.LogCaptureFixture) -> None:
+    photos = hand_held(rotation_from_vector(np.array([math.radians(degrees), 0, 0])))
+    stood_up(Scene('room', photos, None, None, None))
+    assert ('--level' in caplog.text) == (warned is not None)
+    assert warned is None or f'room: the photos were held {warned} degrees from ' in caplog.text
+    caplog.clear()
+    stood_up(Scene('room', replace(photos, z_up=True), None, None, None))
+    assert not caplog.text
+
+
+@pytest.mark.parametrize('turn', [0.001, 0.5], ids=['hardly turning', 'turning'])
+def test_looking_down_is_no_lean(turn: float, caplog: pytest.LogCaptureFixture) -> None:
+    T = np.eye(4)
+    T[:3, :3] = rotation_from_vector(np.array([math.radians(-30), 0, 0]))
+    poses = tuple(CameraPose(pose.T_world_cam @ T) for pose in walk(12, 0.1, turn))
+    photos = replace(hand_held(np.eye(3), 12), poses=poses)
+    assert stood_up(Scene('room', photos, None, None, None)).train is photos
+    assert not caplog.text
 
 
 def test_a_floor_map_says_which_way_is_up() -> None:
