@@ -101,6 +101,23 @@ def test_a_robot_keeps_its_radius_off_the_walls() -> None:
         room.kept_off(1.2)
 
 
+@pytest.mark.parametrize('white', [1, 100, 255, 1000, 65535])
+def test_the_header_of_a_binary_pgm_says_what_is_white(tmp_path: Path, white: int) -> None:
+    path = write_map(tmp_path)
+    pixels = np.array([white, 0], '>u2' if white > 255 else np.uint8).tobytes()
+    (tmp_path / 'map.pgm').write_bytes(f'P5\n# 255 grey\n2 1\n{white}\n'.encode() + pixels)
+    np.testing.assert_array_equal(read_map_server(path, 1.0).cells, [[1, 0]])
+
+
+@pytest.mark.parametrize('size', [0, 5, 14])
+def test_an_image_that_is_cut_off_is_not_looked_for_elsewhere(tmp_path: Path, size: int) -> None:
+    path = write_map(tmp_path)
+    image = tmp_path / 'map.pgm'
+    image.write_bytes(image.read_bytes()[:size])
+    with pytest.raises(SceneError, match=r'map.pgm: .* is cut off or of another kind'):
+        read_map_server(path, 1.0)
+
+
 def test_a_mask_is_a_map_of_bright_pixels(tmp_path: Path) -> None:
     assert cv2.imwrite(str(tmp_path / 'mask.png'), np.array([[255, 127], [0, 128]], np.uint8))
     found = read_floor_mask(tmp_path / 'mask.png', 0.1, (1.0, 2.0, 0.0), 0.5)
@@ -109,21 +126,31 @@ def test_a_mask_is_a_map_of_bright_pixels(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize('changes, message', [
     ({'free_thresh': None}, "expected the key 'free_thresh'"),
-    ({'image': 'no.pgm'}, 'no.pgm: expected a readable image of a floor'),
-    ({'resolution': 0.0}, 'resolution: expected metres per pixel > 0, got 0.0'),
-    ({'origin': [1.0]}, 'origin: expected .x, y, yaw., got'),
-    ({'origin': [0.0, 0.0, math.nan]}, 'origin: expected finite x, y and yaw'),
+    ({'resolution': 0.0}, 'map.yaml: resolution: expected metres per pixel > 0, got 0.0'),
+    ({'origin': [1.0]}, r'map.yaml: origin: expected \[x, y, yaw\], got \[1.0\]'),
+    ({'origin': [1.0, 2.0, 3.0, 4.0]}, 'map.yaml: origin: expected .x, y, yaw.'),
+    ({'origin': 3}, 'map.yaml: origin: expected .x, y, yaw., got 3'),
+    ({'origin': ['a', 0, 0]}, 'map.yaml: origin: expected .x, y, yaw., got'),
+    ({'origin': [0.0, 0.0, math.nan]}, 'map.yaml: origin: expected finite x, y and yaw'),
     ({'mode': 'sepia'}, "mode: expected trinary, scale, raw, got 'sepia'"),
     ({'free_thresh': 0.9}, 'free_thresh <= occupied_thresh <= 1, got 0.9 and 0.65'),
-    ({'negate': 1}, 'at least one free cell'),
-    ({'resolution': 'wide'}, 'could not convert'),
+    ({'free_thresh': 'x'}, "map.yaml: free_thresh: expected a number, got 'x'"),
+    ({'negate': 1}, 'map.yaml: cells: expected a 2-D grid with at least one free cell'),
+    ({'negate': 'maybe'}, "map.yaml: negate: expected a number, got 'maybe'"),
+    ({'resolution': 'wide'}, "map.yaml: resolution: expected a number, got 'wide'"),
+    ({'resolution': [1]}, r'map.yaml: resolution: expected a number, got \[1\]'),
 ], ids=str)
 def test_bad_maps_say_what_is_wrong(
         tmp_path: Path, changes: dict[str, Any], message: str) -> None:
     path = write_map(tmp_path, np.full((2, 2), 254, np.uint8), **changes)
-    if changes.get('image'):
-        (tmp_path / 'map.yaml').write_text((tmp_path / 'map.yaml').read_text())
     with pytest.raises(SceneError, match=message):
+        read_map_server(path, 1.0)
+
+
+def test_a_map_without_its_image(tmp_path: Path) -> None:
+    path = write_map(tmp_path)
+    (tmp_path / 'map.pgm').unlink()
+    with pytest.raises(SceneError, match=r'map.pgm: .*No such file .*is the path right'):
         read_map_server(path, 1.0)
 
 

@@ -54,10 +54,17 @@ def test_written_maps_read_back(tmp_path):
     ({'rows': ['000', '000']}, 'at least one free cell'),
     ({'rows': 5}, 'rows: expected 2 strings'),
     ({'resolution': 0}, 'resolution: expected metres > 0'),
-    ({'resolution': 'fine'}, 'fine'),
-    ({'origin': [1]}, 'walkable.json'),
+    ({'resolution': 'fine'}, "walkable.json: resolution: expected a number, got 'fine'"),
+    ({'origin': [1]}, r'walkable.json: origin: expected \[x, y\], got \[1\]'),
+    ({'origin': 3}, r'walkable.json: origin: expected \[x, y\], got 3'),
     ({'origin': [float('nan'), 0]}, r'origin\[0\]: expected a finite'),
-    ({'camera_height': None}, 'walkable.json'),
+    ({'width': 'x'}, "walkable.json: width: expected a number, got 'x'"),
+    ({'width': 3.7}, r'rows\[0\]: expected 3.7 characters .* as width says'),
+    ({'height': 2.7}, 'rows: expected 2.7 strings as height says, got 2'),
+    ({'width': float('nan'), 'height': 0, 'rows': []}, 'walkable.json: cells: expected'),
+    ({'camera_height': None}, 'walkable.json: camera_height: expected a number, got None'),
+    ({'clearance': -5}, 'walkable.json: clearance: expected metres >= 0, got -5'),
+    ({'clearance': 'x'}, "walkable.json: clearance: expected a number, got 'x'"),
 ], ids=lambda value: str(value)[:30])
 def test_bad_fields_are_named(tmp_path, changes, message):
     path = tmp_path / 'walkable.json'

@@ -6,11 +6,12 @@ Free floor is what the map says is free. What is occupied, unknown or off the ma
 import logging
 import math
 from pathlib import Path
+import re
 from typing import Any
 
 import cv2
 from neo_ros.errors import SceneError
-from neo_ros.scenes.walkable import WalkableMap
+from neo_ros.scenes.walkable import read_number, WalkableMap
 import numpy as np
 import yaml
 
@@ -18,6 +19,8 @@ logger = logging.getLogger(__name__)
 # Occupancy of the grey that map savers write for unknown floor.
 UNKNOWN = 50 / 255
 MODES = ('trinary', 'scale', 'raw')
+# Of a PGM or PPM with binary pixels: width, height and the value of white, which OpenCV overlooks.
+BINARY_HEADER = re.compile(rb'P[56]' + 3 * rb'(?:\s|#[^\n]*\n)+([1-9]\d*)')
 
 
 def read_map_server(path: Path, camera_height: float) -> WalkableMap:
@@ -36,14 +39,15 @@ def read_map_server(path: Path, camera_height: float) -> WalkableMap:
         raise SceneError(f'{path}: expected the YAML file of a map (image, resolution, origin, '
                          f'negate, occupied_thresh, free_thresh), got {document!r:.60}')
     try:
-        free = float(document['free_thresh'])
-        occupied = float(document['occupied_thresh'])
-        resolution, negate = float(document['resolution']), bool(int(document['negate']))
-        origin = [float(value) for value in document['origin']]
+        free = read_number(document, 'free_thresh')
+        occupied = read_number(document, 'occupied_thresh')
+        resolution = read_number(document, 'resolution')
+        negate = read_number(document, 'negate') != 0
+        origin = _read_origin(document['origin'])
         image_path = path.parent / str(document['image'])
     except KeyError as error:
         raise SceneError(f'{path}: expected the key {error}') from error
-    except (TypeError, ValueError) as error:
+    except SceneError as error:
         raise SceneError(f'{path}: {error}') from error
     mode = str(document.get('mode', 'trinary')).lower()
     if mode not in MODES:
@@ -51,22 +55,19 @@ def read_map_server(path: Path, camera_height: float) -> WalkableMap:
     if not 0 <= free <= occupied <= 1:
         raise SceneError(f'{path}: expected 0 <= free_thresh <= occupied_thresh <= 1, got '
                          f'{free} and {occupied}')
-    if len(origin) not in (2, 3):
-        raise SceneError(f'{path}: origin: expected [x, y, yaw], got {document["origin"]}')
     image = _read_image(image_path)
     occupancy, known = _occupancy(image, mode, negate)
     if mode != 'raw' and not negate and free > UNKNOWN and (image[..., 0] == 205 / 255).any():
         logger.warning('%s: grey 205, which map savers write for unknown floor, counts as free '
                        'with free_thresh %s; 0.196 excludes it', path, free)
-    x, y, yaw = (*origin, 0.0)[:3]
-    return place_floor((occupancy < free) & known, resolution, (x, y, yaw), camera_height)
+    return _placed(path, (occupancy < free) & known, resolution, origin, camera_height)
 
 
 def read_floor_mask(path: Path, resolution: float, origin: tuple[float, float, float],
                     camera_height: float) -> WalkableMap:
     """Read an image whose bright pixels (from 128 of 255) are free floor; seen from above."""
     bright = _read_image(path)[..., :3].mean(axis=-1) >= 0.5
-    return place_floor(bright, resolution, origin, camera_height)
+    return _placed(path, bright, resolution, origin, camera_height)
 
 
 def place_floor(free: np.ndarray, resolution: float, origin: tuple[float, float, float],
@@ -100,13 +101,40 @@ def place_floor(free: np.ndarray, resolution: float, origin: tuple[float, float,
     return WalkableMap(resolution, (float(x), float(y)), cells, camera_height, clearance=0.0)
 
 
+def _placed(path: Path, free: np.ndarray, resolution: float,
+            origin: tuple[float, float, float], camera_height: float) -> WalkableMap:
+    try:
+        return place_floor(free, resolution, origin, camera_height)
+    except SceneError as error:
+        raise SceneError(f'{path}: {error}') from error
+
+
+def _read_origin(origin: Any) -> tuple[float, float, float]:
+    """Return x, y and yaw; a map may leave out the yaw."""
+    try:
+        x, y, yaw = (float(value) for value in (*origin, 0.0)[:max(len(origin), 3)])
+    except (TypeError, ValueError, OverflowError) as error:
+        raise SceneError(f'origin: expected [x, y, yaw], got {origin!r:.60}') from error
+    return x, y, yaw
+
+
 def _read_image(path: Path) -> np.ndarray:
     """Read an image as float64 (H, W, 3 or 4) in [0, 1], BGR and perhaps opacity."""
-    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise SceneError(f'{path}: expected an image of a floor: {error.strerror}; is the path '
+                         'right, relative to the YAML file?') from error
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:  # An empty file.
+        image = None
     if image is None:
-        raise SceneError(f'{path}: expected a readable image of a floor (PGM, PNG); is the path '
-                         'right, relative to the YAML file?')
-    image = image.astype(np.float64) / (65535 if image.dtype == np.uint16 else 255)
+        raise SceneError(f'{path}: expected a readable image of a floor (PGM, PNG), got one that '
+                         'is cut off or of another kind; save it again')
+    header = BINARY_HEADER.match(data)
+    white = int(header[3]) if header else 65535 if image.dtype == np.uint16 else 255
+    image = image.astype(np.float64) / white
     return np.repeat(image[..., None], 3, axis=-1) if image.ndim == 2 else image
 
 

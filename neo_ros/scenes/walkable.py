@@ -3,6 +3,7 @@ from dataclasses import dataclass
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import cv2
 from neo_ros.errors import SceneError
@@ -38,6 +39,8 @@ class WalkableMap:
                             ('clearance', self.clearance)):
             if not math.isfinite(value):
                 raise SceneError(f'{name}: expected a finite number of metres, got {value}')
+        if self.clearance < 0:
+            raise SceneError(f'clearance: expected metres >= 0, got {self.clearance}')
         cells = np.array(self.cells, bool)
         if cells.ndim != 2 or not cells.any():
             raise SceneError(f'cells: expected a 2-D grid with at least one free cell, got shape '
@@ -103,17 +106,23 @@ def read_walkable(path: Path) -> WalkableMap:
     if not isinstance(document, dict):
         raise SceneError(f'{path}: expected a JSON object, got {type(document).__name__}')
     try:
-        width, height = int(document['width']), int(document['height'])
-        x, y = (float(value) for value in document['origin'])
+        width, height = read_number(document, 'width'), read_number(document, 'height')
         cells = _read_rows(document['rows'], width, height)
-        return WalkableMap(float(document['resolution']), (x, y), cells,
-                           float(document['camera_height']),
-                           float(document.get('clearance', 0.0)))
+        return WalkableMap(read_number(document, 'resolution'), _read_origin(document['origin']),
+                           cells, read_number(document, 'camera_height'),
+                           read_number({'clearance': 0.0} | document, 'clearance'))
     except KeyError as error:
         raise SceneError(f'{path}: expected the key {error}') from error
-    except (TypeError, ValueError, OverflowError) as error:
-        # SceneError is a ValueError: the path is added.
+    except SceneError as error:
         raise SceneError(f'{path}: {error}') from error
+
+
+def read_number(document: dict[str, Any], key: str) -> float:
+    """Return the number under a key; raises SceneError that names the key, else KeyError."""
+    try:
+        return float(document[key])
+    except (TypeError, ValueError, OverflowError) as error:
+        raise SceneError(f'{key}: expected a number, got {document[key]!r:.60}') from error
 
 
 def write_walkable(path: Path, walkable: WalkableMap) -> None:
@@ -134,11 +143,20 @@ def write_walkable(path: Path, walkable: WalkableMap) -> None:
                          'make room') from error
 
 
-def _read_rows(rows: list[str], width: int, height: int) -> np.ndarray:
+def _read_origin(origin: Any) -> tuple[float, float]:
+    try:
+        x, y = (float(value) for value in origin)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise SceneError(f'origin: expected [x, y], got {origin!r:.60}') from error
+    return x, y
+
+
+def _read_rows(rows: Any, width: float, height: float) -> np.ndarray:
     if not isinstance(rows, list) or len(rows) != height:
         found = len(rows) if isinstance(rows, list) else type(rows).__name__
-        raise SceneError(f'rows: expected {height} strings as height says, got {found}')
+        raise SceneError(f'rows: expected {height:.10g} strings as height says, got {found}')
     for j, row in enumerate(rows):
         if not isinstance(row, str) or len(row) != width or set(row) - {'0', '1'}:
-            raise SceneError(f"rows[{j}]: expected {width} characters '0' or '1', got {row!r:.60}")
-    return np.array([[cell == '1' for cell in row] for row in rows], bool).reshape(height, width)
+            raise SceneError(f"rows[{j}]: expected {width:.10g} characters '0' or '1' as width "
+                             f'says, got {row!r:.60}')
+    return np.array([[cell == '1' for cell in row] for row in rows], bool)
