@@ -111,6 +111,11 @@ def experiment_from(document: Any, name: str) -> Experiment:
     try:
         return TypeAdapter(Experiment).validate_python(document)
     except ValidationError as error:
-        lines = [f'{".".join(map(str, item["loc"]))}: {item["msg"]}, got {item["input"]!r}'
-                 for item in error.errors()]
-        raise ConfigError(f'{name}: ' + '; '.join(lines)) from error
+        raise ConfigError(f'{name}: ' + '; '.join(map(_in_words, error.errors()))) from error
+
+
+def _in_words(item: Any) -> str:
+    own = item.get('ctx', {}).get('error')
+    if isinstance(own, ConfigError):  # It names the setting and what came.
+        return str(own)
+    return f'{".".join(map(str, item["loc"]))}: {item["msg"]}, got {item["input"]!r}'

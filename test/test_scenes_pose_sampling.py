@@ -208,14 +208,14 @@ def test_a_seed_fixes_the_poses() -> None:
 
 
 @pytest.mark.parametrize('changes', [{'interval': 0.0}, {'radius': -1.0}, {'positions': 0},
-                                     {'interval': math.nan}], ids=str)
+                                     {'interval': math.nan}, {'interval': math.inf},
+                                     {'radius': math.inf}], ids=str)
 def test_sampling_settings_out_of_range(changes: dict[str, float]) -> None:
-    with pytest.raises(ConfigError, match='sampling: expected interval, radius and positions'):
+    with pytest.raises(ConfigError, match='sampling: expected finite interval, radius and pos'):
         SamplingConfig(**changes)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize('changes, message', [
-    ({'area': 'garden'}, 'sampling.area: expected auto, walkable, free_space or photos, got'),
     ({'yaws': -1}, 'expected yaws and robot_radius >= 0, got -1'),
     ({'robot_radius': -0.1}, 'robot_radius >= 0'),
     ({'camera_height': math.inf}, 'sampling.camera_height: expected metres, got inf'),
@@ -233,3 +233,16 @@ def test_a_grid_that_misses_every_place_is_an_error() -> None:
     with pytest.raises(ConfigError, match='choose a smaller interval'):
         PoseSampler.around_photos(photos_with([(0, 0, 1.5, 0, 0, 0)]),
                                   SamplingConfig(interval=1.0, radius=0.3))
+
+
+@pytest.mark.parametrize('changes, got', [
+    ({'interval': 1e-5}, '1e-05'), ({'interval': 1e-320}, '1e-320'),
+    ({'radius': 1e5}, '0.2')], ids=str)
+def test_a_grid_of_too_many_places_is_never_laid(changes: dict[str, float], got: str) -> None:
+    config = SamplingConfig(**changes)  # type: ignore[arg-type]
+    message = f'sampling.interval: expected a grid of at most 1e.08 places, got .* of {got} m over'
+    with pytest.raises(ConfigError, match=message):
+        PoseSampler.around_photos(photos_with([(0, 0, 1.5, 0, 0, 0)]), config)
+    if config.interval is not None:
+        with pytest.raises(ConfigError, match=message):
+            PoseSampler.for_walkable(FLOOR, config)

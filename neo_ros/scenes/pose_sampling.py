@@ -12,6 +12,8 @@ import numpy as np
 
 # Metres between grid positions in the paper: section 4.1 (best of 0.05 to 1.0), section 4.2.
 FLOOR_INTERVAL, PHOTOS_INTERVAL = 0.05, 0.2
+# Of a grid, before what is not free is left out; to look at so many takes 6 GB.
+MOST_PLACES = 100_000_000
 
 
 @dataclass(frozen=True)
@@ -32,14 +34,11 @@ class SamplingConfig:
     sharp_only: Optional[bool] = None  # draw blurred views again; default: for `photos` only
 
     def __post_init__(self) -> None:
-        if not ((self.interval is None or self.interval > 0) and self.radius > 0
-                and self.positions > 0):
+        if not ((self.interval is None or 0 < self.interval < math.inf)
+                and 0 < self.radius < math.inf and self.positions > 0):
             raise ConfigError(
-                'sampling: expected interval, radius and positions > 0, got '
+                'sampling: expected finite interval, radius and positions > 0, got '
                 f'{self.interval}, {self.radius}, {self.positions}')
-        if self.area not in ('auto', 'walkable', 'free_space', 'photos'):
-            raise ConfigError('sampling.area: expected auto, walkable, free_space or photos, got '
-                              f'{self.area!r}')
         if not (self.yaws >= 0 and self.robot_radius >= 0):
             raise ConfigError('sampling: expected yaws and robot_radius >= 0, got '
                               f'{self.yaws}, {self.robot_radius}')
@@ -77,6 +76,7 @@ class PoseSampler:
         floor = walkable.kept_off(config.robot_radius)
         interval = FLOOR_INTERVAL if config.interval is None else config.interval
         centres = floor.centres()
+        _check_grid(np.ptp(centres, axis=0), interval)
         low, steps = centres.min(0), np.ptp(centres, axis=0) / interval
         axes = [start + interval * np.arange(int(count + 1e-6) + 1)
                 for start, count in zip(low, steps)]
@@ -98,6 +98,7 @@ class PoseSampler:
         T = photos.T_world_cam
         xy = T[:, :2, 3]
         low, high = xy.min(0) - config.radius, xy.max(0) + config.radius
+        _check_grid(high - low, interval)
         axes = [np.arange(a, b + interval, interval) for a, b in zip(low, high)]
         near = np.zeros((len(axes[1]), len(axes[0])), bool)
         for photo in xy:  # each looks at the part of the grid around it
@@ -156,6 +157,17 @@ def rotation_from_angles(yaw: float, pitch: float, roll: float) -> np.ndarray:
     return CameraPose(np.block([
         [np.stack([right, np.cross(forward, right), forward], axis=1), np.zeros((3, 1))],
         [np.array([[0, 0, 0, 1.0]])]])).T_world_cam[:3, :3]
+
+
+def _check_grid(extent: np.ndarray, interval: float) -> None:
+    """Raise ConfigError where a grid over an extent (2,), metres, has too many places."""
+    width, height = extent.tolist()
+    places = (width / interval + 1) * (height / interval + 1)
+    if places > MOST_PLACES:
+        raise ConfigError(
+            f'sampling.interval: expected a grid of at most {MOST_PLACES:.0e} places, got '
+            f'{places:.0e} of {interval} m over {width:.0f} x {height:.0f} m; choose a larger '
+            'interval')
 
 
 def _yaw_bounds(yaws: np.ndarray) -> tuple[float, float]:
