@@ -16,7 +16,7 @@ from neo_ros.outpaint.variants import export_variant, Format, FORMATS
 from neo_ros.pipeline import real_frames
 from neo_ros.runtime import FovExtrapolator, read_model_card, write_model_card
 from neo_ros.runtime.model_card import Parity
-from neo_ros.training.checkpoint import read_checkpoint
+from neo_ros.training.checkpoint import checkpoint_errors, read_checkpoint
 from neo_ros.training.folder import claim
 from neo_ros.training.run import LEAST_PHOTOS, TrainingRun
 from neo_ros.training.views import held_out_views
@@ -53,13 +53,15 @@ def export_variants(run: TrainingRun, formats: Sequence[Format] = FORMATS,
         raise ConfigError(f'{run.out}: expected a finished run, got none with '
                           f'{" and ".join(missing)}; give neo train the same arguments')
     claim(run.out, run.scene, run.experiment)
-    state = read_checkpoint(checkpoint)['trainer']
-    done, total = run.experiment.outpaint.progress(state['step'], state['seconds'])
+    state = read_checkpoint(checkpoint)
+    network = build_network(run.expansion, run.experiment.network)
+    with checkpoint_errors(checkpoint):
+        trained = state['trainer']
+        done, total = run.experiment.outpaint.progress(trained['step'], trained['seconds'])
+        network.load_state_dict(trained['averaged'])
     if done < total:
         raise ConfigError(f'{run.out}: expected a finished run, got one that is at {done} of '
                           f'{total}; give neo train the same arguments')
-    network = build_network(run.expansion, run.experiment.network)
-    network.load_state_dict(state['averaged'])
     network.eval()
     views = held_out_views(run, RadianceField.load(
         run.out / 'field.npz', chosen_device(run.experiment.field.device)))

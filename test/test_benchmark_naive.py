@@ -3,7 +3,7 @@ from types import SimpleNamespace
 
 from neo_ros.benchmark import naive
 from neo_ros.benchmark.naive import as_wide, PATIENCE, ResizedPhotos, train_naive, ZOOM
-from neo_ros.errors import ConfigError
+from neo_ros.errors import ConfigError, NeoError
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.outpaint.fitting import OutpaintConfig
 from neo_ros.outpaint.network import NetworkConfig
@@ -101,6 +101,12 @@ def test_a_broken_training_remembers_its_best(run, monkeypatch):
     run.progress = told
     train_naive(run)
     assert run.exported == [3.0]
+
+
+def test_a_checkpoint_of_something_else_is_named(run):
+    torch.save({'trainer': {'step': 1}}, run.out / 'naive.ckpt')
+    with pytest.raises(NeoError, match='naive.ckpt: expected a checkpoint .*delete it'):
+        train_naive(run)
 
 
 def test_without_photos_to_validate_on_there_is_no_b1(run):

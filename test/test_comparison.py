@@ -7,7 +7,7 @@ import shutil
 from neo_ros import model_variants
 from neo_ros.cli.main import app
 from neo_ros.comparison import compare, marked_front, Row
-from neo_ros.errors import ConfigError, ModelError
+from neo_ros.errors import ConfigError, ModelError, NeoError
 from neo_ros.field.memory_baking import MemoryConfig
 from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.model_variants import export_variants
@@ -158,4 +158,8 @@ def test_other_settings_and_unfinished_runs_are_not_exported(
     state['trainer']['step'] -= 1
     write_checkpoint(unfinished.out / 'outpainter.ckpt', state)
     with pytest.raises(ConfigError, match='finished run, got one that is at .* of'):
+        export_variants(unfinished)
+    del state['trainer']['averaged']
+    write_checkpoint(unfinished.out / 'outpainter.ckpt', state)
+    with pytest.raises(NeoError, match="outpainter.ckpt: expected .*'averaged'.*; delete it"):
         export_variants(unfinished)

@@ -21,6 +21,7 @@ SETTINGS: dict[str, Any] = {
     'sh_degree': 1, 'exposure': True}
 
 
+NAN, INF = float('nan'), float('inf')
 # Enough for a fit that can be looked at.
 PLAIN: dict[str, Any] = {'voxels': 30_000, 'rays_per_step': 1024, 'sh_degree': 0}
 
@@ -175,7 +176,7 @@ def test_a_fit_leaves_out_no_more_than_views(view: float | None, fitted: float) 
     assert fit_near(view) == fitted
 
 
-@pytest.mark.parametrize('minutes', [0.0, -1.0, float('nan'), float('inf')])
+@pytest.mark.parametrize('minutes', [0.0, -1.0, NAN, INF])
 def test_no_time_is_refused(minutes: float) -> None:
     with pytest.raises(ConfigError, match='field.minutes'):
         FieldConfig(minutes=minutes)
@@ -297,13 +298,20 @@ def test_a_fit_that_left_nothing_says_so(images: np.ndarray) -> None:
 
 @pytest.mark.parametrize('changes, message', [
     ({'sh_degree': 3}, 'field.sh_degree: expected 0, 1 or 2, got 3'),
-    ({'steps': 9}, 'expected steps >= 10'),
-    ({'voxels': 10}, 'voxels >= 1000'),
-    ({'rays_per_step': 0}, 'rays_per_step >= 4'),
-    ({'margin': 0.0}, 'margin > 0'),
-    ({'learning_rate': float('nan')}, 'learning_rate > 0'),
-    ({'shell': -0.1}, 'expected shell and near >= 0'),
-    ({'near': -1.0}, 'expected shell and near >= 0'),
+    ({'steps': 9}, 'field.steps: expected 10 ... 1_000_000_000, got 9'),
+    ({'voxels': 10}, 'field.voxels: expected 1_000 ... '),
+    ({'voxels': 10 ** 12}, 'field.voxels: expected .* got 1000000000000'),
+    ({'rays_per_step': 0}, 'field.rays_per_step: expected 4 ... '),
+    ({'margin': 0.0}, 'field.margin: expected 1e-06 ... 1_000, got 0.0'),
+    ({'margin': INF}, 'field.margin'),
+    ({'learning_rate': NAN}, 'field.learning_rate: expected .* got nan'),
+    ({'learning_rate': 1e30}, 'field.learning_rate'),
+    ({'shell': -0.1}, 'field.shell: expected 0 ... 10, got -0.1'),
+    ({'shell': INF}, 'field.shell'),
+    ({'near': -1.0}, 'field.near: expected 0 ... 100, got -1.0'),
+    ({'near': 1e9}, 'field.near'),
+    *[({name: value}, f'field.{name}: expected 0 ... 1_000, got {value}')
+      for name in ('distortion', 'pointwise', 'sparsity') for value in (NAN, INF, -0.1)],
 ], ids=str)
 def test_settings_out_of_range(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message):

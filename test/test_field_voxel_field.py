@@ -1,4 +1,5 @@
 from pathlib import Path
+from typing import Any
 
 from hypothesis import given, strategies as st
 from neo_ros.errors import SceneError
@@ -158,16 +159,43 @@ def test_saved_fields_read_back(tmp_path: Path) -> None:
         np.testing.assert_array_equal(first, second)
 
 
-@pytest.mark.parametrize('content', [None, b'', b'no field', 'cut'], ids=[
-    'missing', 'empty', 'text', 'cut off'])
+@pytest.mark.parametrize('content', [
+    None, b'', b'no field', 'cut', 'array'], ids=['missing', 'empty', 'text', 'cut off', 'array'])
 def test_what_is_no_field_is_refused(tmp_path: Path, content: bytes | str | None) -> None:
     path = tmp_path / 'field.npz'
     if content == 'cut':
         room_field(5000).save(path)
         path.write_bytes(path.read_bytes()[:2000])
+    elif content == 'array':
+        with path.open('wb') as file:
+            np.save(file, np.zeros(3))
     elif isinstance(content, bytes):
         path.write_bytes(content)
-    with pytest.raises(SceneError, match='field.npz: expected a radiance field'):
+    with pytest.raises(SceneError, match='field.npz: expected a radiance field') as refused:
+        RadianceField.load(path)
+    assert ('delete it to fit the field again' in str(refused.value)) == (content is not None)
+
+
+@pytest.mark.parametrize('changes, message', [
+    ({'shape': [200, 200, 200]}, r'kept: expected the shape .1000000,., got'),
+    ({'shape': [20, 20]}, r'shape: expected three numbers, 2 or more, got .20, 20.'),
+    ({'shape': [-8, -8, 8]}, 'shape: expected three numbers'),
+    ({'kept': np.zeros(3, np.uint8)}, 'kept: expected the shape'),
+    ({'seen': np.zeros(3, np.uint8)}, 'seen: expected the shape'),
+    ({'grid': np.zeros((7, 4), np.float32)}, r'grid: expected the shape .*4. or .*got .7, 4.'),
+    ({'grid': np.zeros(7, np.float32)}, 'grid: expected the shape'),
+    ({'centre': np.zeros(2)}, 'centre: expected the shape'),
+    ({'settings': 0.2}, r'settings: expected the shape .4,., got ..'),
+    ({'settings': list('abcd')}, 'could not convert'),
+    ({'kept': None}, 'kept'),
+], ids=str)
+def test_arrays_that_do_not_fit_are_refused(
+        tmp_path: Path, changes: dict[str, Any], message: str) -> None:
+    path = tmp_path / 'field.npz'
+    room_field(5000).save(path)
+    arrays = {**np.load(path), **changes}
+    np.savez(path, **{name: value for name, value in arrays.items() if value is not None})
+    with pytest.raises(SceneError, match=f'field.npz: expected .*{message}.*; delete it to fit'):
         RadianceField.load(path)
 
 

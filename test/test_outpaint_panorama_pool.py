@@ -44,6 +44,10 @@ def pool(field: RadianceField, *offsets: tuple[float, float], positions: int = 6
     return PanoramaPool(field, sampler, VIEW, positions, seed=0, cache=cache)
 
 
+def on_disk(folder: Path) -> int:
+    return sum(path.stat().st_size for path in folder.iterdir())
+
+
 def photos(field: RadianceField, folder: Path) -> PosedImages:
     """Photograph the stripes, sharper than the field shows them."""
     poses = tuple(standing(0.1 * k, 0.0, 1.2 + 0.1 * k) for k in range(8))
@@ -121,9 +125,32 @@ def test_a_cache_keeps_to_its_limit_and_the_rest_stays_in_memory(
     kept = pool(field, cache=PanoramaCache(tmp_path, limit))
     assert kept.fill(6) == 6
     assert len(list(tmp_path.glob('*.npy'))) == 2
-    assert sum(path.stat().st_size for path in tmp_path.iterdir()) < 1.1 * limit
-    # Also what an earlier run left counts.
-    assert PanoramaCache(tmp_path, limit).used > 0.7 * limit
+    assert on_disk(tmp_path) < limit
+    # Also what an earlier run left counts, and what is above a smaller limit goes.
+    assert PanoramaCache(tmp_path, limit).used == on_disk(tmp_path) > 0.7 * limit
+    assert PanoramaCache(tmp_path, limit / 2).used == on_disk(tmp_path) < limit / 2
+    assert [path.name for path in tmp_path.glob('*.npy')] == ['000000.npy']
+
+
+def test_a_cache_counts_headers_and_notes_and_each_file_once(
+        field: RadianceField, tmp_path: Path) -> None:
+    pool(field, cache=PanoramaCache(tmp_path, 1e9)).fill(3)
+    whole = on_disk(tmp_path)
+    (tmp_path / '000001.npy').write_bytes(b'damaged')
+    for limit, kept in ((whole, 3), (whole - 1, 2)):
+        cache = PanoramaCache(tmp_path, limit)
+        pool(field, cache=cache).fill(3)
+        assert cache.used == on_disk(tmp_path) <= limit
+        assert len(list(tmp_path.glob('*.npy'))) == kept
+
+
+def test_a_cache_of_other_views_is_made_anew(field: RadianceField, tmp_path: Path) -> None:
+    one = pool(field, cache=PanoramaCache(tmp_path, 1e9))
+    one.fill(1)
+    larger = PanoramaPool(field, one.sampler, Intrinsics.from_hfov(48, 48, 1.6), 6, seed=0,
+                          cache=PanoramaCache(tmp_path, 1e9))
+    larger.fill(1)
+    assert larger.panoramas[0].image.shape[0] > one.panoramas[0].image.shape[0]
 
 
 def test_a_full_disk_is_named(field: RadianceField, tmp_path: Path,

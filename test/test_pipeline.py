@@ -175,6 +175,13 @@ def test_panoramas_in_files_make_the_same_model(tiny_run: TrainingRun, tmp_path:
     assert graph_of(run) == graph_of(tiny_run)
 
 
+@pytest.mark.parametrize('cache_gb', [-1.0, float('nan')])
+def test_no_room_for_panoramas_is_refused(
+        flat_scene: Path, tmp_path: Path, cache_gb: float) -> None:
+    with pytest.raises(ConfigError, match='--cache-gb: expected GB, 0 or more, got'):
+        train_tiny(flat_scene, tmp_path / 'out', cache_gb=cache_gb)
+
+
 def test_a_finished_training_is_not_trained_again(
         tiny_run: TrainingRun, tmp_path: Path) -> None:
     shutil.copytree(tiny_run.out, tmp_path / 'out')

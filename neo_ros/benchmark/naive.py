@@ -14,7 +14,8 @@ from neo_ros.errors import ConfigError
 from neo_ros.outpaint.fitting import OutpaintTrainer
 from neo_ros.pipeline import export_step
 from neo_ros.scenes.posed_images import PosedImages
-from neo_ros.training.checkpoint import CHECKPOINT_SECONDS, read_checkpoint, write_checkpoint
+from neo_ros.training.checkpoint import (
+    checkpoint_errors, CHECKPOINT_SECONDS, read_checkpoint, write_checkpoint)
 from neo_ros.training.run import LEAST_PHOTOS, TrainingRun
 import numpy as np
 import torch
@@ -78,9 +79,10 @@ def train_naive(run: TrainingRun) -> None:
     best: dict[str, Any] = {'psnr': -np.inf, 'at': 0, 'weights': trainer.averaged.state_dict()}
     if checkpoint.exists():
         state = read_checkpoint(checkpoint)
-        trainer.restore(state['trainer'])
-        best = state['best']
-        run.seconds = state['seconds']
+        with checkpoint_errors(checkpoint):
+            trainer.restore(state['trainer'])
+            best = state['best']
+            run.seconds = state['seconds']
     saved, last = trainer.seconds, time.monotonic()
     while trainer.done[0] < trainer.done[1] and len(trainer.validation) - best['at'] < PATIENCE:
         scores = len(trainer.validation)

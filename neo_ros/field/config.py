@@ -1,6 +1,5 @@
 """How the radiance field is fitted: the settings `field` of an experiment."""
 from dataclasses import dataclass
-import math
 from typing import Optional
 
 from neo_ros.errors import ConfigError
@@ -8,6 +7,12 @@ from neo_ros.errors import ConfigError
 DEVICES = ('auto', 'cpu', 'cuda', 'torch')
 # Metres before the lens that the photos' rays leave out in a fit.
 FIT_NEAR = 0.1
+# What lies outside can only be a mistake.
+LIMITS = {
+    'voxels': (1000, 1_000_000_000), 'steps': (10, 1_000_000_000), 'minutes': (1e-6, 1_000_000),
+    'rays_per_step': (4, 10_000_000), 'margin': (1e-6, 1000), 'shell': (0, 10), 'near': (0, 100),
+    'learning_rate': (1e-6, 10), 'distortion': (0, 1000), 'pointwise': (0, 1000),
+    'sparsity': (0, 1000)}
 
 
 @dataclass(frozen=True)
@@ -37,17 +42,10 @@ class FieldConfig:
             raise ConfigError(f'field.device: expected {", ".join(DEVICES)}, got {self.device!r}')
         if self.sh_degree not in (0, 1, 2):
             raise ConfigError(f'field.sh_degree: expected 0, 1 or 2, got {self.sh_degree}')
-        if self.steps < 10 or self.voxels < 1000 or self.rays_per_step < 4:
-            raise ConfigError('field: expected steps >= 10, voxels >= 1000, rays_per_step >= 4, '
-                              f'got {self.steps}, {self.voxels}, {self.rays_per_step}')
-        if self.minutes is not None and not 0 < self.minutes < math.inf:
-            raise ConfigError(f'field.minutes: expected a number > 0, got {self.minutes}')
-        if not (self.margin > 0 and self.learning_rate > 0):
-            raise ConfigError('field: expected margin > 0 and learning_rate > 0, '
-                              f'got {self.margin}, {self.learning_rate}')
-        if not (self.shell >= 0 and (self.near is None or self.near >= 0)):
-            raise ConfigError(f'field: expected shell and near >= 0, got {self.shell}, '
-                              f'{self.near}')
+        for name, (least, most) in LIMITS.items():
+            value = getattr(self, name)
+            if value is not None and not least <= value <= most:
+                raise ConfigError(f'field.{name}: expected {least:_} ... {most:_}, got {value}')
 
 
 def fit_near(view_near: Optional[float]) -> float:

@@ -5,6 +5,7 @@ Draws what `FieldTrainer` draws, so both follow the same path up to rounding. Se
 (`torch.distributed`) share the pixels of a step and add their gradients. Nothing here is a
 matrix product, so bf16 autocast would change nothing.
 """
+from collections.abc import Sequence
 import math
 import time
 from typing import Any
@@ -76,9 +77,27 @@ class TorchFieldTrainer(FieldTrainer):
         self.seconds += time.monotonic() - started
         if processes > 1 and config.minutes is not None:
             # All processes refine and stop at the same step.
-            shared = torch.tensor([self.seconds], dtype=torch.float64, device=self.arrays.device)
+            self.seconds = float(self._from_first([self.seconds])[0])
+
+    def content_box(self) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Find the inner box, as `FieldTrainer.content_box`: the first process's in all of them.
+
+        A GPU adds in no fixed order: each would see a little else, and their grids would differ.
+        """
+        centre, half_extent = self._from_first(np.stack(super().content_box()))
+        return centre, half_extent
+
+    def empty_distance(self) -> float:
+        """Find what is empty, as `FieldTrainer.empty_distance`: the first process's in all."""
+        return float(self._from_first([super().empty_distance()])[0])
+
+    def _from_first(self, values: Sequence[float] | np.ndarray) -> np.ndarray:
+        """Return the first process's float64 values in all of them."""
+        shared = torch.tensor(values, dtype=torch.float64, device=self.arrays.device)
+        if distributed.is_initialized():
             distributed.broadcast(shared, 0)
-            self.seconds = float(shared)
+        return shared.cpu().numpy()
 
     def _differentiate(self, rays_o: Tensor, rays_d: Tensor, jitter: Tensor, target: Tensor,
                        gain: Tensor, background: Tensor) -> tuple[Tensor, Tensor]:

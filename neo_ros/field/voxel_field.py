@@ -10,7 +10,6 @@ from dataclasses import dataclass, field, replace
 import math
 from pathlib import Path
 from typing import Any, Optional
-from zipfile import BadZipFile
 
 from neo_ros.errors import SceneError
 from neo_ros.field import kernels
@@ -227,17 +226,39 @@ class RadianceField:
         """Read what `save` wrote, to be rendered on a device; SceneError for other files."""
         try:
             with np.load(path) as data:
-                shell, step, near, initial_alpha = data['settings']
-                shape = tuple(int(n) for n in data['shape'])
-                result = cls(data['grid'], shape, data['centre'],  # type: ignore[arg-type]
-                             data['half_extent'], float(shell), float(step), float(near),
-                             float(initial_alpha), unpacked(data['kept'], shape))
-                result.seen = np.unpackbits(data['seen'], count=math.prod(shape))
-        except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
+                arrays = dict(data)
+            _check_shapes(arrays)
+            shape = tuple(int(n) for n in arrays['shape'])
+            shell, step, near, initial_alpha = (float(value) for value in arrays['settings'])
+            result = cls(arrays['grid'], shape, arrays['centre'],  # type: ignore[arg-type]
+                         arrays['half_extent'], shell, step, near, initial_alpha,
+                         unpacked(arrays['kept'], shape))
+            result.seen = np.unpackbits(arrays['seen'], count=math.prod(shape))
+        except OSError as error:
             raise SceneError(f'{path}: expected a radiance field: {error}') from error
+        except Exception as error:  # Of a damaged file numpy and zipfile raise many types.
+            raise SceneError(f'{path}: expected a radiance field: {error}; delete it to fit the '
+                             'field again') from error
         result.device = device
         result.update_occupancy()
         return result
+
+
+def _check_shapes(arrays: dict[str, np.ndarray]) -> None:
+    """Raise ValueError where arrays of a file do not fit: kernels would read beyond their ends."""
+    shape = arrays['shape'].tolist()
+    if np.shape(shape) != (3,) or min(shape) < 2:
+        raise ValueError(f'shape: expected three numbers, 2 or more, got {shape}')
+    points = math.prod(shape)
+    rows = int(np.unpackbits(arrays['kept'])[:points].sum())
+    bits = math.ceil(points / 8)
+    shapes: dict[str, list[tuple[int, ...]]] = {
+        'kept': [(bits,)], 'seen': [(bits,)], 'centre': [(3,)], 'half_extent': [(3,)],
+        'settings': [(4,)], 'grid': [(rows, 1 + 3 * terms) for terms in (1, 4, 9)]}
+    for name, fitting in shapes.items():
+        if arrays[name].shape not in fitting:
+            raise ValueError(f'{name}: expected the shape {" or ".join(map(str, fitting))}, got '
+                             f'{arrays[name].shape}')
 
 
 def dilated(cells: np.ndarray, around: int) -> np.ndarray:

@@ -10,6 +10,9 @@ from neo_ros.geometry import Band
 from neo_ros.paths import whole_file
 import numpy as np
 
+# Bytes before the image in its file.
+HEADER = 128
+
 
 @dataclass(frozen=True)
 class DrawnPanorama:
@@ -24,7 +27,7 @@ class PanoramaCache:
     A folder of panoramas that holds at most `limit` bytes.
 
     Files appear whole or not at all, so a killed training loses the one that it was writing. They
-    are read as the system pages them in.
+    are read as the system pages them in. What an earlier training left above the limit is deleted.
     """
 
     def __init__(self, folder: Path, limit: float) -> None:
@@ -32,13 +35,19 @@ class PanoramaCache:
         folder.mkdir(parents=True, exist_ok=True)
         for partial in folder.glob('*.partial'):
             partial.unlink()
-        self.used = sum(path.stat().st_size for path in folder.iterdir())
+        self.used = _size(*folder.iterdir())
+        for path in sorted(folder.iterdir(), reverse=True):
+            if self.used > limit:
+                self.used -= _size(path)
+                path.unlink()
 
-    def read(self, index: int, band: Band) -> Optional[DrawnPanorama]:
-        """Return panorama `index`, None where it is not there or damaged."""
+    def read(self, index: int, band: Band, size: tuple[int, int]) -> Optional[DrawnPanorama]:
+        """Return panorama `index`, None where it is not there, damaged or of another (H, W)."""
         try:
             notes = json.loads(self._path(index, 'json').read_text())
             image = np.load(self._path(index, 'npy'), mmap_mode='r')
+            if image.shape != (*size, 4) or image.dtype != np.uint8:
+                return None
             return DrawnPanorama(
                 Panorama(np.array(notes['position']), image, band, notes['opacity'],
                          notes['blocked']),
@@ -53,24 +62,32 @@ class PanoramaCache:
         Raises NeoError where it cannot be written.
         """
         panorama = drawn.panorama
-        if self.used + panorama.image.nbytes > self.limit:
-            return drawn
         notes = json.dumps({
             'position': panorama.position.tolist(), 'opacity': panorama.opacity,
             'blocked': panorama.blocked,
             'refused': [(reason, position.tolist()) for reason, position in drawn.refused]})
+        files = image_file, notes_file = self._path(index, 'npy'), self._path(index, 'json')
+        others = self.used - _size(*files)
+        if others + HEADER + panorama.image.nbytes + len(notes) > self.limit:
+            return drawn
         try:
-            # The notes come last: where they are, the image is whole.
-            with whole_file(self._path(index, 'npy')) as partial, partial.open('wb') as file:
+            # The notes come last: where they are, the image is whole, and theirs.
+            notes_file.unlink(missing_ok=True)
+            with whole_file(image_file) as partial, partial.open('wb') as file:
                 np.save(file, panorama.image)
-            with whole_file(self._path(index, 'json')) as partial:
+            with whole_file(notes_file) as partial:
                 partial.write_text(notes)
         except OSError as error:
             raise NeoError(
                 f'{self.folder}: cannot keep panoramas: {error.strerror}; make room and start '
                 'the training again, or lower --cache-gb') from error
-        self.used += panorama.image.nbytes
-        return self.read(index, panorama.band) or drawn
+        self.used = others + _size(*files)
+        return self.read(index, panorama.band, panorama.image.shape[:2]) or drawn
 
     def _path(self, index: int, suffix: str) -> Path:
         return self.folder / f'{index:06d}.{suffix}'
+
+
+def _size(*files: Path) -> int:
+    """Count the bytes of those files that are there."""
+    return sum(path.stat().st_size for path in files if path.exists())

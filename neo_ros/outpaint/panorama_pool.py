@@ -3,7 +3,7 @@ from collections import Counter
 from typing import Any, Callable, Optional
 
 from neo_ros.errors import SceneError
-from neo_ros.field.panorama import Panorama, render_panorama, view_band
+from neo_ros.field.panorama import Panorama, panorama_size, render_panorama, view_band
 from neo_ros.field.torch_field import torch_device
 from neo_ros.field.view_cutting import view_cutter
 from neo_ros.field.voxel_field import RadianceField
@@ -111,7 +111,8 @@ class PanoramaPool:
 
     def _add_position(self) -> None:
         index = len(self.panoramas)
-        drawn = self.cache.read(index, self.band) if self.cache else None
+        size = panorama_size(self.view, self.band)
+        drawn = self.cache.read(index, self.band, size) if self.cache else None
         if drawn is None:
             drawn = self._draw(index)
             if self.cache:

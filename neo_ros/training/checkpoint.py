@@ -1,4 +1,6 @@
 """Checkpoints of a training: nested dicts of numbers, texts, numpy arrays and tensors."""
+from collections.abc import Iterator
+from contextlib import contextmanager
 import json
 from pathlib import Path
 import time
@@ -25,10 +27,19 @@ def write_checkpoint(path: Path, state: dict[str, Any]) -> None:
 
 def read_checkpoint(path: Path) -> dict[str, Any]:
     """Read what `write_checkpoint` wrote (arrays come back as tensors); runs no code in it."""
-    try:
+    with checkpoint_errors(path):
         return torch.load(path, map_location='cpu', weights_only=True)
-    except Exception as error:  # torch raises several types for a broken file.
-        raise NeoError(f'{path}: expected a checkpoint of neo train: {error}; '
+
+
+@contextmanager
+def checkpoint_errors(path: Path) -> Iterator[None]:
+    """Name the file in any error of reading a checkpoint, or of going on from what was in it."""
+    try:
+        yield
+    except (MemoryError, torch.OutOfMemoryError):
+        raise  # That is no fault of the file.
+    except Exception as error:  # Of a broken file or another's state, torch raises many types.
+        raise NeoError(f'{path}: expected a checkpoint of neo train: {error!r}; '
                        'delete it to start this step again') from error
 
 
@@ -50,8 +61,9 @@ def train_with_checkpoints(run: TrainingRun, trainer: Any, checkpoint: Path, sta
     """
     if checkpoint.exists():
         state = read_checkpoint(checkpoint)
-        run.seconds, run.log[stage] = state['seconds'], state['log']
-        trainer.restore(state['trainer'])
+        with checkpoint_errors(checkpoint):
+            run.seconds, run.log[stage] = float(state['seconds']), list(state['log'])
+            trainer.restore(state['trainer'])
 
     def save() -> None:
         write_checkpoint(checkpoint, {'seconds': run.seconds, 'log': run.log[stage],
@@ -85,7 +97,7 @@ def read_notes(path: Path, result: str) -> tuple[float, list[list[float]]]:
     """Read what `write_notes` wrote beside the file `result`; SceneError for anything else."""
     try:
         notes = json.loads(path.read_text())
-        return float(notes['seconds']), notes['log']
-    except (OSError, ValueError, KeyError) as error:
+        return float(notes['seconds']), list(notes['log'])
+    except (OSError, ValueError, KeyError, TypeError) as error:
         raise SceneError(f'{path}: expected the notes of a finished step: {error}; '
                          f'delete {result} to do this step again') from error

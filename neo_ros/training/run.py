@@ -39,6 +39,8 @@ class TrainingRun:
     outpaint_seconds: float = 0.0
 
     def __post_init__(self) -> None:
+        if not self.cache_gb >= 0:  # nan is neither, and would be no limit.
+            raise ConfigError(f'--cache-gb: expected GB, 0 or more, got {self.cache_gb}')
         camera = self.scene.train.intrinsics
         self.expansion: ViewExpansion = self.experiment.expansion(camera, self.scene.expansion)
         held_out = set(range(HELD_OUT_EVERY // 2, len(self.scene.train), HELD_OUT_EVERY))
