@@ -67,10 +67,10 @@ def test_photos_close_to_both_sides_of_a_wall_leave_it_standing(robot_radius: fl
     assert floor.contains(CENTRE[:2] + np.array(places)).all()
 
 
-def test_where_a_photo_was_taken_is_free_whatever_the_field_says() -> None:
+def test_around_a_photo_that_the_field_has_in_matter_it_does_not_count() -> None:
     field = furnished((0.3, -0.2, -0.2), (0.7, 0.2, 0.2))
     floor = find_free_floor(field, photos((0.5, 0), (-0.8, 0)), SamplingConfig())
-    assert floor.contains(CENTRE[:2] + np.array([[0.5, 0], [-0.8, 0]])).all()
+    assert floor.contains(CENTRE[:2] + np.array([[0.5, 0], [0.5, 0.15], [-0.8, 0]])).all()
 
 
 def test_the_height_may_be_another() -> None:

@@ -22,8 +22,9 @@ def find_free_floor(field: RadianceField, photos: PosedImages,
 
     A cell is free if the photos looked through it at that height and the field has no matter in
     it, from a step above the floor to a little above the camera; or if a photo was taken there.
-    Within a robot's radius of a photo, matter counts at the camera's height only. A cell must
-    hang together with a place of a photo. The floor is what lies below the photos.
+    Within a robot's radius of a photo, matter counts at the camera's height only, and not at all
+    where the field has some at the photo's own place. A cell must hang together with such a place.
+    The floor is what lies below the photos.
     """
     positions = photos.T_world_cam[:, :3, 3]
     height = (float(np.median(positions[:, 2])) if config.camera_height is None
@@ -36,13 +37,22 @@ def find_free_floor(field: RadianceField, photos: PosedImages,
     bottom = min(_floor_height(field, positions) + STEP_M, height - SLAB)
     free = _looked_through(field, photos, low, size, height) & ~_matter(
         field, low, size, bottom, height + SLAB)
-    near = cv2.distanceTransform((~stood).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    free |= (near * RESOLUTION <= config.robot_radius + RESOLUTION) & ~_matter(
-        field, low, size, height - SLAB, height + SLAB)
-    free |= stood
+    matter = _matter(field, low, size, height - SLAB, height + SLAB)
+    # A field that has matter where a photo was taken is wrong all around it.
+    free |= (_around(stood, config.robot_radius) & ~matter
+             | _around(stood & matter, config.robot_radius))
     _, labels = cv2.connectedComponents(free.astype(np.uint8), connectivity=4)
     reached = np.isin(labels, np.unique(labels[stood])) & free
     return WalkableMap(RESOLUTION, (float(low[0]), float(low[1])), reached, height, clearance=0.0)
+
+
+def _around(cells: np.ndarray, radius: float) -> np.ndarray:
+    """Mark what lies within a radius, metres, of cells: bool (rows, columns)."""
+    if not cells.any():
+        return cells
+    distance = cv2.distanceTransform((~cells).astype(np.uint8), cv2.DIST_L2,
+                                     cv2.DIST_MASK_PRECISE)
+    return distance * RESOLUTION <= radius + RESOLUTION
 
 
 def _looked_through(field: RadianceField, photos: PosedImages, low: np.ndarray,
