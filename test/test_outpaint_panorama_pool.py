@@ -4,6 +4,7 @@ from unittest.mock import Mock
 
 import cv2
 from neo_ros.errors import NeoError, SceneError
+from neo_ros.evaluation.plan_view import FLOOR
 from neo_ros.evaluation.pose_map import draw_poses, pose_sections, write_poses
 from neo_ros.evaluation.report import Picture, Table
 from neo_ros.field.rendering import render_view, to_uint8
@@ -12,9 +13,10 @@ from neo_ros.geometry import Intrinsics
 from neo_ros.outpaint import panorama_pool
 from neo_ros.outpaint.panorama_cache import PanoramaCache
 from neo_ros.outpaint.panorama_pool import PanoramaPool
-from neo_ros.scenes.pose_sampling import PoseSampler
+from neo_ros.scenes.pose_sampling import PoseSampler, SamplingConfig
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.sharpness import relative_sharpness
+from neo_ros.scenes.walkable import WalkableMap
 import numpy as np
 from plain_field import CENTRE, room_field, standing, WALLS
 import pytest
@@ -214,7 +216,7 @@ def test_counts_and_map_come_back_from_the_folder(
         summary['drawn_positions'])
     used = np.stack([panorama.position for panorama in room.panoramas])
     refused = np.stack(room.refused_positions)
-    picture = draw_poses(room.sampler.positions_xy, used, refused, photos(field, tmp_path))
+    picture = draw_poses(room.sampler, used, refused, photos(field, tmp_path))
     write_poses(tmp_path, summary, picture)
     table, shown = pose_sections(tmp_path)
     assert isinstance(table, Table) and isinstance(shown, Picture)
@@ -225,6 +227,17 @@ def test_counts_and_map_come_back_from_the_folder(
     # Used positions are green, refused ones red.
     colours = {tuple(colour) for colour in picture.reshape(-1, 3)}
     assert (20, 130, 80) in colours and (200, 40, 40) in colours
+
+
+def test_the_map_shows_the_floor_that_the_positions_lie_on(
+        field: RadianceField, tmp_path: Path) -> None:
+    floor = WalkableMap(0.1, (CENTRE[0] - 1, CENTRE[1] - 1), np.ones((20, 20), bool), 1.2,
+                        clearance=0.0)
+    sampler = PoseSampler.for_walkable(floor, SamplingConfig(robot_radius=0.5))
+    picture = draw_poses(sampler, np.empty((0, 3)), np.empty((0, 3)), photos(field, tmp_path))
+    shaded, grid = ((picture == colour).all(-1).sum() for colour in (FLOOR, (221, 230, 240)))
+    # A metre of two is as far from the floor's edge as the robot's radius.
+    assert shaded > 2 * grid > 0
 
 
 def test_a_broken_note_says_what_to_do(tmp_path: Path) -> None:

@@ -1,10 +1,9 @@
 """A capture from above: where the cameras stood, where they looked, where the robot can be."""
 from neo_ros.evaluation.capture_measures import apart, CaptureMeasures
-from neo_ros.evaluation.plan_view import PlanView
+from neo_ros.evaluation.plan_view import FLOOR, PlanView
 from neo_ros.scenes.walkable import WalkableMap
 import numpy as np
 
-_FLOOR = (226, 236, 228)
 _LOOK = 14
 
 
@@ -22,7 +21,7 @@ def draw_map(measures: CaptureMeasures, walkable: WalkableMap | None) -> np.ndar
     plan = PlanView(everything.min(0), everything.max(0))
     for centre in floor:
         assert walkable is not None
-        plan.shade(centre, walkable.resolution, _FLOOR)
+        plan.shade(centre, walkable.resolution, FLOOR)
     plan.draw_grid()
     seen = measures.wide_seen.mean(axis=(1, 2))
     viewed = measures.photos.T_world_cam[measures.viewed]

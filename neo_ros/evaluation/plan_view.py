@@ -4,6 +4,8 @@ import numpy as np
 
 _PAPER, _GRID, _INK = (255, 255, 255), (214, 218, 224), (70, 74, 82)
 _SIDE, _MARGIN = 800, 48
+# Floor that a robot can be on.
+FLOOR = (226, 236, 228)
 
 
 class PlanView:

@@ -6,8 +6,9 @@ from typing import Any
 import cv2
 from neo_ros.errors import SceneError
 from neo_ros.evaluation.output import write_bytes
-from neo_ros.evaluation.plan_view import PlanView
+from neo_ros.evaluation.plan_view import FLOOR, PlanView
 from neo_ros.evaluation.report import Picture, Section, Table
+from neo_ros.scenes.pose_sampling import PoseSampler
 from neo_ros.scenes.posed_images import PosedImages
 import numpy as np
 
@@ -18,17 +19,22 @@ _TICK = 10
 _MOST_GRID_POINTS = 100_000
 
 
-def draw_poses(grid: np.ndarray, used: np.ndarray, refused: np.ndarray,
+def draw_poses(sampler: PoseSampler, used: np.ndarray, refused: np.ndarray,
                photos: PosedImages) -> np.ndarray:
     """
-    Draw positions (N, 2 or 3), metres, over the photos from above, RGB uint8.
+    Draw positions (N, 3), metres, over floor and photos from above, RGB uint8.
 
-    Shaded: the grid where positions are drawn from. Grey with ticks: photos. Green dots: positions
-    used; red crosses: refused.
+    Shaded: free floor, and on it the grid where positions are drawn from. Grey with ticks: photos.
+    Green dots: positions used; red crosses: refused.
     """
+    grid = sampler.positions_xy
     grid = grid[::-(-len(grid) // _MOST_GRID_POINTS)]
-    everything = np.concatenate([grid, photos.T_world_cam[:, :2, 3]])
+    floor = np.empty((0, 2)) if sampler.floor is None else sampler.floor.centres()
+    everything = np.concatenate([grid, floor, photos.T_world_cam[:, :2, 3]])
     plan = PlanView(everything.min(0), everything.max(0))
+    for centre in floor:
+        assert sampler.floor is not None
+        plan.shade(centre, sampler.floor.resolution, FLOOR)
     nearest = np.sort(np.linalg.norm(grid - grid[len(grid) // 2], axis=1))
     edge = float(nearest[1]) if len(grid) > 1 else 0.05
     for point in grid:
@@ -74,5 +80,5 @@ def pose_sections(folder: Path) -> list[Section]:
     if image is None:
         return [table]
     return [table, Picture('Positions from above', image[..., ::-1], (
-        'Blue: the grid. Grey: photos and where they looked. Green: positions used; red: refused. '
-        'Numbers are metres.'))]
+        'Pale green: free floor. Blue: the grid. Grey: photos and where they looked. Green: '
+        'positions used; red: refused. Numbers are metres.'))]

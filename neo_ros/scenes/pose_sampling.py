@@ -57,6 +57,7 @@ class PoseSampler:
     pitch_roll     means and standard deviations ((pitch, roll), (pitch, roll)), radians
     height         mean and standard deviation of z, metres
     yaws           headings at one position, evenly spaced over the range; 0 = any
+    floor          the free floor that the positions lie on, where they lie on one
     """
 
     positions_xy: np.ndarray
@@ -64,6 +65,7 @@ class PoseSampler:
     pitch_roll: tuple[tuple[float, float], tuple[float, float]]
     height: tuple[float, float]
     yaws: int = 0
+    floor: Optional[WalkableMap] = None
 
     def __post_init__(self) -> None:
         if not len(self.positions_xy):
@@ -84,7 +86,7 @@ class PoseSampler:
         height = (floor.camera_height if config.camera_height is None
                   else config.camera_height)
         return cls(grid[floor.contains(grid)], (-math.pi, 2 * math.pi),
-                   ((0.0, 0.0), (0.0, 0.0)), (height, 0.0), config.yaws)
+                   ((0.0, 0.0), (0.0, 0.0)), (height, 0.0), config.yaws, walkable)
 
     @classmethod
     def around_photos(cls, photos: PosedImages, config: SamplingConfig) -> 'PoseSampler':

@@ -86,5 +86,5 @@ def note_poses(run: TrainingRun, stream: PairStream, steps: int) -> None:
     stream.render_for(steps - 1)
     positions = np.stack([panorama.position for panorama in pool.panoramas])
     write_poses(run.out, pool.summary(), draw_poses(
-        pool.sampler.positions_xy, positions, np.array(pool.refused_positions).reshape(-1, 3),
+        pool.sampler, positions, np.array(pool.refused_positions).reshape(-1, 3),
         run.scene.train))
