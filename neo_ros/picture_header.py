@@ -1,4 +1,4 @@
-"""How large a compressed picture is, before anything is decoded."""
+"""What a compressed picture says of itself before it is decoded: its size, and its end."""
 from typing import Iterator
 
 from neo_ros.errors import ImageRejected

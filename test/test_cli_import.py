@@ -138,7 +138,9 @@ def test_photos_become_a_scene_and_stay_where_they_are(tmp_path: Path) -> None:
     assert len(read_scene(tmp_path / 'scene').train) == 6
     assert re.search(r'Extent: \S+ x \S+ x \S+ units ', output)
     run(tmp_path / 'scene', tmp_path / 'copy')
-    assert read_scene(tmp_path / 'copy').train.arbitrary_scale
+    run(tmp_path / 'scene/transforms_train.json', tmp_path / 'again')
+    for name in ('copy', 'again'):
+        assert read_scene(tmp_path / name).train.arbitrary_scale
     output = run(tmp_path / 'room', tmp_path / 'scene', '--scale', '0.5')
     assert re.search(r'Extent: \S+ x \S+ x \S+ m ', output)
     after = [path.read_bytes() for path in sorted((tmp_path / 'room/images').iterdir())]

@@ -3,12 +3,12 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 import os
 from pathlib import Path
-import re
 import shutil
 import tempfile
 from typing import Any
 
 from neo_ros.errors import BagError
+from neo_ros.scenes.capture import natural_key
 import yaml
 import zstandard
 
@@ -92,8 +92,7 @@ def _storage_files(path: Path) -> list[Path]:
                  for file in path.glob(f'*{suffix}')}
         if files:
             # bag_2.mcap comes before bag_10.mcap.
-            return [files[name] for name in sorted(files, key=lambda name: [
-                int(part) if part.isdecimal() else part for part in re.split(r'(\d+)', name)])]
+            return [files[name] for name in sorted(files, key=natural_key)]
     raise BagError(f'{path}: expected a rosbag2 folder, there is no {MCAP} or {SQLITE} in it')
 
 

@@ -137,7 +137,6 @@ def _import_capture(source: Path, scene: Path, format_: Any, image_topic: Option
         capture = read_video(source, lambda done, total: show('video frames', done, total))
     else:
         capture = FOLDER_READERS[format_](source)
-    arbitrary_scale = not capture.posed and scale is None
     if not capture.posed:
         from neo_ros.scenes.structure_from_motion import reconstruct
         capture, verdict = reconstruct(capture, scene / 'sfm', show)
@@ -159,6 +158,5 @@ def _import_capture(source: Path, scene: Path, format_: Any, image_topic: Option
             capture, keyframe_distance,
             None if keyframe_angle is None else math.radians(keyframe_angle),
             lambda done, total: show('sharpness', done, total))
-    written = write_capture(capture, scene, lambda done, total: show('photos', done, total),
-                            arbitrary_scale)
+    written = write_capture(capture, scene, lambda done, total: show('photos', done, total))
     return [*written, *notes]

@@ -81,8 +81,8 @@ def march(ox, oy, oz, dx, dy, dz, jitter, grid, row_of, shape, skip, box, step, 
             if shell == 0 or n > 1000:
                 break
             squeeze = (extent - shell / n) / n
-            # How fast the ray moves through the grid, in what it does inside the box: outwards
-            # shell / n^2, sideways by `squeeze`. n grows with the largest of |q|.
+            # Out here a ray crosses fewer cells a metre than inside the box: outwards shell / n^2
+            # as many, sideways `squeeze`. n grows with the largest of |q|.
             if abs(qx) >= max(abs(qy), abs(qz)):
                 growth = math.copysign(dx / box[3], qx * dx)
             elif abs(qy) >= abs(qz):

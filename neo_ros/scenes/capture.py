@@ -54,6 +54,7 @@ class Capture:
             None for frames that are files
     origin  what tells the source of a stream from any other one
     z_up    the format says that the world's z axis points up
+    arbitrary_scale  nobody knows how long a unit of the poses is
     """
 
     frames: tuple[CapturedFrame, ...]
@@ -61,6 +62,7 @@ class Capture:
     stream: Optional[ImageStream] = None
     origin: str = ''
     z_up: bool = False
+    arbitrary_scale: bool = False
 
     def __len__(self) -> int:
         return len(self.frames)

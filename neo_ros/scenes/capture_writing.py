@@ -23,8 +23,8 @@ NOTE_FILE = 'import.json'
 FARTHEST_M = 10_000
 
 
-def write_capture(capture: Capture, scene: Path, progress: Progress = no_progress,
-                  arbitrary_scale: bool = False) -> tuple[str, ...]:
+def write_capture(capture: Capture, scene: Path,
+                  progress: Progress = no_progress) -> tuple[str, ...]:
     """
     Write posed frames into a scene folder: images and transforms_train.json.
 
@@ -43,7 +43,8 @@ def write_capture(capture: Capture, scene: Path, progress: Progress = no_progres
     images = PosedImages(
         pinhole, tuple(scene / str(names[index]) for index in kept),
         tuple(pose for index in kept if (pose := capture.frames[index].pose) is not None),
-        tuple(capture.frames[index].path_id for index in kept), capture.z_up, arbitrary_scale)
+        tuple(capture.frames[index].path_id for index in kept), capture.z_up,
+        capture.arbitrary_scale)
     clear_earlier_import(scene)
     write_transforms(scene / 'transforms_train.json', images)
     return capture.notes + unreadable_note(capture, names)

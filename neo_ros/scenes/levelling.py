@@ -73,11 +73,11 @@ def level(capture: Capture) -> Capture:
 
 
 def scaled(capture: Capture, factor: float) -> Capture:
-    """Multiply all lengths of the world of a posed capture; only positions change."""
+    """Multiply all lengths of the world of a posed capture, which are metres then."""
     poses = [frame.pose for frame in capture.frames if frame.pose is not None]
     lengths = np.ones((4, 4))
     lengths[:3, 3] = factor
-    return replace(capture, frames=tuple(
+    return replace(capture, arbitrary_scale=False, frames=tuple(
         replace(frame, pose=CameraPose(lengths * pose.T_world_cam))
         for frame, pose in zip(capture.frames, poses)))
 

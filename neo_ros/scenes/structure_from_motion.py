@@ -96,7 +96,7 @@ def reconstruct(capture: Capture, work: Path,
     registered = Capture(tuple(frames), capture.notes + unreadable_note(capture, names)
                          + _notes(reconstruction, lost))
     scale = MEDIAN_DISTANCE / _median_depth(reconstruction)
-    return scaled(level(registered), scale), verdict
+    return replace(scaled(level(registered), scale), arbitrary_scale=True), verdict
 
 
 def photo_pairs(names: Sequence[str]) -> list[tuple[str, str]]:

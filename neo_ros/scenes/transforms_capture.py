@@ -77,7 +77,8 @@ def read_transforms_capture(source: Path) -> Capture:
         notes.append(f'{len(missing)} listed images are missing and left out: {listed(missing)}')
     if lost:
         notes.append(f'{len(lost)} frames have no finite pose and are left out: {listed(lost)}')
-    return Capture(tuple(frames), tuple(notes), z_up=document.get('z_up') is True)
+    return Capture(tuple(frames), tuple(notes), z_up=document.get('z_up') is True,
+                   arbitrary_scale=document.get('arbitrary_scale') is True)
 
 
 def _image_file(path: Path, index: int, entry: Any) -> Optional[Path]:
