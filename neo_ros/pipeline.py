@@ -12,13 +12,12 @@ from typing import Optional
 import neo_ros
 from neo_ros.evaluation.baselines import EdgeReplication, MeanImage, Method, NeoModel
 from neo_ros.evaluation.evaluate import evaluate, TruthFrames
-from neo_ros.evaluation.output import make_output_folder
 from neo_ros.experiment import Experiment
 from neo_ros.field.device import chosen_device, field_trainer
 from neo_ros.field.voxel_field import RadianceField
+from neo_ros.machine.files import make_output_folder
 from neo_ros.outpaint.distributed import process_group, wait_for_all
-from neo_ros.outpaint.export import (
-    calibration_factor, check_parity, export_onnx, require_parity)
+from neo_ros.outpaint.export import calibration_factor, check_parity, export_onnx, require_parity
 from neo_ros.outpaint.fitting import OutpaintTrainer
 from neo_ros.outpaint.training_log import TrainingLog
 from neo_ros.runtime import FovExtrapolator, ModelCard

@@ -3,7 +3,6 @@ from corner_photos import CAMERA, EXPANSION, write_corner
 from neo_ros.errors import SceneError
 from neo_ros.evaluation.evaluate import score_frames
 from neo_ros.evaluation.field_view import FieldView, Oracle
-from neo_ros.evaluation.image_fill import blend_bands, extend_edges
 from neo_ros.evaluation.photo_bank import read_photo_bank
 from neo_ros.evaluation.relocalized import (
     Localization, pose_error, Relocalized, RelocalizedNeo, Relocalizer)
@@ -13,6 +12,7 @@ from neo_ros.evaluation.warping import (
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.geometry.camera_pose import rotation_from_vector
 from neo_ros.memory.local_features import find_features, match_features
+from neo_ros.pictures.filling import blend_bands, extend_edges
 from neo_ros.scenes.demo_flat import build_demo_flat
 import numpy as np
 from plain_field import room_field, standing

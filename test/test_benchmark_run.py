@@ -19,7 +19,7 @@ from neo_ros.evaluation.sparse_model import SparseModel
 from neo_ros.experiment import read_experiment
 from neo_ros.field import fitting
 from neo_ros.geometry import CameraPose
-from neo_ros.paths import share_dir
+from neo_ros.machine.files import share_dir
 from neo_ros.scenes.scene import read_scene
 from neo_ros.scenes.transforms_json import read_input_crop, read_transforms, write_transforms
 import numpy as np

@@ -11,9 +11,9 @@ from neo_ros.evaluation.capture_report import _places, describe, write_capture_r
 from neo_ros.evaluation.plan_view import PlanView
 from neo_ros.evaluation.report import Table
 from neo_ros.geometry import CameraPose, Intrinsics
+from neo_ros.pictures.sharpness import blur_threshold
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.scene import Scene
-from neo_ros.scenes.sharpness import blur_threshold
 from neo_ros.scenes.walkable import WalkableMap
 import numpy as np
 import pytest

@@ -4,7 +4,7 @@ import os
 from pathlib import Path
 
 from neo_ros.errors import NeoError
-from neo_ros.evaluation.output import share_file, write_bytes
+from neo_ros.machine.files import share_file, write_bytes
 import pytest
 
 

@@ -7,12 +7,12 @@ from neo_ros.errors import ConfigError, GeometryError
 from neo_ros.experiment import Experiment, read_experiment, ViewConfig
 from neo_ros.field.config import FieldConfig, FIT_NEAR
 from neo_ros.geometry import Intrinsics, ViewExpansion
+import neo_ros.machine.files
 from neo_ros.outpaint.fitting import OutpaintConfig
-import neo_ros.paths
 from neo_ros.scenes.pose_sampling import SamplingConfig
 import pytest
 
-SHIPPED = neo_ros.paths.share_dir() / 'config' / 'experiments'
+SHIPPED = neo_ros.machine.files.share_dir() / 'config' / 'experiments'
 # What each ablation is compared with, and the settings that may differ from it.
 ABLATIONS = {
     **{f'interval_{metres}': ('base', {'sampling.interval'})
@@ -146,7 +146,7 @@ def test_no_ablation_is_forgotten() -> None:
     if name.split('.')[0] in ('sampling', 'network', 'memory')])
 def test_the_manual_has_the_setting_in_its_table(name: str) -> None:
     section, key = name.split('.')
-    manual = Path(neo_ros.paths.__file__).parents[1] / 'docs' / 'training.md'
+    manual = Path(neo_ros.machine.files.__file__).parents[1] / 'docs' / 'training.md'
     cells = [line.split('|')[1] for line in manual.read_text().splitlines()
              if line.startswith(f'| `{section}.')]
     assert any(f'.{key}`' in cell or f'`{key}`' in cell for cell in cells)

@@ -1,4 +1,4 @@
-from neo_ros.exposure import exposure_gain
+from neo_ros.pictures.exposure import exposure_gain
 import numpy as np
 
 

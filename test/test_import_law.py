@@ -10,31 +10,35 @@ import neo_ros
 import pytest
 
 PACKAGE = Path(neo_ros.__file__).parent
-# Modules beside the rooms that every room may use.
-COMMON = {'errors', 'exposure', 'model_bytes', 'paths', 'picture_header'}
+# What every room may use.
+COMMON = {'errors'}
 # Room: the other rooms and the heavy libraries that it may import.
 LAW: dict[str, set[str]] = {
-    'geometry': set(),
-    'scenes': {'geometry', 'cv2', 'pycolmap'},
-    'field': {'geometry', 'scenes', 'memory', 'torch', 'numba', 'scipy', 'cv2'},
-    'outpaint': {'geometry', 'scenes', 'field', 'runtime', 'torch', 'onnx', 'onnxruntime', 'cv2'},
-    'runtime': {'geometry', 'memory', 'onnxruntime', 'onnx', 'cv2'},
-    'memory': {'geometry', 'numba', 'cv2'},
-    'messages': {'geometry', 'cv2'},
-    'bags': {'geometry', 'scenes', 'runtime', 'messages', 'rosbags', 'mcap', 'cv2'},
+    'machine': {'numba'},
+    'pictures': {'machine', 'cv2'},
+    'geometry': {'cv2'},
+    'scenes': {'geometry', 'machine', 'pictures', 'cv2', 'pycolmap'},
+    'field': {'geometry', 'machine', 'pictures', 'scenes', 'memory', 'torch', 'numba', 'scipy',
+              'cv2'},
+    'outpaint': {'geometry', 'machine', 'pictures', 'scenes', 'field', 'runtime', 'torch', 'onnx',
+                 'onnxruntime', 'cv2'},
+    'memory': {'geometry', 'machine', 'pictures', 'numba', 'cv2'},
+    'runtime': {'geometry', 'machine', 'pictures', 'memory', 'onnxruntime', 'onnx', 'cv2'},
+    'messages': {'geometry', 'pictures', 'cv2'},
+    'bags': {'geometry', 'machine', 'scenes', 'runtime', 'messages', 'rosbags', 'mcap', 'cv2'},
     # The player and the recorder of bags are ROS nodes.
-    'node': {'geometry', 'runtime', 'messages', 'bags', 'rosbags', 'rclpy'},
-    'viewer': {'geometry', 'runtime', 'messages', 'bags', 'cv2', 'rclpy'},
-    'evaluation': {'geometry', 'scenes', 'field', 'outpaint', 'runtime', 'messages', 'memory',
-                   'torch', 'cv2', 'matplotlib', 'pycolmap'},
-    'speed': {'geometry', 'scenes', 'field', 'outpaint', 'runtime', 'messages', 'bags', 'memory',
-              'evaluation', 'torch', 'cv2', 'onnx'},
+    'node': {'geometry', 'machine', 'runtime', 'messages', 'bags', 'rosbags', 'rclpy'},
+    'viewer': {'geometry', 'pictures', 'runtime', 'messages', 'bags', 'cv2', 'rclpy'},
+    'evaluation': {'geometry', 'machine', 'pictures', 'scenes', 'field', 'outpaint', 'runtime',
+                   'messages', 'memory', 'torch', 'cv2', 'matplotlib', 'pycolmap'},
+    'speed': {'geometry', 'machine', 'scenes', 'field', 'outpaint', 'runtime', 'messages', 'bags',
+              'memory', 'evaluation', 'torch', 'cv2', 'onnx'},
     # What the pipeline is made of.
-    'training': {'geometry', 'scenes', 'field', 'outpaint', 'runtime', 'memory', 'evaluation',
-                 'experiment', 'torch'},
+    'training': {'geometry', 'machine', 'pictures', 'scenes', 'field', 'outpaint', 'runtime',
+                 'memory', 'evaluation', 'experiment', 'torch'},
     # Trains with the pipeline, which itself scores with `evaluation`.
-    'benchmark': {'geometry', 'scenes', 'field', 'outpaint', 'runtime', 'evaluation', 'pipeline',
-                  'experiment', 'training', 'torch', 'cv2'},
+    'benchmark': {'geometry', 'machine', 'pictures', 'scenes', 'field', 'outpaint', 'runtime',
+                  'evaluation', 'pipeline', 'experiment', 'training', 'torch', 'cv2'},
 }
 HEAVY = {'torch', 'numba', 'scipy', 'cv2', 'onnx', 'onnxscript', 'onnxruntime', 'rosbags',
          'mcap', 'rclpy', 'skimage', 'matplotlib', 'pycolmap'}

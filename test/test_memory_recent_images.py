@@ -4,8 +4,8 @@ from typing import Any
 from box_room import box_memory, EXPANSION, planar, view
 import cv2
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
+from neo_ros.machine.compiled import ALL_THREADS
 from neo_ros.memory import recent_images, scene_guide
-from neo_ros.memory.compiled import ALL_THREADS
 from neo_ros.memory.guided_view import GuidedView
 from neo_ros.memory.recent_images import RecentImages, SeenBefore
 from neo_ros.memory.recent_kernels import bring_differences

@@ -6,7 +6,8 @@ import sys
 
 from box_room import BAND, box_memory, EXPANSION, keyframe, planar, view
 from neo_ros.geometry import CameraPose
-from neo_ros.memory import compiled, kernels
+from neo_ros.machine import compiled
+from neo_ros.memory import kernels
 from neo_ros.memory.rendering import MemoryRenderer
 from neo_ros.memory.scene_memory import Glances, Keyframe, SceneMemory
 from numba import config, get_num_threads, set_num_threads
@@ -138,7 +139,7 @@ def test_kernels_are_compiled_anew_when_what_they_call_has_changed(
         monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(config, 'CACHE_DIR', str(tmp_path / 'cache'))
     monkeypatch.syspath_prepend(str(tmp_path))
-    head = 'from neo_ros.memory.compiled import njit\n\n\n@njit()\n'
+    head = 'from neo_ros.machine.compiled import njit\n\n\n@njit()\n'
     called = tmp_path / 'called_kernels.py'
     (tmp_path / 'calling_kernels.py').write_text(
         'from called_kernels import grow\n' + head + 'def four(x):\n    return 2 * grow(x)\n')

@@ -6,12 +6,12 @@ from typing import Any
 from box_room import apart, box_memory, EXPANSION, planar, SOURCE, view
 from neo_ros.geometry import CameraPose
 from neo_ros.geometry.camera_pose import rotation_from_vector
+from neo_ros.machine.compiled import ALL_THREADS
+from neo_ros.machine.files import share_dir
 from neo_ros.memory import alignment, scene_guide
 from neo_ros.memory.alignment import agreement, Aligner
-from neo_ros.memory.compiled import ALL_THREADS
 from neo_ros.memory.rendering import GuideView, MemoryRenderer
 from neo_ros.memory.scene_guide import better, SceneGuide, Sight
-from neo_ros.paths import share_dir
 from neo_ros.runtime import FovExtrapolator
 from numba import get_num_threads
 import numpy as np

@@ -10,10 +10,10 @@ import weakref
 from box_room import BAND, box_memory, keyframe
 import cv2
 from neo_ros.errors import ModelError
+from neo_ros.machine.regular_file import MAX_BYTES
 from neo_ros.memory import scene_memory
 from neo_ros.memory.landmarks import Landmarks
 from neo_ros.memory.scene_memory import CLOSEST, Glances, Keyframe, SceneMemory
-from neo_ros.model_bytes import MAX_BYTES
 import numpy as np
 import pytest
 

@@ -7,7 +7,7 @@ import zlib
 import cv2
 from neo_ros.errors import ImageRejected
 from neo_ros.messages.compressed_image import read_compressed_image
-from neo_ros.picture_header import compressed_image_size
+from neo_ros.pictures.header import compressed_image_size
 import numpy as np
 import pytest
 

@@ -12,12 +12,12 @@ from ament_index_python.packages import get_package_prefix, PackageNotFoundError
 from camera_messages import noise_image
 from live_node import Camera, end, SOURCE
 import neo_ros
+from neo_ros.machine.files import share_dir
 from neo_ros.node.extrapolator_node import ExtrapolatorNode
 from neo_ros.node.fastdds_profile import use_large_image_profile, VARIABLE
 from neo_ros.node.interface import INPUTS, OUTPUTS, SERVICES
 from neo_ros.node.interface_tables import interface_tables, with_tables
 from neo_ros.node.parameters import declare_parameters
-from neo_ros.paths import share_dir
 import pytest
 from rclpy.parameter import Parameter
 from ros_graph import ros_graph

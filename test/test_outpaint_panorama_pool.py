@@ -13,9 +13,9 @@ from neo_ros.geometry import Intrinsics
 from neo_ros.outpaint import panorama_pool
 from neo_ros.outpaint.panorama_cache import PanoramaCache
 from neo_ros.outpaint.panorama_pool import PanoramaPool
+from neo_ros.pictures.sharpness import relative_sharpness
 from neo_ros.scenes.pose_sampling import PoseSampler, SamplingConfig
 from neo_ros.scenes.posed_images import PosedImages
-from neo_ros.scenes.sharpness import relative_sharpness
 from neo_ros.scenes.walkable import WalkableMap
 import numpy as np
 from plain_field import CENTRE, room_field, standing, WALLS

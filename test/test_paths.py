@@ -1,7 +1,7 @@
 """Files appear whole or not at all."""
 from pathlib import Path
 
-from neo_ros.paths import whole_file
+from neo_ros.machine.files import whole_file
 import pytest
 
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from neo_ros.errors import ModelError
 from neo_ros.geometry import Intrinsics, ViewExpansion
-from neo_ros.model_bytes import MAX_BYTES
+from neo_ros.machine.regular_file import MAX_BYTES
 from neo_ros.runtime import fov_extrapolator, FovExtrapolator, onnx_file, write_model_card
 from neo_ros.runtime.model_file import open_model
 from neo_ros.runtime.onnx_file import scan_onnx_file

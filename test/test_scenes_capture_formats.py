@@ -12,7 +12,9 @@ from capture_files import (
     write_transforms_capture, write_turned_jpeg)
 from neo_ros.bags.capture import read_bag_capture
 from neo_ros.errors import SceneError
-from neo_ros.scenes.capture import Capture, natural_key, read_photo
+from neo_ros.machine.names import natural_key
+from neo_ros.pictures.photo import read_photo
+from neo_ros.scenes.capture import Capture
 from neo_ros.scenes.capture_writing import write_capture, write_images
 from neo_ros.scenes.colmap import read_colmap
 from neo_ros.scenes.formats import CaptureFormat, detect_format, FOLDER_READERS

@@ -10,7 +10,8 @@ import cv2
 from neo_ros.bags.capture import read_bag_capture
 from neo_ros.errors import SceneError
 from neo_ros.geometry import CameraPose
-from neo_ros.scenes.capture import Capture, read_photo
+from neo_ros.pictures.photo import read_photo
+from neo_ros.scenes.capture import Capture
 from neo_ros.scenes.capture_writing import write_capture
 from neo_ros.scenes.scene import read_scene
 from neo_ros.scenes.transforms_capture import read_transforms_capture

@@ -10,13 +10,12 @@ from hypothesis import given, strategies as st
 from neo_ros.errors import ConfigError, SceneError
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.geometry.camera_pose import rotation_from_vector
+from neo_ros.pictures.sharpness import sharpness
 from neo_ros.scenes.capture import Capture, CapturedFrame
 from neo_ros.scenes.keyframes import keyframes, split_steps
-from neo_ros.scenes.levelling import (
-    estimate_up, level, rotation_between, scaled, stood_up, tilt)
+from neo_ros.scenes.levelling import estimate_up, level, rotation_between, scaled, stood_up, tilt
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.scene import Scene
-from neo_ros.scenes.sharpness import sharpness
 from neo_ros.scenes.walkable import WalkableMap
 import numpy as np
 import pytest

@@ -6,11 +6,11 @@ import sys
 from neo_ros.cli.bench import bench
 from neo_ros.errors import ConfigError, ModelError
 from neo_ros.geometry import Intrinsics, ViewExpansion
+from neo_ros.machine.host import CACHED_BYTES, core_count, Machine, measure_machine
 from neo_ros.outpaint.networks import NetworkConfig
 from neo_ros.runtime import FovExtrapolator
 from neo_ros.speed import networks as speed_networks
 from neo_ros.speed.benchmarks import BENCHMARKS, run_benchmarks
-from neo_ros.speed.host import CACHED_BYTES, core_count, Machine, measure_machine
 from neo_ros.speed.model import count_flops, write_stand_in_model
 from neo_ros.speed.node import measure_graph
 from neo_ros.speed.record import Effort, QUICK, Record, time_calls, Work

@@ -8,7 +8,7 @@ import tempfile
 from typing import Any
 
 from neo_ros.errors import BagError
-from neo_ros.scenes.capture import natural_key
+from neo_ros.machine.names import natural_key
 import yaml
 import zstandard
 

@@ -9,8 +9,8 @@ from neo_ros.bags.reading import BagReader, BagTopic, describe_topics
 from neo_ros.bags.transforms import (
     frame_name, PoseSource, PoseTrack, read_transform, TransformTree)
 from neo_ros.errors import BagError
+from neo_ros.machine.names import listed
 from neo_ros.messages.stamps import stamp_of
-from neo_ros.scenes.capture import listed
 
 logger = logging.getLogger(__name__)
 TF, TF_STATIC = '/tf', '/tf_static'

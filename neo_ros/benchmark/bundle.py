@@ -6,7 +6,7 @@ import signal
 import tarfile
 from typing import Any
 
-from neo_ros.evaluation.output import make_output_folder, write_bytes
+from neo_ros.machine.files import make_output_folder, write_bytes
 
 PART_BYTES = 15_000_000
 # Below the working folder; fields and features can be made again and stay behind.

@@ -15,13 +15,14 @@ from typing import Any
 
 from neo_ros.benchmark.protocols import SCALES, split_checksums
 from neo_ros.benchmark.scoring import load_scorers
-from neo_ros.evaluation.evaluate import commit, host, Scorer, TruthFrames
-from neo_ros.evaluation.output import make_output_folder, write_bytes
+from neo_ros.evaluation.evaluate import Scorer, TruthFrames
 from neo_ros.experiment import Experiment
-from neo_ros.exposure import exposure_gain
 from neo_ros.field.device import chosen_device, field_trainer
 from neo_ros.field.rendering import render_view
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
+from neo_ros.machine.files import make_output_folder, write_bytes
+from neo_ros.machine.host import commit, host
+from neo_ros.pictures.exposure import exposure_gain
 from neo_ros.scenes.scene import read_scene
 from neo_ros.training.run import Progress, TrainingRun
 import numpy as np

@@ -11,8 +11,7 @@ from neo_ros.benchmark.tables import markdown, put_between_markers
 from neo_ros.benchmark.workbench import Job, Workbench
 from neo_ros.errors import ConfigError
 from neo_ros.evaluation.evaluate import MethodScores
-from neo_ros.evaluation.output import make_output_folder, write_bytes
-from neo_ros.paths import share_dir
+from neo_ros.machine.files import make_output_folder, share_dir, write_bytes
 from neo_ros.training.run import Progress
 
 

@@ -6,7 +6,7 @@ from typing import Any
 from neo_ros.benchmark.methods import check_methods
 from neo_ros.benchmark.workbench import Job
 from neo_ros.errors import ConfigError
-from neo_ros.paths import share_dir
+from neo_ros.machine.files import share_dir
 from neo_ros.scenes.demo_captures import write_demo_scene
 from pydantic import TypeAdapter, ValidationError
 import yaml

@@ -7,7 +7,7 @@ from neo_ros.benchmark.methods import METHODS
 from neo_ros.benchmark.paper_figures import PAPER, PAPER_SCENES
 from neo_ros.evaluation.evaluate import MethodScores
 from neo_ros.evaluation.metrics import summarise
-from neo_ros.evaluation.output import write_bytes
+from neo_ros.machine.files import write_bytes
 
 # A table for each part of the wide image, with these columns.
 _PARTS = ('ring', 'seam', 'whole')

@@ -16,15 +16,14 @@ from neo_ros.benchmark.protocols import (
     choose_view, fitting_network, SCALES, split_checksums, split_walks)
 from neo_ros.errors import ConfigError
 from neo_ros.evaluation.evaluate import TruthFrames
-from neo_ros.evaluation.output import make_output_folder, write_bytes
 from neo_ros.evaluation.photo_bank import PhotoBank, read_photo_bank
 from neo_ros.evaluation.sparse_model import read_sparse_model, SparseModel
 from neo_ros.experiment import Experiment, experiment_from, read_experiment
 from neo_ros.field.voxel_field import RadianceField
+from neo_ros.machine.files import make_output_folder, share_dir, write_bytes
+from neo_ros.machine.names import listed
 from neo_ros.outpaint.network import NETWORKS
-from neo_ros.paths import share_dir
 from neo_ros.pipeline import fit_field_step, train
-from neo_ros.scenes.capture import listed
 from neo_ros.scenes.levelling import stood_up
 from neo_ros.scenes.scene import read_scene, Scene
 from neo_ros.training.checkpoint import read_notes, write_notes

@@ -23,9 +23,8 @@ def bench(
     and the node on a real ROS graph; run it on a machine that has nothing else to do.
     """
     from neo_ros.cli.progress import stage_progress
-    from neo_ros.evaluation.output import make_output_folder
+    from neo_ros.machine.files import make_output_folder, share_dir
     from neo_ros.speed.benchmarks import run_benchmarks, write_benchmarks
-    from neo_ros.paths import share_dir
     import rich
     from rich.markup import escape
 

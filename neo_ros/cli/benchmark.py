@@ -58,8 +58,8 @@ def benchmark(
     from neo_ros.cli.options import refuse
     from neo_ros.cli.progress import stage_progress
     from neo_ros.errors import ConfigError
-    from neo_ros.evaluation.output import make_output_folder, write_bytes
     from neo_ros.experiment import read_experiment
+    from neo_ros.machine.files import make_output_folder, write_bytes
     import rich
     from rich.markup import escape
 

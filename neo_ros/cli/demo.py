@@ -29,7 +29,7 @@ def demo(
 
     from neo_ros.cli.progress import stage_progress
     from neo_ros.demo import run_demo
-    from neo_ros.paths import share_dir
+    from neo_ros.machine.files import share_dir
     import rich
 
     watching = sys.stdout.isatty() if watch is None else watch

@@ -25,7 +25,7 @@ def evaluate(
     from neo_ros.evaluation.baselines import EdgeReplication, MeanImage, Method, NeoModel
     from neo_ros.evaluation.evaluate import evaluate as score, TruthFrames
     from neo_ros.evaluation.evaluation_report import write_evaluation
-    from neo_ros.evaluation.output import make_output_folder
+    from neo_ros.machine.files import make_output_folder
     from neo_ros.scenes.scene import read_scene
     import numpy as np
     import rich

@@ -40,7 +40,7 @@ def replay(
     from neo_ros.bags import replay as replay_bag, Section
     from neo_ros.cli.options import tell_next
     from neo_ros.cli.progress import stage_progress
-    from neo_ros.paths import share_dir
+    from neo_ros.machine.files import share_dir
     from neo_ros.runtime import FovExtrapolator
     import numpy as np
     import rich

@@ -23,9 +23,8 @@ def soak(
     """
     import json
 
-    from neo_ros.evaluation.output import make_output_folder, write_bytes
+    from neo_ros.machine.files import make_output_folder, share_dir, write_bytes
     from neo_ros.speed.soak import soak as run_soak
-    from neo_ros.paths import share_dir
     import rich
     from rich.markup import escape
 

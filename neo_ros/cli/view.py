@@ -33,7 +33,7 @@ def view(
 ) -> None:
     """Show the widened stream in a browser, from a ROS graph or from a bag; view only."""
     from neo_ros.cli.options import refuse
-    from neo_ros.paths import share_dir
+    from neo_ros.machine.files import share_dir
     from neo_ros.viewer.settings import read_token, ViewerSettings
 
     settings = ViewerSettings(

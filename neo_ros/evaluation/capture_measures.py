@@ -4,10 +4,10 @@ from typing import Optional
 
 import cv2
 from neo_ros.geometry import Intrinsics, ViewExpansion
-from neo_ros.scenes.capture import no_progress, Progress
+from neo_ros.machine.progress import no_progress, Progress
+from neo_ros.pictures.sharpness import blur_threshold, relative_sharpness
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.scene import Scene
-from neo_ros.scenes.sharpness import blur_threshold, relative_sharpness
 import numpy as np
 
 # Nobody knows the depth before the field is fitted: walls and furniture of a room are about so

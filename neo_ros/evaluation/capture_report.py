@@ -8,7 +8,7 @@ from neo_ros.evaluation.capture_measures import (
     ASSUMED_DISTANCE, CaptureMeasures, GOOD_OVERLAP, measure_capture)
 from neo_ros.evaluation.report import (
     Picture, Plot, Section, Series, Strip, Table, Text, write_report)
-from neo_ros.scenes.capture import no_progress, Progress
+from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.scenes.scene import Scene
 import numpy as np
 

@@ -5,11 +5,7 @@ The input of a test frame is the window of its wide truth that the expansion cal
 input and truth agree to the bit.
 """
 from dataclasses import dataclass, field, replace
-import os
 from pathlib import Path
-import platform
-import subprocess
-import sys
 import tempfile
 import time
 from typing import Any, Callable, Iterator, Protocol, runtime_checkable, Sequence
@@ -19,6 +15,7 @@ from neo_ros.evaluation.baselines import Method
 from neo_ros.evaluation.kept_pictures import KeptPictures, pick_frames, read_picture
 from neo_ros.evaluation.metrics import Estimate, score_frame, summarise
 from neo_ros.geometry import CameraPose, ViewExpansion
+from neo_ros.machine.host import commit, host
 from neo_ros.scenes.posed_images import PosedImages
 import numpy as np
 
@@ -241,42 +238,3 @@ def _check_pasted(method: Method, narrow_image: np.ndarray, wide_image: np.ndarr
     if method.observed_pasted and not np.array_equal(expansion.crop(wide_image), narrow_image):
         raise ImageRejected('observed', f'{method.name}: says that it pastes the observed pixels, '
                             'but they came back changed')
-
-
-def commit() -> str | None:
-    """
-    Return the commit of the source checkout, None for an installed package.
-
-    With -dirty where code or settings differ from it; results that a run writes do not count.
-    """
-    root = Path(__file__).resolve().parents[2]
-    if not (root / '.git').exists():
-        return None
-    try:
-        name, changed = (subprocess.run(
-            ['git', '-C', str(root), *command], capture_output=True, text=True, timeout=10,
-            check=True).stdout.strip() for command in (
-                ('rev-parse', '--short', 'HEAD'),
-                ('status', '--porcelain', 'neo_ros', 'config')))
-    except (OSError, subprocess.SubprocessError):
-        return None
-    return f'{name}-dirty' if changed else name
-
-
-def host() -> str:
-    """Describe the machine that the figures were taken on, with the GPU if it is used."""
-    name = platform.processor() or platform.machine()
-    try:
-        lines = Path('/proc/cpuinfo').read_text().splitlines()
-        name = next(line.split(':')[1].strip() for line in lines if 'model name' in line)
-    except (OSError, StopIteration, IndexError):
-        pass  # Not Linux, or a processor that does not say its name.
-    return f'{name}, {os.cpu_count()} cores{_gpu_in_use()}'
-
-
-def _gpu_in_use() -> str:
-    # Who has not loaded torch uses no GPU here, and is not made to load it.
-    torch = sys.modules.get('torch')
-    if torch is None or not torch.cuda.is_initialized():
-        return ''
-    return f', {torch.cuda.get_device_name()}'

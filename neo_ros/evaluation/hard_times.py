@@ -16,10 +16,11 @@ from typing import NamedTuple
 
 import cv2
 from neo_ros.errors import ModelError
-from neo_ros.evaluation.evaluate import commit, host, TruthFrames
+from neo_ros.evaluation.evaluate import TruthFrames
 from neo_ros.evaluation.metrics import psnr
 from neo_ros.evaluation.out_of_scene import by_walk, lit, seen_by
-from neo_ros.evaluation.output import write_bytes
+from neo_ros.machine.files import write_bytes
+from neo_ros.machine.host import commit, host
 from neo_ros.runtime import FovExtrapolator
 from neo_ros.scenes.scene import read_scene
 import numpy as np

@@ -5,8 +5,8 @@ import shutil
 from typing import Any
 
 import cv2
-from neo_ros.evaluation.output import write_bytes
 from neo_ros.geometry import Intrinsics
+from neo_ros.machine.files import write_bytes
 from neo_ros.scenes.posed_images import read_rgb_image
 import numpy as np
 

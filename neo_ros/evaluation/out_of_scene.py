@@ -17,10 +17,11 @@ from typing import TypeVar
 
 import cv2
 from neo_ros.errors import ModelError, SceneError
-from neo_ros.evaluation.evaluate import commit, host, TruthFrames
+from neo_ros.evaluation.evaluate import TruthFrames
 from neo_ros.evaluation.metrics import auroc
-from neo_ros.evaluation.output import write_bytes
 from neo_ros.geometry import Intrinsics
+from neo_ros.machine.files import write_bytes
+from neo_ros.machine.host import commit, host
 from neo_ros.messages import FrameProcessor, image_fields
 from neo_ros.runtime import FovExtrapolator
 from neo_ros.scenes.posed_images import PosedImages

@@ -10,7 +10,7 @@ from typing import Callable, Sequence
 from zipfile import BadZipFile
 
 from neo_ros.errors import SceneError
-from neo_ros.evaluation.output import write_bytes
+from neo_ros.machine.files import write_bytes
 from neo_ros.memory.local_features import Features, find_features, MAGNIFY
 from neo_ros.scenes.posed_images import PosedImages
 import numpy as np

@@ -11,8 +11,8 @@ from zipfile import BadZipFile
 from neo_ros.errors import SceneError
 from neo_ros.evaluation.photo_bank import PhotoBank
 from neo_ros.geometry import Intrinsics
+from neo_ros.machine.files import whole_file
 from neo_ros.memory.local_features import match_features
-from neo_ros.paths import whole_file
 import numpy as np
 
 PARTNERS = 15          # photos that each photo is matched with

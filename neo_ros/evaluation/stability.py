@@ -10,9 +10,9 @@ from zipfile import BadZipFile
 
 from neo_ros.evaluation.baselines import Method
 from neo_ros.evaluation.evaluate import run_method, StatefulMethod, TruthFrames
-from neo_ros.evaluation.image_fill import sample_pixels
 from neo_ros.geometry import Intrinsics
-from neo_ros.paths import whole_file
+from neo_ros.machine.files import whole_file
+from neo_ros.pictures.filling import sample_pixels
 import numpy as np
 
 # A point counts as hidden in the last frame if something is nearer there by this share.

@@ -4,8 +4,8 @@ from pathlib import Path
 from typing import Sequence
 
 import cv2
-from neo_ros.evaluation.output import write_bytes
 from neo_ros.geometry import ViewExpansion
+from neo_ros.machine.files import write_bytes
 import numpy as np
 
 ERROR_FULL = 96  # a mean error of so many grey levels is drawn in the brightest colour

@@ -9,11 +9,11 @@ photo covers is extended from what is there, and counted.
 from typing import NamedTuple
 
 import cv2
-from neo_ros.evaluation.image_fill import blend_bands, extend_edges, sample_pixels
 from neo_ros.evaluation.photo_bank import PhotoBank
-from neo_ros.exposure import exposure_gain
 from neo_ros.geometry import CameraPose, ViewExpansion
 from neo_ros.memory.local_features import find_features, match_features
+from neo_ros.pictures.exposure import exposure_gain
+from neo_ros.pictures.filling import blend_bands, extend_edges, sample_pixels
 import numpy as np
 
 RETRIEVED = 160     # photos that are looked at

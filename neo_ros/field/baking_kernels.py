@@ -2,7 +2,7 @@
 import math
 
 from neo_ros.field.kernels import FAST
-from neo_ros.memory.compiled import njit
+from neo_ros.machine.compiled import njit
 from numba import prange
 import numpy as np
 

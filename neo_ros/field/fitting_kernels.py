@@ -7,7 +7,7 @@ its voxel, in ray order, so results do not depend on the number of threads or th
 import math
 
 from neo_ros.field.kernels import FAST, march, MIN_WEIGHT, sample_colour, sh_basis
-from neo_ros.memory.compiled import njit
+from neo_ros.machine.compiled import njit
 from numba import prange
 import numpy as np
 

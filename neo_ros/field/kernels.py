@@ -11,7 +11,7 @@ the inner box the map is linear, and the world outside fills a shell of relative
 import math
 from typing import Any
 
-from neo_ros.memory.compiled import njit
+from neo_ros.machine.compiled import njit
 from numba import prange
 import numpy as np
 

@@ -18,8 +18,8 @@ from neo_ros.field.panorama import view_band
 from neo_ros.field.rendering import render_rays, to_uint8, world_rays
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import Band, CameraPose, Intrinsics, ViewExpansion
+from neo_ros.machine.files import whole_file
 from neo_ros.memory.scene_memory import compress, FINER, Glances, Keyframe, SceneMemory
-from neo_ros.paths import whole_file
 from neo_ros.scenes.pose_sampling import PoseSampler, rotation_from_angles
 import numpy as np
 

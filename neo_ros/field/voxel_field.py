@@ -13,7 +13,7 @@ from typing import Any, Optional
 
 from neo_ros.errors import SceneError
 from neo_ros.field import kernels
-from neo_ros.paths import whole_file
+from neo_ros.machine.files import whole_file
 import numpy as np
 import torch
 

@@ -8,11 +8,11 @@ import math
 from typing import NamedTuple
 
 import cv2
-from neo_ros.exposure import exposure_gain, MOST_GAIN
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.geometry.camera_pose import rotation_from_vector
 from neo_ros.memory import alignment_kernels as kernels
 from neo_ros.memory.rendering import GuideView, MemoryRenderer
+from neo_ros.pictures.exposure import exposure_gain, MOST_GAIN
 import numpy as np
 
 # Scales of the residuals' weights, grey levels in [0, 1]. Far from the pose Huber's pull from

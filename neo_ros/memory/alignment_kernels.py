@@ -1,5 +1,5 @@
 """Compiled loops that compare a photo with what the scene memory shows."""
-from neo_ros.memory.compiled import njit
+from neo_ros.machine.compiled import njit
 from neo_ros.memory.kernels import CLOSEST, FAST
 import numpy as np
 

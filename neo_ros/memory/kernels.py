@@ -7,7 +7,7 @@ nearby, the mesh with the keyframe's colours on it is the scene.
 import math
 from typing import Any
 
-from neo_ros.memory.compiled import njit
+from neo_ros.machine.compiled import njit
 from numba import prange
 import numpy as np
 

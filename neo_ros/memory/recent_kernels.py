@@ -1,5 +1,5 @@
 """The compiled loop that brings what the last images showed into the present wide view."""
-from neo_ros.memory.compiled import njit
+from neo_ros.machine.compiled import njit
 from neo_ros.memory.kernels import CLOSEST, FAST
 from numba import prange
 import numpy as np

@@ -5,15 +5,15 @@ from dataclasses import dataclass, replace
 import threading
 
 import cv2
-from neo_ros.exposure import exposure_gain
 from neo_ros.geometry import CameraPose, ViewExpansion
+from neo_ros.machine.compiled import ALL_THREADS
 from neo_ros.memory.alignment import agreement, Aligner, PhotoLevel
-from neo_ros.memory.compiled import ALL_THREADS
 from neo_ros.memory.landmarks import Location, Locator
 from neo_ros.memory.local_features import Features
 from neo_ros.memory.recent_images import RecentImages, SeenBefore
 from neo_ros.memory.rendering import GuideView, MemoryRenderer
 from neo_ros.memory.scene_memory import SceneMemory
+from neo_ros.pictures.exposure import exposure_gain
 from numba import get_num_threads, set_num_threads
 import numpy as np
 

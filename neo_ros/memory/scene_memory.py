@@ -14,10 +14,10 @@ import cv2
 from neo_ros.errors import ImageRejected, ModelError
 from neo_ros.geometry import Band
 from neo_ros.geometry.camera_pose import check_transform
+from neo_ros.machine.files import whole_file
+from neo_ros.machine.regular_file import MAX_BYTES, read_model_bytes
 from neo_ros.memory.landmarks import Landmarks, MOST_LANDMARKS
-from neo_ros.model_bytes import MAX_BYTES, read_model_bytes
-from neo_ros.paths import whole_file
-from neo_ros.picture_header import compressed_image_size, PNG_START
+from neo_ros.pictures.header import compressed_image_size, PNG_START
 import numpy as np
 
 logger = logging.getLogger(__name__)

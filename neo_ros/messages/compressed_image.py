@@ -3,7 +3,7 @@ from typing import Any
 
 import cv2
 from neo_ros.errors import ImageRejected
-from neo_ros.picture_header import broken_picture, compressed_image_size
+from neo_ros.pictures.header import broken_picture, compressed_image_size
 import numpy as np
 
 # The form that image_transport's plugins understand: what it was, and what the JPEG holds.

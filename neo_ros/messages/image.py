@@ -3,7 +3,7 @@ from typing import Any, Callable, NamedTuple
 
 import cv2
 from neo_ros.errors import ImageRejected
-from neo_ros.picture_header import MAX_PIXELS
+from neo_ros.pictures.header import MAX_PIXELS
 import numpy as np
 
 RGB8 = 'rgb8'

@@ -2,7 +2,7 @@
 from collections.abc import MutableMapping
 import os
 
-from neo_ros.paths import share_dir
+from neo_ros.machine.files import share_dir
 
 VARIABLE = 'FASTRTPS_DEFAULT_PROFILES_FILE'
 # Whoever set one of these has chosen a profile already.

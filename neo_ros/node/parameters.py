@@ -4,7 +4,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from neo_ros.errors import ConfigError
-from neo_ros.paths import share_dir
+from neo_ros.machine.files import share_dir
 from neo_ros.runtime.providers import PROVIDERS
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node

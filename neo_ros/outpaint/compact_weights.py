@@ -6,7 +6,7 @@ function; the graph multiplies the integers out once, when ONNX Runtime folds it
 """
 from pathlib import Path
 
-from neo_ros.paths import whole_file
+from neo_ros.machine.files import whole_file
 import numpy as np
 import onnx
 from onnx import helper, numpy_helper, TensorProto

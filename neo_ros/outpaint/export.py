@@ -5,8 +5,8 @@ from typing import Callable
 
 from neo_ros.errors import ModelError
 from neo_ros.geometry import ViewExpansion
+from neo_ros.machine.files import whole_file
 from neo_ros.outpaint.compact_weights import compact_weights, round_weights
-from neo_ros.paths import whole_file
 from neo_ros.runtime.confidence import DECAY
 from neo_ros.runtime.fov_extrapolator import WideView
 from neo_ros.runtime.operators import ALLOWED_OPERATORS

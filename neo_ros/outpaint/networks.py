@@ -4,7 +4,7 @@ import math
 
 from neo_ros.errors import ConfigError
 from neo_ros.geometry import Intrinsics, ViewExpansion
-from neo_ros.model_bytes import MAX_BYTES
+from neo_ros.machine.regular_file import MAX_BYTES
 from neo_ros.outpaint.lama import Lama
 from neo_ros.outpaint.mat import Mat
 from neo_ros.outpaint.network import NetworkConfig, Outpainter

@@ -7,7 +7,7 @@ from typing import Optional
 from neo_ros.errors import NeoError
 from neo_ros.field.panorama import Panorama
 from neo_ros.geometry import Band
-from neo_ros.paths import whole_file
+from neo_ros.machine.files import whole_file
 import numpy as np
 
 # Bytes before the image in its file.

@@ -9,9 +9,9 @@ from neo_ros.field.view_cutting import view_cutter
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import Intrinsics
 from neo_ros.outpaint.panorama_cache import DrawnPanorama, PanoramaCache
+from neo_ros.pictures.sharpness import blur_threshold, relative_sharpness
 from neo_ros.scenes.pose_sampling import PoseSampler
 from neo_ros.scenes.posed_images import PosedImages
-from neo_ros.scenes.sharpness import blur_threshold, relative_sharpness
 import numpy as np
 import torch
 

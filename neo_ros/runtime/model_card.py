@@ -5,7 +5,7 @@ from typing import Literal
 
 from neo_ros.errors import ModelError
 from neo_ros.geometry import ViewExpansion
-from neo_ros.paths import whole_file
+from neo_ros.machine.files import whole_file
 from neo_ros.runtime.onnx_file import OnnxFile, scan_onnx_file
 from neo_ros.runtime.scene_check import SceneReference
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError

@@ -2,7 +2,7 @@
 from pathlib import Path
 
 from neo_ros.errors import ModelError
-from neo_ros.picture_header import MAX_PIXELS
+from neo_ros.pictures.header import MAX_PIXELS
 from neo_ros.runtime.model_card import card_of, ModelCard
 from neo_ros.runtime.onnx_file import OnnxFile, scan_onnx_file
 from neo_ros.runtime.operators import ALLOWED_OPERATORS

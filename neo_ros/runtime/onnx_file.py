@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from neo_ros.errors import ModelError
-from neo_ros.model_bytes import read_model_bytes
+from neo_ros.machine.regular_file import read_model_bytes
 
 # The parts of onnx.proto3 on the way from a model to its tensors: message -> field -> message.
 _CHILDREN: dict[str, dict[int, str]] = {

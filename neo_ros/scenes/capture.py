@@ -2,25 +2,14 @@
 from dataclasses import dataclass, replace
 import os
 from pathlib import Path
-import re
 from typing import Callable, Iterator, Optional, Sequence
 
-import cv2
-from neo_ros.errors import SceneError
 from neo_ros.geometry import CameraPose
-from neo_ros.picture_header import jpeg_is_whole, JPEG_START
+from neo_ros.pictures.photo import read_photo
 from neo_ros.scenes.lens import Lens
 import numpy as np
 
-PHOTO_SUFFIXES = ('.jpg', '.jpeg', '.png', '.bmp', '.tif', '.tiff', '.webp', '.ppm', '.pgm')
-# Pixels lie as the intrinsics describe them: a viewer's rotation (EXIF) must not turn them.
-READ_FLAGS = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
-Progress = Callable[[int, int], None]
 ImageStream = Callable[[Sequence[int]], Iterator[tuple[int, Optional[np.ndarray]]]]
-
-
-def no_progress(done: int, total: int) -> None:
-    """Show nothing."""
 
 
 @dataclass(frozen=True)
@@ -100,65 +89,10 @@ def origin_of(source: Path) -> str:
                  for path in files])
 
 
-def read_photo(path: Path, upright: bool = False) -> Optional[np.ndarray]:
-    """
-    Read an image file as RGB uint8 (H, W, 3), None if it cannot be read or was cut off.
-
-    16-bit photos are scaled to 8 bit (full scale stays full scale), grayscale becomes three
-    equal channels, transparency is dropped; upright: turned as a viewer shows it (EXIF).
-    """
-    try:
-        data = path.read_bytes()
-    except OSError:
-        return None
-    # OpenCV fills with grey what a file that was cut off lacks.
-    if not data or data.startswith(JPEG_START) and not jpeg_is_whole(data):
-        return None
-    image = cv2.imdecode(np.frombuffer(data, np.uint8),
-                         cv2.IMREAD_COLOR if upright else READ_FLAGS)
-    return None if image is None else cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
-
-
-def photo_size(path: Path) -> Optional[tuple[int, int]]:
-    """Return (width, height) of an image file, None if it cannot be read."""
-    image = read_photo(path)
-    return None if image is None else (image.shape[1], image.shape[0])
-
-
-def first_photo_size(paths: Sequence[Path], source: Path) -> tuple[int, int]:
-    """Return the size of the first image that can be read; SceneError if none can."""
-    for path in paths:
-        size = photo_size(path)
-        if size is not None:
-            return size
-    raise SceneError(f'{source}: none of the {len(paths)} images can be read')
-
-
-def list_photos(folder: Path) -> list[Path]:
-    """Return the image files of a folder in natural order: img2 comes before img10."""
-    if not folder.is_dir():
-        return []
-    return sorted((path for path in folder.iterdir()
-                   if path.suffix.lower() in PHOTO_SUFFIXES and path.is_file()),
-                  key=lambda path: natural_key(path.name))
-
-
-def natural_key(name: str) -> list[tuple[int, str]]:
-    """Sort key by which digits count as numbers."""
-    return [(int(part), '') if part.isdecimal() else (-1, part)
-            for part in re.split(r'(\d+)', name)]
-
-
 def scene_name(file: Path, folder: Path) -> str:
     """Keep the folders of images below `folder`; those beside it come to 'beside/'."""
     parts = Path(os.path.relpath(file, folder)).parts
     return Path(*('beside' if part == '..' else part for part in parts)).as_posix()
-
-
-def listed(names: Sequence[object], most: int = 5) -> str:
-    """Name the first few of many for a message."""
-    shown = ', '.join(str(name) for name in names[:most])
-    return shown + (f' and {len(names) - most} more' if len(names) > most else '')
 
 
 def _chosen(stream: ImageStream, chosen: Sequence[int]) -> ImageStream:

@@ -3,7 +3,7 @@ from enum import Enum
 from pathlib import Path
 
 from neo_ros.errors import SceneError
-from neo_ros.scenes.capture import PHOTO_SUFFIXES
+from neo_ros.pictures.photo import PHOTO_SUFFIXES
 from neo_ros.scenes.colmap import find_model, read_colmap
 from neo_ros.scenes.photos import find_photos, read_photos
 from neo_ros.scenes.scannet import is_scannet, read_scannet

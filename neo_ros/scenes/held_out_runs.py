@@ -4,7 +4,7 @@ from pathlib import Path
 
 from neo_ros.errors import SceneError
 from neo_ros.geometry import Intrinsics, ViewExpansion
-from neo_ros.scenes.capture import natural_key
+from neo_ros.machine.names import natural_key
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.transforms_json import read_transforms, write_transforms
 

@@ -7,7 +7,7 @@ import shutil
 from typing import Callable
 
 from neo_ros.errors import SceneError
-from neo_ros.paths import whole_file
+from neo_ros.machine.files import whole_file
 from neo_ros.scenes.capture_writing import check_near_origin, check_own, NOTE_FILE
 from neo_ros.scenes.posed_images import PosedImages, read_rgb_image
 from neo_ros.scenes.scene import clear_earlier_import

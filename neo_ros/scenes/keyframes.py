@@ -5,8 +5,9 @@ from typing import Optional
 from neo_ros.errors import ConfigError, SceneError
 from neo_ros.geometry import CameraPose
 from neo_ros.geometry.camera_pose import rotation_vector
-from neo_ros.scenes.capture import Capture, no_progress, Progress
-from neo_ros.scenes.sharpness import sharpness
+from neo_ros.machine.progress import no_progress, Progress
+from neo_ros.pictures.sharpness import sharpness
+from neo_ros.scenes.capture import Capture
 import numpy as np
 
 

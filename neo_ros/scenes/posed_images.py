@@ -6,7 +6,7 @@ from typing import Callable, Sequence
 import cv2
 from neo_ros.errors import SceneError
 from neo_ros.geometry import CameraPose, Intrinsics
-from neo_ros.scenes.capture import read_photo
+from neo_ros.pictures.photo import read_photo
 import numpy as np
 
 

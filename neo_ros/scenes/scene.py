@@ -6,7 +6,7 @@ from typing import Optional
 
 from neo_ros.errors import SceneError
 from neo_ros.geometry import ViewExpansion
-from neo_ros.scenes.capture import listed
+from neo_ros.machine.names import listed
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.transforms_json import read_input_crop, read_transforms
 from neo_ros.scenes.walkable import read_walkable, WalkableMap

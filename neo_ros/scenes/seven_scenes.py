@@ -8,8 +8,9 @@ from pathlib import Path
 
 from neo_ros.errors import SceneError
 from neo_ros.geometry import Intrinsics
-from neo_ros.scenes.capture import (
-    Capture, CapturedFrame, first_photo_size, listed, natural_key)
+from neo_ros.machine.names import listed, natural_key
+from neo_ros.pictures.photo import first_photo_size
+from neo_ros.scenes.capture import Capture, CapturedFrame
 from neo_ros.scenes.lens import Lens
 from neo_ros.scenes.pose_files import pose_or_lost, read_matrix
 

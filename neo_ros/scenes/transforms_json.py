@@ -11,7 +11,7 @@ from typing import Any, Optional
 
 from neo_ros.errors import SceneError
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
-from neo_ros.paths import whole_file
+from neo_ros.machine.files import whole_file
 from neo_ros.scenes.posed_images import PosedImages
 
 logger = logging.getLogger(__name__)

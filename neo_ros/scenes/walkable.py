@@ -7,7 +7,7 @@ from typing import Any
 
 import cv2
 from neo_ros.errors import SceneError
-from neo_ros.paths import whole_file
+from neo_ros.machine.files import whole_file
 import numpy as np
 
 

@@ -48,9 +48,9 @@ from pathlib import Path
 from typing import Any
 
 from neo_ros.errors import ConfigError
-from neo_ros.evaluation.output import write_bytes
+from neo_ros.machine.files import write_bytes
+from neo_ros.machine.host import describe_host, Machine, measure_machine
 from neo_ros.runtime import read_model_card
-from neo_ros.speed.host import describe_host, Machine, measure_machine
 from neo_ros.speed.node import measure_node
 from neo_ros.speed.record import Effort, QUICK, Record
 from neo_ros.speed.runtime import measure_expand, measure_messages, measure_replay

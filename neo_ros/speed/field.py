@@ -11,7 +11,7 @@ from neo_ros.field.rendering import render_view, to_uint8
 from neo_ros.field.view_cutting import view_cutter
 from neo_ros.field.voxel_field import packed, RadianceField
 from neo_ros.geometry import CameraPose, Intrinsics
-from neo_ros.speed.host import Machine
+from neo_ros.machine.host import Machine
 from neo_ros.speed.record import Effort, Record, time_calls, Work
 from neo_ros.speed.stream import measure_stream
 import numpy as np

@@ -4,8 +4,8 @@ from dataclasses import replace
 import math
 
 from neo_ros.geometry import Intrinsics
+from neo_ros.machine.host import Machine
 from neo_ros.speed.field import measure_field
-from neo_ros.speed.host import Machine
 from neo_ros.speed.record import Effort, Record, time_calls
 import torch
 

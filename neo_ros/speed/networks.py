@@ -7,11 +7,11 @@ import tempfile
 
 from neo_ros import __version__
 from neo_ros.geometry import Intrinsics, ViewExpansion
+from neo_ros.machine.host import Machine
 from neo_ros.outpaint.networks import build_network, NetworkConfig
 from neo_ros.outpaint.variants import export_variant, Format
 from neo_ros.runtime import ModelCard, write_model_card
 from neo_ros.runtime.model_card import Parity
-from neo_ros.speed.host import Machine
 from neo_ros.speed.images import noise_image, SEED
 from neo_ros.speed.record import Effort, Record
 from neo_ros.speed.runtime import measure_expand

@@ -11,11 +11,11 @@ from typing import Any
 
 from neo_ros.errors import NeoError
 from neo_ros.geometry import Intrinsics, ViewExpansion
+from neo_ros.machine.host import Machine
+from neo_ros.machine.processes import end_process
 from neo_ros.runtime import read_model_card
-from neo_ros.speed.host import Machine
 from neo_ros.speed.images import camera_images, PAPER_VIEW, walk_at_30_hz
 from neo_ros.speed.model import count_flops, write_stand_in_model
-from neo_ros.speed.processes import end_process
 from neo_ros.speed.record import Effort, Record, Work
 from neo_ros.speed.runtime import size_name
 import numpy as np

@@ -5,7 +5,7 @@ import math
 import time
 from typing import Any
 
-from neo_ros.speed.host import Machine
+from neo_ros.machine.host import Machine
 import numpy as np
 
 

@@ -8,9 +8,9 @@ from types import SimpleNamespace
 
 from neo_ros.bags import replay, write_demo_bag
 from neo_ros.geometry import CameraPose, ViewExpansion
+from neo_ros.machine.host import Machine
 from neo_ros.messages import read_image
 from neo_ros.runtime import FovExtrapolator
-from neo_ros.speed.host import Machine
 from neo_ros.speed.images import noise_image, SEED
 from neo_ros.speed.model import count_flops
 from neo_ros.speed.record import Effort, Record, time_calls, Work

@@ -8,11 +8,11 @@ from neo_ros.evaluation.metrics import psnr
 from neo_ros.field.rendering import render_view, to_uint8
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
+from neo_ros.machine.host import Machine
 from neo_ros.outpaint.fitting import OutpaintConfig, OutpaintTrainer
 from neo_ros.outpaint.networks import NetworkConfig
 from neo_ros.outpaint.pair_stream import FIRST, PairStream
 from neo_ros.scenes.pose_sampling import PoseSampler
-from neo_ros.speed.host import Machine
 from neo_ros.speed.record import Effort, Record, time_calls, Work
 import numpy as np
 import torch

@@ -7,8 +7,7 @@ import time
 from typing import Any, Callable
 
 from neo_ros.errors import NeoError, SceneError
-from neo_ros.evaluation.output import write_bytes
-from neo_ros.paths import whole_file
+from neo_ros.machine.files import whole_file, write_bytes
 from neo_ros.training.run import TrainingRun
 import numpy as np
 import torch

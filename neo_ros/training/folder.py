@@ -6,8 +6,8 @@ import shutil
 from typing import Any
 
 from neo_ros.errors import ConfigError
-from neo_ros.evaluation.output import share_file, write_bytes
 from neo_ros.experiment import Experiment
+from neo_ros.machine.files import share_file, write_bytes
 from neo_ros.scenes.digests import floor_digest, list_digest
 from neo_ros.scenes.scene import Scene
 from neo_ros.training.memory import NOTES, WORK

@@ -10,11 +10,11 @@ import time
 from typing import Optional
 
 from neo_ros.errors import ModelError, SceneError
-from neo_ros.evaluation.output import write_bytes
 from neo_ros.evaluation.photo_bank import read_photo_bank
 from neo_ros.evaluation.sparse_model import read_sparse_model
 from neo_ros.field.memory_baking import bake_memory, MemoryConfig, Photos
 from neo_ros.field.voxel_field import RadianceField
+from neo_ros.machine.files import write_bytes
 from neo_ros.memory.landmarks import Landmarks, magnification
 from neo_ros.runtime.model_card import MemoryFile, read_model_card, write_model_card
 from neo_ros.training.run import TrainingRun

@@ -5,7 +5,7 @@ from typing import Any
 
 from neo_ros.errors import ImageRejected
 from neo_ros.messages import read_image
-from neo_ros.picture_header import compressed_image_size
+from neo_ros.pictures.header import compressed_image_size
 import numpy as np
 
 # Larger compressed pictures are refused instead of being passed on.

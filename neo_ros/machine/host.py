@@ -3,6 +3,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 import os
+from pathlib import Path
 import platform
 import subprocess
 import sys
@@ -10,7 +11,6 @@ import time
 from typing import Any
 
 from neo_ros import __version__
-from neo_ros.evaluation.evaluate import commit, host
 import numpy as np
 
 PACKAGES = ('numpy', 'onnxruntime', 'opencv-python-headless', 'rosbags', 'numba', 'torch', 'onnx')
@@ -128,3 +128,42 @@ def _version(package: str) -> str | None:
         return version(package)
     except PackageNotFoundError:
         return None
+
+
+def commit() -> str | None:
+    """
+    Return the commit of the source checkout, None for an installed package.
+
+    With -dirty where code or settings differ from it; results that a run writes do not count.
+    """
+    root = Path(__file__).resolve().parents[2]
+    if not (root / '.git').exists():
+        return None
+    try:
+        name, changed = (subprocess.run(
+            ['git', '-C', str(root), *command], capture_output=True, text=True, timeout=10,
+            check=True).stdout.strip() for command in (
+                ('rev-parse', '--short', 'HEAD'),
+                ('status', '--porcelain', 'neo_ros', 'config')))
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return f'{name}-dirty' if changed else name
+
+
+def host() -> str:
+    """Describe the machine that the figures were taken on, with the GPU if it is used."""
+    name = platform.processor() or platform.machine()
+    try:
+        lines = Path('/proc/cpuinfo').read_text().splitlines()
+        name = next(line.split(':')[1].strip() for line in lines if 'model name' in line)
+    except (OSError, StopIteration, IndexError):
+        pass  # Not Linux, or a processor that does not say its name.
+    return f'{name}, {os.cpu_count()} cores{_gpu_in_use()}'
+
+
+def _gpu_in_use() -> str:
+    # Who has not loaded torch uses no GPU here, and is not made to load it.
+    torch = sys.modules.get('torch')
+    if torch is None or not torch.cuda.is_initialized():
+        return ''
+    return f', {torch.cuda.get_device_name()}'

@@ -1,0 +1,56 @@
+"""Photos as files: which there are in a folder, and their pixels."""
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+from neo_ros.errors import SceneError
+from neo_ros.machine.names import natural_key
+from neo_ros.pictures.header import jpeg_is_whole, JPEG_START
+import numpy as np
+
+PHOTO_SUFFIXES = ('.jpg', '.jpeg', '.png', '.bmp', '.tif', '.tiff', '.webp', '.ppm', '.pgm')
+# Pixels lie as the intrinsics describe them: a viewer's rotation (EXIF) must not turn them.
+READ_FLAGS = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
+
+
+def read_photo(path: Path, upright: bool = False) -> np.ndarray | None:
+    """
+    Read an image file as RGB uint8 (H, W, 3), None if it cannot be read or was cut off.
+
+    16-bit photos are scaled to 8 bit (full scale stays full scale), grayscale becomes three
+    equal channels, transparency is dropped; upright: turned as a viewer shows it (EXIF).
+    """
+    try:
+        data = path.read_bytes()
+    except OSError:
+        return None
+    # OpenCV fills with grey what a file that was cut off lacks.
+    if not data or data.startswith(JPEG_START) and not jpeg_is_whole(data):
+        return None
+    image = cv2.imdecode(np.frombuffer(data, np.uint8),
+                         cv2.IMREAD_COLOR if upright else READ_FLAGS)
+    return None if image is None else cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+
+
+def photo_size(path: Path) -> tuple[int, int] | None:
+    """Return (width, height) of an image file, None if it cannot be read."""
+    image = read_photo(path)
+    return None if image is None else (image.shape[1], image.shape[0])
+
+
+def first_photo_size(paths: Sequence[Path], source: Path) -> tuple[int, int]:
+    """Return the size of the first image that can be read; SceneError if none can."""
+    for path in paths:
+        size = photo_size(path)
+        if size is not None:
+            return size
+    raise SceneError(f'{source}: none of the {len(paths)} images can be read')
+
+
+def list_photos(folder: Path) -> list[Path]:
+    """Return the image files of a folder in natural order: img2 comes before img10."""
+    if not folder.is_dir():
+        return []
+    return sorted((path for path in folder.iterdir()
+                   if path.suffix.lower() in PHOTO_SUFFIXES and path.is_file()),
+                  key=lambda path: natural_key(path.name))
