@@ -25,14 +25,14 @@ from neo_ros.errors import BagError, ModelError, NeoError
 from neo_ros.evaluation.metrics import score_frame
 from neo_ros.evaluation.report import Table, Text, write_report
 from neo_ros.evaluation.strips import frame_strip, Strip, write_strip_png
+from neo_ros.flat.demo_flat import build_demo_flat, walking_paths
+from neo_ros.flat.scene_writing import fingerprint, render_demo_views
 from neo_ros.geometry import ViewExpansion
 from neo_ros.machine.files import make_output_folder, write_bytes
 from neo_ros.machine.processes import end_process
 from neo_ros.messages import read_image
 from neo_ros.messages.stamps import stamp_of
 from neo_ros.runtime import read_model_card
-from neo_ros.scenes.demo_captures import fingerprint, render_demo_views
-from neo_ros.scenes.demo_flat import build_demo_flat, walking_paths
 import numpy as np
 
 SCENE = 'demo_flat'

@@ -9,9 +9,9 @@ from typing import Sequence
 
 import cv2
 from neo_ros.bags import write_demo_bag
+from neo_ros.flat.demo_flat import build_demo_flat
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
 from neo_ros.geometry.camera_pose import quaternion_from_rotation
-from neo_ros.scenes.demo_flat import build_demo_flat
 import numpy as np
 
 # The camera of 7-Scenes at a tenth of its size: all formats can say this one.

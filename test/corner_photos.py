@@ -2,8 +2,8 @@
 from pathlib import Path
 
 from neo_ros.evaluation.evaluate import TruthFrames
+from neo_ros.flat.demo_flat import build_demo_flat
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
-from neo_ros.scenes.demo_flat import build_demo_flat
 from neo_ros.scenes.posed_images import PosedImages
 import numpy as np
 from scene_files import write_picture

@@ -9,11 +9,11 @@ from neo_ros.evaluation.relocalized import (
 from neo_ros.evaluation.sparse_model import epipolar_distance, read_sparse_model
 from neo_ros.evaluation.warping import (
     covering, near_matches, on_plane, smooth_warp, WarpedPhoto, Warping)
+from neo_ros.flat.demo_flat import build_demo_flat
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.geometry.camera_pose import rotation_from_vector
 from neo_ros.memory.local_features import find_features, match_features
 from neo_ros.pictures.filling import blend_bands, extend_edges
-from neo_ros.scenes.demo_flat import build_demo_flat
 import numpy as np
 from plain_field import room_field, standing
 import pytest

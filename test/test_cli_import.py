@@ -8,8 +8,8 @@ from capture_files import (
     demo_photos, Photos, write_bag, write_image, write_seven_scenes, write_transforms_capture)
 from neo_ros.cli.import_scene import import_scene
 from neo_ros.errors import ConfigError, SceneError
+from neo_ros.flat.scene_writing import render_demo_views
 from neo_ros.geometry import CameraPose, Intrinsics
-from neo_ros.scenes.demo_captures import render_demo_views
 from neo_ros.scenes.levelling import stood_up, tilt
 from neo_ros.scenes.scene import read_scene
 import numpy as np

@@ -10,11 +10,11 @@ from neo_ros.cli.main import app
 from neo_ros.demo import _Graph, DemoResult, run_demo, WALK_SEED, WIDE_TOPIC
 from neo_ros.errors import ModelError, NeoError
 from neo_ros.evaluation.metrics import score_frame
+from neo_ros.flat.demo_flat import build_demo_flat, walking_paths
+from neo_ros.flat.scene_writing import render_demo_views
 from neo_ros.machine.files import share_dir
 from neo_ros.messages import read_image
 from neo_ros.runtime import FovExtrapolator
-from neo_ros.scenes.demo_captures import render_demo_views
-from neo_ros.scenes.demo_flat import build_demo_flat, walking_paths
 import numpy as np
 import pytest
 from tiny_model import TINY_EXPANSION, write_tiny_model

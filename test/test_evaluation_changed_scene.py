@@ -3,13 +3,12 @@ from pathlib import Path
 
 from neo_ros.evaluation.changed_scene import score_change
 from neo_ros.evaluation.metrics import psnr
+from neo_ros.flat.demo_flat import build_demo_flat
 from neo_ros.geometry import Band, Intrinsics, ViewExpansion
 from neo_ros.memory.rendering import MemoryRenderer
 from neo_ros.memory.scene_memory import Glances, SceneMemory
 from neo_ros.runtime import FovExtrapolator
-from neo_ros.scenes.demo_flat import build_demo_flat
-from neo_ros.speed.guided import (
-    exact_keyframe, level_pose, measure_guided, write_guided_stand_in)
+from neo_ros.speed.guided import exact_keyframe, level_pose, measure_guided, write_guided_stand_in
 from neo_ros.speed.record import Effort
 import numpy as np
 

@@ -3,8 +3,8 @@ from pathlib import Path
 
 from neo_ros.errors import ModelError
 from neo_ros.evaluation.hard_times import AWAY, cases, markdown, score_cases, Shot
+from neo_ros.flat.demo_flat import build_demo_flat
 from neo_ros.geometry import Intrinsics, ViewExpansion
-from neo_ros.scenes.demo_flat import build_demo_flat
 from neo_ros.speed.guided import level_pose, write_guided_stand_in
 import numpy as np
 import pytest

@@ -18,6 +18,7 @@ LAW: dict[str, set[str]] = {
     'pictures': {'machine', 'cv2'},
     'geometry': {'cv2'},
     'scenes': {'geometry', 'machine', 'pictures', 'cv2', 'pycolmap'},
+    'flat': {'geometry', 'machine', 'scenes', 'cv2'},
     'field': {'geometry', 'machine', 'pictures', 'scenes', 'memory', 'torch', 'numba', 'scipy',
               'cv2'},
     'outpaint': {'geometry', 'machine', 'pictures', 'scenes', 'field', 'runtime', 'torch', 'onnx',
@@ -29,16 +30,16 @@ LAW: dict[str, set[str]] = {
     # The player and the recorder of bags are ROS nodes.
     'node': {'geometry', 'machine', 'runtime', 'messages', 'bags', 'rosbags', 'rclpy'},
     'viewer': {'geometry', 'pictures', 'runtime', 'messages', 'bags', 'cv2', 'rclpy'},
-    'evaluation': {'geometry', 'machine', 'pictures', 'scenes', 'field', 'outpaint', 'runtime',
-                   'messages', 'memory', 'torch', 'cv2', 'matplotlib', 'pycolmap'},
-    'speed': {'geometry', 'machine', 'scenes', 'field', 'outpaint', 'runtime', 'messages', 'bags',
-              'memory', 'evaluation', 'torch', 'cv2', 'onnx'},
+    'evaluation': {'geometry', 'machine', 'pictures', 'scenes', 'flat', 'field', 'outpaint',
+                   'runtime', 'messages', 'memory', 'torch', 'cv2', 'matplotlib', 'pycolmap'},
+    'speed': {'geometry', 'machine', 'scenes', 'flat', 'field', 'outpaint', 'runtime', 'messages',
+              'bags', 'memory', 'evaluation', 'torch', 'cv2', 'onnx'},
     # What the pipeline is made of.
     'training': {'geometry', 'machine', 'pictures', 'scenes', 'field', 'outpaint', 'runtime',
                  'memory', 'evaluation', 'experiment', 'torch'},
     # Trains with the pipeline, which itself scores with `evaluation`.
     'benchmark': {'geometry', 'machine', 'pictures', 'scenes', 'field', 'outpaint', 'runtime',
-                  'evaluation', 'pipeline', 'experiment', 'training', 'torch', 'cv2'},
+                  'evaluation', 'pipeline', 'experiment', 'training', 'flat', 'torch', 'cv2'},
 }
 HEAVY = {'torch', 'numba', 'scipy', 'cv2', 'onnx', 'onnxscript', 'onnxruntime', 'rosbags',
          'mcap', 'rclpy', 'skimage', 'matplotlib', 'pycolmap'}

@@ -1,6 +1,7 @@
 """Poses from landmarks, in the demo flat, whose depth is known exactly."""
 from box_room import apart
 import cv2
+from neo_ros.flat.demo_flat import build_demo_flat, walking_paths
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
 from neo_ros.machine.files import share_dir
 from neo_ros.memory import scene_guide
@@ -8,7 +9,6 @@ from neo_ros.memory.landmarks import Landmarks, Location, Locator
 from neo_ros.memory.scene_guide import SceneGuide
 from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.runtime import FovExtrapolator
-from neo_ros.scenes.demo_flat import build_demo_flat, walking_paths
 from neo_ros.speed.guided import exact_landmarks
 import numpy as np
 import pytest

@@ -80,7 +80,7 @@ def test_all_shipped_files_are_in_share(prefix: Path, folder: str) -> None:
 
 def test_the_package_runs_from_its_installation(prefix: Path) -> None:
     code = ('from neo_ros.machine.files import share_dir; '
-            'import neo_ros.scenes.demo_light as light; '
+            'import neo_ros.flat.light as light; '
             'print(share_dir()); print(light.__file__)')
     share, module = run(sys.executable, '-c', code, cwd=prefix, **environment(prefix)
                         ).stdout.split()

@@ -1,8 +1,8 @@
 import subprocess
 import sys
 
+from neo_ros.flat.demo_flat import build_demo_flat, DemoFlat, sample_training_poses
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
-from neo_ros.scenes.demo_flat import build_demo_flat, DemoFlat, sample_training_poses
 import numpy as np
 import pytest
 
@@ -31,7 +31,7 @@ def test_another_process_renders_the_same(flat):
     code = (
         'import sys, numpy as np\n'
         'from neo_ros.geometry import CameraPose, Intrinsics\n'
-        'from neo_ros.scenes.demo_flat import build_demo_flat\n'
+        'from neo_ros.flat.demo_flat import build_demo_flat\n'
         'image, depth = build_demo_flat().render(Intrinsics.from_hfov(32, 32, np.pi / 2),\n'
         '                                        CameraPose.from_planar(3.4, 1.7, 1.5, 2.6))\n'
         'sys.stdout.buffer.write(image.tobytes() + depth.tobytes())\n')

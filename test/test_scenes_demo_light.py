@@ -1,7 +1,7 @@
 from neo_ros.errors import SceneError
-from neo_ros.scenes import demo_light
-from neo_ros.scenes.demo_rooms import demo_solids
-from neo_ros.scenes.demo_shapes import FACES
+from neo_ros.flat import light as demo_light
+from neo_ros.flat.rooms import demo_solids
+from neo_ros.flat.shapes import FACES
 import numpy as np
 import pytest
 
@@ -53,7 +53,7 @@ def test_the_floor_is_darker_under_the_sofa(light):
 
 
 def test_light_of_another_flat_is_refused(tmp_path, monkeypatch):
-    wrong = tmp_path / 'demo_light.npz'
+    wrong = tmp_path / 'light.npz'
     np.savez_compressed(wrong, codes=np.zeros((7, 3), np.uint8))
     monkeypatch.setattr(demo_light, 'LIGHT_FILE', wrong)
     with pytest.raises(SceneError, match='expected [0-9]+ texels, got 7'):

@@ -1,8 +1,8 @@
+from neo_ros.flat.raycast import camera_directions, cast_camera, cast_rays
+from neo_ros.flat.rooms import demo_solids
+from neo_ros.flat.shapes import paint, SolidBuilder
+from neo_ros.flat.surfaces import chart_places, face_sizes, locate
 from neo_ros.geometry import CameraPose, Intrinsics
-from neo_ros.scenes.demo_raycast import camera_directions, cast_camera, cast_rays
-from neo_ros.scenes.demo_rooms import demo_solids
-from neo_ros.scenes.demo_shapes import paint, SolidBuilder
-from neo_ros.scenes.demo_surfaces import chart_places, face_sizes, locate
 import numpy as np
 import pytest
 

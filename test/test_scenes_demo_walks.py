@@ -1,6 +1,6 @@
-from neo_ros.scenes.demo_flat import build_demo_flat, sample_training_poses, walking_paths
-from neo_ros.scenes.demo_shapes import paint, SolidBuilder
-from neo_ros.scenes.demo_walks import DOORWAY, obstacle_distance
+from neo_ros.flat.demo_flat import build_demo_flat, sample_training_poses, walking_paths
+from neo_ros.flat.shapes import paint, SolidBuilder
+from neo_ros.flat.walks import DOORWAY, obstacle_distance
 import numpy as np
 import pytest
 

@@ -5,9 +5,9 @@ import math
 
 import cv2
 from neo_ros.errors import GeometryError, SceneError
+from neo_ros.flat.demo_flat import build_demo_flat
 from neo_ros.geometry import CameraPose, Intrinsics
-from neo_ros.scenes.demo_flat import build_demo_flat
-from neo_ros.scenes.lens import common_pinhole, Lens, Straightener
+from neo_ros.geometry.lens import common_pinhole, Lens, Straightener
 import numpy as np
 import pytest
 

@@ -4,10 +4,10 @@ from typing import Any
 
 from hypothesis import given, strategies as st
 from neo_ros.errors import ConfigError
+from neo_ros.flat.demo_flat import build_demo_flat
+from neo_ros.flat.walks import CLEARANCE, obstacle_distance
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.geometry.camera_pose import rotation_from_vector
-from neo_ros.scenes.demo_flat import build_demo_flat
-from neo_ros.scenes.demo_walks import CLEARANCE, obstacle_distance
 from neo_ros.scenes.pose_sampling import (
     PoseSampler, rotation_from_angles, SamplingConfig, yaw_pitch_roll)
 from neo_ros.scenes.posed_images import PosedImages

@@ -7,12 +7,12 @@ from typing import Any, Callable
 
 from capture_files import write_image
 from neo_ros.errors import SceneError
+from neo_ros.flat.scene_writing import render_demo_views
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.geometry.camera_pose import rotation_vector
+from neo_ros.geometry.lens import Lens
 from neo_ros.scenes.capture import Capture
 from neo_ros.scenes.capture_writing import write_capture
-from neo_ros.scenes.demo_captures import render_demo_views
-from neo_ros.scenes.lens import Lens
 from neo_ros.scenes.photos import read_photos
 from neo_ros.scenes.scene import read_scene
 from neo_ros.scenes.structure_from_motion import _usable, photo_pairs, reconstruct

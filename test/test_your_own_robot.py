@@ -32,8 +32,8 @@ def run(arguments: list[str]) -> str:
 
 def write_drive(path: Path) -> None:
     """Render a walk through the demo flat; the bag has no wide truth, like a robot's own."""
-    from neo_ros.scenes.demo_captures import render_demo_views
-    from neo_ros.scenes.demo_flat import build_demo_flat, walking_paths
+    from neo_ros.flat.demo_flat import build_demo_flat, walking_paths
+    from neo_ros.flat.scene_writing import render_demo_views
     walk = walking_paths(build_demo_flat(), 1, FRAMES, 3)[0]
     images = render_demo_views(EXPANSION.target, walk, workers=1)
     write_demo_bag(path, ((1_000_000_000 + 100_000_000 * index, image, pose)

@@ -4,10 +4,10 @@ from pathlib import Path
 from neo_ros.experiment import Experiment
 from neo_ros.field.config import FieldConfig
 from neo_ros.field.memory_baking import MemoryConfig
+from neo_ros.flat.scene_writing import write_demo_scene
 from neo_ros.outpaint.fitting import OutpaintConfig
 from neo_ros.outpaint.network import NetworkConfig
 from neo_ros.pipeline import train
-from neo_ros.scenes.demo_captures import write_demo_scene
 from neo_ros.scenes.pose_sampling import SamplingConfig
 from neo_ros.training.run import Progress, TrainingRun
 import onnx

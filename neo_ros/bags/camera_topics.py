@@ -6,11 +6,10 @@ from typing import Any, Optional
 from neo_ros.bags.reading import BagReader, BagTopic, describe_topics
 from neo_ros.errors import BagError, ImageRejected
 from neo_ros.geometry import Intrinsics
-from neo_ros.messages import (
-    camera_info_of, image_fields, read_camera_info, read_compressed_image)
+from neo_ros.geometry.lens import Lens
+from neo_ros.messages import camera_info_of, image_fields, read_camera_info, read_compressed_image
 from neo_ros.messages.camera_info import read_distortion
 from neo_ros.messages.compressed_image import compressed_size
-from neo_ros.scenes.lens import Lens
 
 IMAGE, COMPRESSED = 'sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage'
 CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'

@@ -6,8 +6,8 @@ from typing import Any
 from neo_ros.benchmark.methods import check_methods
 from neo_ros.benchmark.workbench import Job
 from neo_ros.errors import ConfigError
+from neo_ros.flat.scene_writing import write_demo_scene
 from neo_ros.machine.files import share_dir
-from neo_ros.scenes.demo_captures import write_demo_scene
 from pydantic import TypeAdapter, ValidationError
 import yaml
 

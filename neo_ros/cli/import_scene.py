@@ -47,7 +47,7 @@ def import_scene(
     from neo_ros.cli.options import refuse, tell_next
     from neo_ros.cli.progress import stage_progress
     from neo_ros.evaluation.capture_report import REPORT_FILE, write_capture_report
-    from neo_ros.scenes.demo_captures import write_demo_scene
+    from neo_ros.flat.scene_writing import write_demo_scene
     from neo_ros.scenes.formats import CaptureFormat, detect_format
     from neo_ros.scenes.held_out_runs import hold_out_runs
     from neo_ros.scenes.importing import import_transforms

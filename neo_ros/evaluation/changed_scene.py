@@ -13,10 +13,10 @@ from pathlib import Path
 import sys
 
 from neo_ros.evaluation.metrics import auroc, psnr
+from neo_ros.flat.demo_flat import (
+    build_demo_flat, DemoFlat, MOVED_CHAIRS, walking_paths, with_chairs_moved)
 from neo_ros.geometry import CameraPose
 from neo_ros.runtime import FovExtrapolator
-from neo_ros.scenes.demo_flat import (
-    build_demo_flat, DemoFlat, MOVED_CHAIRS, walking_paths, with_chairs_moved)
 import numpy as np
 
 CHANGED = 25.0      # grey levels, mean of the channels: more is another thing, not another shade

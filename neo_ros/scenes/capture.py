@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Callable, Iterator, Optional, Sequence
 
 from neo_ros.geometry import CameraPose
+from neo_ros.geometry.lens import Lens
 from neo_ros.pictures.photo import read_photo
-from neo_ros.scenes.lens import Lens
 import numpy as np
 
 ImageStream = Callable[[Sequence[int]], Iterator[tuple[int, Optional[np.ndarray]]]]

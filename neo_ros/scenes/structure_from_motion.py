@@ -10,11 +10,11 @@ from typing import Any, Callable, Iterator, Optional, Sequence
 
 from neo_ros.errors import NeoError, SceneError
 from neo_ros.geometry import Intrinsics
+from neo_ros.geometry.lens import Lens
 from neo_ros.machine.names import listed
 from neo_ros.scenes.capture import Capture
 from neo_ros.scenes.capture_writing import unreadable_note, write_images
 from neo_ros.scenes.colmap import read_colmap_model
-from neo_ros.scenes.lens import Lens
 from neo_ros.scenes.levelling import level, scaled
 import numpy as np
 

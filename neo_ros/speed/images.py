@@ -2,9 +2,9 @@
 import math
 from pathlib import Path
 
+from neo_ros.flat.demo_flat import build_demo_flat, walking_paths
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
 from neo_ros.runtime import read_model_card
-from neo_ros.scenes.demo_flat import build_demo_flat, walking_paths
 import numpy as np
 
 SEED = 0

@@ -4,15 +4,15 @@ from functools import lru_cache
 from pathlib import Path
 
 from neo_ros.errors import SceneError
-from neo_ros.scenes.demo_raycast import cast_rays
-from neo_ros.scenes.demo_rooms import demo_solids, LAMPS, WINDOWS
-from neo_ros.scenes.demo_shapes import BOX, FACES, Solids
-from neo_ros.scenes.demo_surfaces import chart_places, face_sizes, locate, SurfacePoints
+from neo_ros.flat.raycast import cast_rays
+from neo_ros.flat.rooms import demo_solids, LAMPS, WINDOWS
+from neo_ros.flat.shapes import BOX, FACES, Solids
+from neo_ros.flat.surfaces import chart_places, face_sizes, locate, SurfacePoints
 import numpy as np
 
 TEXEL = 0.11  # metres
 BRIGHTEST = 5.0  # irradiance that is stored as 255; stored values are square roots
-LIGHT_FILE = Path(__file__).with_name('demo_light.npz')
+LIGHT_FILE = Path(__file__).with_name('light.npz')
 WINDOW_RADIANCE = np.array([6.6, 7.0, 7.5])
 LAMP_RADIANCE = np.array([15.0, 13.4, 11.0])
 SHADOW_RAYS, BOUNCE_RAYS, BOUNCES = 48, 96, 7
@@ -69,7 +69,7 @@ def demo_light() -> LightMap:
     if len(codes) != int((columns * rows).sum()):
         raise SceneError(f'{LIGHT_FILE.name}: expected {int((columns * rows).sum())} texels, got '
                          f'{len(codes)}; the flat was changed: run '
-                         'python -m neo_ros.scenes.demo_light')
+                         'python -m neo_ros.flat.light')
     values = (codes.astype(np.float32) / 255) ** 2 * np.float32(BRIGHTEST)
     return LightMap(values, start, columns, rows)
 

@@ -4,7 +4,7 @@ from typing import Mapping, Optional
 
 import cv2
 from neo_ros.errors import GeometryError, SceneError
-from neo_ros.geometry import Intrinsics
+from neo_ros.geometry.intrinsics import Intrinsics
 import numpy as np
 
 # OpenCV counts pixel centres from 0, `Intrinsics` has them at +0.5.

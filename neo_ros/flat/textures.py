@@ -3,8 +3,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Callable
 
-from neo_ros.scenes.demo_pictures import draw_picture, noise_bitmap
-from neo_ros.scenes.demo_shapes import Material
+from neo_ros.flat.pictures import draw_picture, noise_bitmap
+from neo_ros.flat.shapes import Material
 import numpy as np
 
 

@@ -1,8 +1,8 @@
 """Exact rays against the solids of the demo flat: for one camera, and for any bundle of rays."""
 from dataclasses import dataclass
 
+from neo_ros.flat.shapes import BOX, FRUSTUM, Solids
 from neo_ros.geometry import CameraPose, Intrinsics
-from neo_ros.scenes.demo_shapes import BOX, FRUSTUM, Solids
 import numpy as np
 
 NEAR = 1e-3  # metres; hits closer than this belong to the surface a ray starts on

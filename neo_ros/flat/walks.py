@@ -4,9 +4,9 @@ import heapq
 import math
 
 from neo_ros.errors import SceneError
+from neo_ros.flat.rooms import BEDROOM, DOOR, LIVING
+from neo_ros.flat.shapes import FRUSTUM, Solids
 from neo_ros.geometry import CameraPose
-from neo_ros.scenes.demo_rooms import BEDROOM, DOOR, LIVING
-from neo_ros.scenes.demo_shapes import FRUSTUM, Solids
 from neo_ros.scenes.walkable import WalkableMap
 import numpy as np
 

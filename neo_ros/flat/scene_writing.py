@@ -9,9 +9,8 @@ from typing import Any, Callable, Iterator, Sequence, TypeVar
 
 import cv2
 from neo_ros.errors import SceneError
+from neo_ros.flat.demo_flat import build_demo_flat, DemoFlat, sample_training_poses, walking_paths
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
-from neo_ros.scenes.demo_flat import (
-    build_demo_flat, DemoFlat, sample_training_poses, walking_paths)
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.scene import DEMO_NOTE
 from neo_ros.scenes.transforms_json import write_transforms

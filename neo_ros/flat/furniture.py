@@ -1,7 +1,7 @@
 """Pieces of furniture of the demo flat, each in its own frame: x right, y back, z up, metres."""
 import math
 
-from neo_ros.scenes.demo_shapes import Material, paint, SolidBuilder
+from neo_ros.flat.shapes import Material, paint, SolidBuilder
 import numpy as np
 
 BOOK_COLOURS = ('b23a2e', '1f4e79', 'd9a441', '2e6b4f', 'ece2cc', '5b3a6e', 'c96f3b', '20262e',

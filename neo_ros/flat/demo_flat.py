@@ -2,15 +2,15 @@
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
+from neo_ros.flat.light import demo_light, LightMap
+from neo_ros.flat.pictures import panorama
+from neo_ros.flat.raycast import camera_directions, cast_camera
+from neo_ros.flat.rooms import demo_solids
+from neo_ros.flat.shapes import BOX, Solids
+from neo_ros.flat.surfaces import locate, SurfacePoints
+from neo_ros.flat.textures import MipMap, Patch, reflectance
+from neo_ros.flat.walks import free_floor, plan_walks, planar_poses
 from neo_ros.geometry import CameraPose, Intrinsics
-from neo_ros.scenes.demo_light import demo_light, LightMap
-from neo_ros.scenes.demo_pictures import panorama
-from neo_ros.scenes.demo_raycast import camera_directions, cast_camera
-from neo_ros.scenes.demo_rooms import demo_solids
-from neo_ros.scenes.demo_shapes import BOX, Solids
-from neo_ros.scenes.demo_surfaces import locate, SurfacePoints
-from neo_ros.scenes.demo_textures import MipMap, Patch, reflectance
-from neo_ros.scenes.demo_walks import free_floor, plan_walks, planar_poses
 from neo_ros.scenes.walkable import WalkableMap
 import numpy as np
 

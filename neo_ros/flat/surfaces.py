@@ -1,7 +1,7 @@
 """Points on the demo flat's solids: which face, where on it, in metres and as shares of it."""
 from dataclasses import dataclass
 
-from neo_ros.scenes.demo_shapes import BOX, FACES, FRUSTUM, Solids
+from neo_ros.flat.shapes import BOX, FACES, FRUSTUM, Solids
 import numpy as np
 
 # The two axes along the faces of a box, by the axis of the face's normal; the second goes up.

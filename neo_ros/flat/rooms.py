@@ -1,8 +1,8 @@
 """The plan of the demo flat: a living room with a dining corner, and a bedroom with a desk."""
 from functools import lru_cache
 
-from neo_ros.scenes import demo_furniture as furniture
-from neo_ros.scenes.demo_shapes import Material, paint, SolidBuilder, Solids
+from neo_ros.flat import furniture as furniture
+from neo_ros.flat.shapes import Material, paint, SolidBuilder, Solids
 
 CEILING = 2.6
 LIVING = ((0.0, 0.0), (6.0, 4.2))

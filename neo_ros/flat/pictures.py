@@ -1,7 +1,7 @@
 """Bitmaps of the demo flat, drawn by formula: paintings, rugs, screens, the view outside."""
 from functools import lru_cache
 
-from neo_ros.scenes.demo_shapes import srgb
+from neo_ros.flat.shapes import srgb
 import numpy as np
 
 NOISE_SIZE = 256
