@@ -11,13 +11,13 @@ from neo_ros.errors import ConfigError
 from neo_ros.evaluation.report import Plot, Section, Series, Table, Text, write_report
 from neo_ros.experiment import Experiment, read_experiment
 from neo_ros.machine.files import make_output_folder, write_bytes
+from neo_ros.machine.progress import no_stage_progress, StageProgress
 from neo_ros.pipeline import train
 from neo_ros.runtime import FovExtrapolator
 from neo_ros.scenes.digests import list_digest
-from neo_ros.scenes.levelling import read_upright_scene
+from neo_ros.scenes.upright import read_upright_scene
 from neo_ros.speed.runtime import noise_image
 from neo_ros.training.folder import claim
-from neo_ros.training.run import Progress
 
 TIMED_RUNS = 30
 
@@ -46,7 +46,7 @@ class Row:
 
 def compare(scene_folder: Path, configs: Sequence[Path], out: Path,
             minutes: Sequence[float] = (), steps: Optional[int] = None,
-            progress: Progress = lambda stage, done, total, note: None) -> list[Row]:
+            progress: StageProgress = no_stage_progress) -> list[Row]:
     """
     Train every experiment in its own folder of `out`, and write comparison.html and .json.
 
@@ -120,7 +120,7 @@ def _prepared(experiment: Experiment, minutes: Optional[float],
 
 
 def _trained_row(scene_folder: Path, name: str, experiment: Experiment, folder: Path,
-                 field_of: Optional[Path], progress: Progress) -> Row:
+                 field_of: Optional[Path], progress: StageProgress) -> Row:
     run = train(scene_folder, experiment, folder,
                 lambda stage, *rest: progress(f'{name}: {stage}', *rest), field_of=field_of)
     model = FovExtrapolator.load(run.model_path, guided=False)

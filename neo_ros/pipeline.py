@@ -16,6 +16,7 @@ from neo_ros.experiment import Experiment
 from neo_ros.field.device import chosen_device, field_trainer
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.machine.files import make_output_folder
+from neo_ros.machine.progress import no_stage_progress, StageProgress
 from neo_ros.outpaint.distributed import process_group, wait_for_all
 from neo_ros.outpaint.export import calibration_factor, check_parity, export_onnx, require_parity
 from neo_ros.outpaint.fitting import OutpaintTrainer
@@ -23,15 +24,15 @@ from neo_ros.outpaint.training_log import TrainingLog
 from neo_ros.runtime import FovExtrapolator, ModelCard
 from neo_ros.runtime.model_card import Parity, write_model_card
 from neo_ros.runtime.scene_check import fit_scene_reference
-from neo_ros.scenes.levelling import read_upright_scene
 from neo_ros.scenes.posed_images import PosedImages
+from neo_ros.scenes.upright import read_upright_scene
 from neo_ros.speed.model import count_flops
 from neo_ros.training.checkpoint import read_notes, train_with_checkpoints, write_notes
 from neo_ros.training.checks import check_training
 from neo_ros.training.folder import claim, drop_made_of_a_field, take_field
 from neo_ros.training.memory import memory_step
 from neo_ros.training.report import Scoring, write_training_report
-from neo_ros.training.run import LEAST_PHOTOS, Progress, TrainingRun
+from neo_ros.training.run import LEAST_PHOTOS, TrainingRun
 from neo_ros.training.views import held_out_views, make_stream, note_poses
 import numpy as np
 from torch import nn
@@ -41,7 +42,7 @@ REFERENCE_PHOTOS = 300
 
 
 def train(scene_folder: Path, experiment: Experiment, out: Path,
-          progress: Progress = lambda stage, done, total, note: None,
+          progress: StageProgress = no_stage_progress,
           cache_gb: float = 0.0, field_of: Optional[Path] = None) -> TrainingRun:
     """
     Run the three steps on a scene folder and leave model, report and scores in `out`.

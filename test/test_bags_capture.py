@@ -8,12 +8,12 @@ from camera_bags import as_sqlite, CameraBag
 from capture_files import demo_photos, write_bag
 import cv2
 from neo_ros.bags import BagReader, BagWriter
-from neo_ros.bags.capture import read_bag_capture
 from neo_ros.bags.transforms import PoseTrack
+from neo_ros.captures.bag import read_bag_capture
+from neo_ros.captures.scene_writing import write_capture
 from neo_ros.errors import BagError, SceneError
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.geometry.camera_pose import T_BODY_OPTICAL
-from neo_ros.scenes.capture_writing import write_capture
 from neo_ros.scenes.scene import read_scene
 import numpy as np
 import pytest

@@ -11,6 +11,7 @@ from neo_ros.benchmark.workbench import Job, Workbench
 from neo_ros.errors import ConfigError, SceneError
 from neo_ros.experiment import Experiment, ViewConfig
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
+from neo_ros.machine.progress import no_stage_progress
 from neo_ros.scenes.scene import Scene
 from neo_ros.scenes.transforms_json import read_transforms, write_transforms
 import pytest
@@ -127,10 +128,10 @@ def test_a_scene_without_truth_is_refused_and_another_folder_may_hold_it(tmp_pat
     write_capture(tmp_path / 'train', 30, camera)
     job = Job(str(tmp_path / 'train'), 'horizontal', 'full', 1.0)
     with pytest.raises(ConfigError, match='--test-scene'):
-        Workbench(job, tmp_path / 'a', lambda stage, done, total, note: None)
+        Workbench(job, tmp_path / 'a', no_stage_progress)
     write_capture(tmp_path / 'walk', 4, camera)
     job = Job(str(tmp_path / 'train'), 'horizontal', 'full', 1.0, str(tmp_path / 'walk'))
-    bench = Workbench(job, tmp_path / 'b', lambda stage, done, total, note: None)
+    bench = Workbench(job, tmp_path / 'b', no_stage_progress)
     assert len(bench.frames) == 4
     assert bench.frames.read(0)[0].shape == (32, 16, 3)
 
@@ -141,10 +142,10 @@ def test_photos_that_are_trained_on_are_no_truth(tmp_path):
     (tmp_path / 'link').symlink_to(tmp_path / 'train')
     job = Job(str(tmp_path / 'train'), 'horizontal', 'full', 1.0, str(tmp_path / 'link'))
     with pytest.raises(ConfigError, match='not trained on, got 30'):
-        Workbench(job, tmp_path / 'a', lambda stage, done, total, note: None)
+        Workbench(job, tmp_path / 'a', no_stage_progress)
     write_capture(tmp_path / 'train', 2, camera, 'transforms_test.json', 'test')
     with pytest.raises(ConfigError, match='train has transforms_test.json'):
-        Workbench(job, tmp_path / 'a', lambda stage, done, total, note: None)
+        Workbench(job, tmp_path / 'a', no_stage_progress)
 
 
 def test_a_capture_without_walks_is_split_where_it_jumps(tmp_path):

@@ -10,8 +10,8 @@ from neo_ros.cli.import_scene import import_scene
 from neo_ros.errors import ConfigError, SceneError
 from neo_ros.flat.scene_writing import render_demo_views
 from neo_ros.geometry import CameraPose, Intrinsics
-from neo_ros.scenes.levelling import stood_up, tilt
 from neo_ros.scenes.scene import read_scene
+from neo_ros.scenes.upright import stood_up, tilt
 import numpy as np
 import pytest
 import typer

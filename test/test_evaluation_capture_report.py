@@ -5,9 +5,9 @@ from pathlib import Path
 
 from capture_files import write_image
 import cv2
-from neo_ros.evaluation.capture_map import draw_map
-from neo_ros.evaluation.capture_measures import measure_capture, RAYS
-from neo_ros.evaluation.capture_report import _places, describe, write_capture_report
+from neo_ros.captures.report import _places, describe, write_capture_report
+from neo_ros.captures.report_map import draw_map
+from neo_ros.captures.report_measures import measure_capture, RAYS
 from neo_ros.evaluation.plan_view import PlanView
 from neo_ros.evaluation.report import Table
 from neo_ros.geometry import CameraPose, Intrinsics

@@ -136,7 +136,7 @@ def test_a_killed_training_goes_on_to_the_same_model(
         tiny_run: TrainingRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scene, out = tiny_run.out.parent / 'scene', tmp_path / 'out'
 
-    def kill(stage: str, done: int, total: int, note: str) -> None:
+    def kill(stage: str, done: int, total: int, note: str = '') -> None:
         if stage == 'field' and done >= 120:
             monkeypatch.setattr(checkpoint, 'CHECKPOINT_SECONDS', 0.0)
             if done == 130:

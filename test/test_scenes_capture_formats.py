@@ -10,22 +10,22 @@ from capture_files import (
     CAMERA, demo_photos, START_NS, STEP_NS, write_bag, write_colmap_binary, write_colmap_text,
     write_image, write_matrix, write_scannet, write_seven_scenes, write_trajectory,
     write_transforms_capture, write_turned_jpeg)
-from neo_ros.bags.capture import read_bag_capture
+from neo_ros.captures.bag import read_bag_capture
+from neo_ros.captures.capture import Capture
+from neo_ros.captures.colmap import read_colmap
+from neo_ros.captures.formats import CaptureFormat, detect_format, FOLDER_READERS
+from neo_ros.captures.levelling import level_world
+from neo_ros.captures.nerfstudio import read_transforms_capture
+from neo_ros.captures.photos import read_photos
+from neo_ros.captures.scannet import read_scannet
+from neo_ros.captures.scene_copying import import_transforms
+from neo_ros.captures.scene_writing import write_capture, write_images
+from neo_ros.captures.seven_scenes import read_seven_scenes
+from neo_ros.captures.trajectory import read_trajectory
 from neo_ros.errors import SceneError
 from neo_ros.machine.names import natural_key
 from neo_ros.pictures.photo import read_photo
-from neo_ros.scenes.capture import Capture
-from neo_ros.scenes.capture_writing import write_capture, write_images
-from neo_ros.scenes.colmap import read_colmap
-from neo_ros.scenes.formats import CaptureFormat, detect_format, FOLDER_READERS
-from neo_ros.scenes.importing import import_transforms
-from neo_ros.scenes.levelling import level
-from neo_ros.scenes.photos import read_photos
-from neo_ros.scenes.scannet import read_scannet
 from neo_ros.scenes.scene import read_scene
-from neo_ros.scenes.seven_scenes import read_seven_scenes
-from neo_ros.scenes.trajectory import read_trajectory
-from neo_ros.scenes.transforms_capture import read_transforms_capture
 import numpy as np
 import pytest
 import zstandard
@@ -87,7 +87,7 @@ def test_formats_that_define_up_say_so_in_the_scene(
     copy = tmp_path / 'copy' / 'transforms_train.json'
     assert read_scene(tmp_path / 'copy').train.z_up == defined
     assert read_transforms_capture(copy).z_up == defined
-    assert level(read_transforms_capture(copy)).z_up
+    assert level_world(read_transforms_capture(copy)).z_up
 
 
 def test_a_plain_folder_of_images_is_taken_for_photos(tmp_path: Path) -> None:

@@ -7,14 +7,14 @@ import shutil
 from capture_files import (
     CAMERA, demo_photos, write_bag, write_image, write_transforms_capture, write_turned_jpeg)
 import cv2
-from neo_ros.bags.capture import read_bag_capture
+from neo_ros.captures.bag import read_bag_capture
+from neo_ros.captures.capture import Capture
+from neo_ros.captures.nerfstudio import read_transforms_capture
+from neo_ros.captures.scene_writing import write_capture
 from neo_ros.errors import SceneError
 from neo_ros.geometry import CameraPose
 from neo_ros.pictures.photo import read_photo
-from neo_ros.scenes.capture import Capture
-from neo_ros.scenes.capture_writing import write_capture
 from neo_ros.scenes.scene import read_scene
-from neo_ros.scenes.transforms_capture import read_transforms_capture
 import numpy as np
 import pytest
 

@@ -1,10 +1,10 @@
 """Runs of photos that are held back for tests."""
 import json
 
+from neo_ros.captures.held_out_runs import GAP, hold_out_runs, middle_columns, split_runs
 from neo_ros.cli.main import app
 from neo_ros.errors import ConfigError, SceneError
 from neo_ros.geometry import Intrinsics
-from neo_ros.scenes.held_out_runs import GAP, hold_out_runs, middle_columns, split_runs
 from neo_ros.scenes.scene import read_scene
 from neo_ros.scenes.transforms_json import read_transforms
 import pytest

@@ -4,12 +4,12 @@ from pathlib import Path
 import shutil
 
 from capture_files import demo_photos, write_transforms_capture
+from neo_ros.captures.nerfstudio import read_transforms_capture
+from neo_ros.captures.scene_copying import import_transforms
+from neo_ros.captures.scene_writing import write_capture as write_posed
 from neo_ros.errors import SceneError
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
-from neo_ros.scenes.capture_writing import write_capture as write_posed
-from neo_ros.scenes.importing import import_transforms
 from neo_ros.scenes.scene import read_scene
-from neo_ros.scenes.transforms_capture import read_transforms_capture
 from neo_ros.scenes.transforms_json import read_transforms, write_transforms
 from neo_ros.scenes.walkable import WalkableMap, write_walkable
 import numpy as np

@@ -7,15 +7,16 @@ from typing import Optional
 from capture_files import demo_photos
 import cv2
 from hypothesis import given, strategies as st
+from neo_ros.captures.capture import Capture, CapturedFrame
+from neo_ros.captures.frame_selection import select_frames, split_steps
+from neo_ros.captures.levelling import level_world, scaled
 from neo_ros.errors import ConfigError, SceneError
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.geometry.camera_pose import rotation_from_vector
 from neo_ros.pictures.sharpness import sharpness
-from neo_ros.scenes.capture import Capture, CapturedFrame
-from neo_ros.scenes.keyframes import keyframes, split_steps
-from neo_ros.scenes.levelling import estimate_up, level, rotation_between, scaled, stood_up, tilt
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.scene import Scene
+from neo_ros.scenes.upright import estimate_up, rotation_between, stood_up, tilt
 from neo_ros.scenes.walkable import WalkableMap
 import numpy as np
 import pytest
@@ -45,7 +46,7 @@ def test_the_sharpest_readable_frame_of_a_step_is_kept() -> None:
     capture = Capture(
         tuple(CapturedFrame(f'{i}.png', pose, None) for i, pose in enumerate(walk(6))),
         stream=lambda indices: ((index, images[index]) for index in indices))
-    kept = keyframes(capture, 0.25, None)
+    kept = select_frames(capture, 0.25, None)
     assert [frame.name for frame in kept.frames] == ['1.png', '5.png']
     np.testing.assert_array_equal(dict(kept.images([1]))[1], images[5])
     assert '2 keyframes chosen of 6' in kept.notes[-1]
@@ -56,7 +57,7 @@ def test_frames_of_which_none_can_be_read_are_refused() -> None:
         tuple(CapturedFrame(f'{i}.png', pose, None) for i, pose in enumerate(walk(3))),
         stream=lambda indices: ((index, None) for index in indices))
     with pytest.raises(SceneError, match='none of the 3 images can be read'):
-        keyframes(capture, 0.25, None)
+        select_frames(capture, 0.25, None)
 
 
 def test_blur_lowers_sharpness() -> None:
@@ -67,7 +68,7 @@ def test_blur_lowers_sharpness() -> None:
 @pytest.mark.parametrize('distance, angle', [(0.0, None), (None, -1.0), (math.nan, None)])
 def test_steps_have_a_size(distance: float | None, angle: float | None) -> None:
     with pytest.raises(ConfigError, match='expected a number > 0'):
-        keyframes(Capture(()), distance, angle)
+        select_frames(Capture(()), distance, angle)
 
 
 units = st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda v: np.linalg.norm(v) > 0.1).map(
@@ -96,7 +97,7 @@ def test_levelling_finds_up_whatever_the_world_was(vector: tuple[float, ...],
         T_world_cam[:3, :3] = T_world_cam[:3, :3] @ down
         poses.append(CameraPose(T @ T_world_cam))
     np.testing.assert_allclose(estimate_up(poses), T[:3, 2], atol=1e-6)
-    capture = scaled(level(Capture(tuple(CapturedFrame(f'{i}', pose, None)
+    capture = scaled(level_world(Capture(tuple(CapturedFrame(f'{i}', pose, None)
                                          for i, pose in enumerate(poses)))), 2.0)
     levelled = [frame.pose for frame in capture.frames if frame.pose is not None]
     assert tilt(levelled) < 1e-4

@@ -6,16 +6,16 @@ from types import SimpleNamespace
 from typing import Any, Callable
 
 from capture_files import write_image
+from neo_ros.captures.capture import Capture
+from neo_ros.captures.photos import read_photos
+from neo_ros.captures.scene_writing import write_capture
+from neo_ros.captures.structure_from_motion import _usable, photo_pairs, reconstruct
 from neo_ros.errors import SceneError
 from neo_ros.flat.scene_writing import render_demo_views
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.geometry.camera_pose import rotation_vector
 from neo_ros.geometry.lens import Lens
-from neo_ros.scenes.capture import Capture
-from neo_ros.scenes.capture_writing import write_capture
-from neo_ros.scenes.photos import read_photos
 from neo_ros.scenes.scene import read_scene
-from neo_ros.scenes.structure_from_motion import _usable, photo_pairs, reconstruct
 import numpy as np
 import pytest
 
@@ -39,7 +39,7 @@ def test_photos_get_the_poses_they_were_taken_from(tmp_path: Path) -> None:
     for index, image in enumerate(render_demo_views(CAMERA, poses, workers=1)):
         write_image(tmp_path / f'photos/{index}.png', image)
 
-    def interrupt(stage: str, done: int, total: int) -> None:
+    def interrupt(stage: str, done: int, total: int, note: str = '') -> None:
         if stage == 'matches':
             raise KeyboardInterrupt
 
@@ -49,7 +49,7 @@ def test_photos_get_the_poses_they_were_taken_from(tmp_path: Path) -> None:
     stages: dict[str, tuple[int, int]] = {}
     capture, verdict = reconstruct(  # goes on
         read_photos(tmp_path / 'photos'), tmp_path / 'sfm',
-        lambda stage, done, total: stages.__setitem__(stage, (done, total)))
+        lambda stage, done, total, note='': stages.__setitem__(stage, (done, total)))
     assert stages == {'images': (COUNT, COUNT), 'features': (COUNT, COUNT),
                       'matches': (COUNT * (COUNT - 1) // 2,) * 2, 'poses': (COUNT, COUNT)}
     assert (verdict.registered, verdict.photos) == (COUNT, COUNT)
@@ -63,7 +63,7 @@ def test_photos_get_the_poses_they_were_taken_from(tmp_path: Path) -> None:
     stages.clear()
     again, verdict_again = reconstruct(
         read_photos(tmp_path / 'photos'), tmp_path / 'sfm',
-        lambda stage, done, total: stages.__setitem__(stage, (done, total)))
+        lambda stage, done, total, note='': stages.__setitem__(stage, (done, total)))
     assert stages.keys() == {'images'} and verdict_again == verdict
     np.testing.assert_array_equal(
         [frame.pose.T_world_cam for frame in again.frames if frame.pose is not None],
@@ -215,7 +215,7 @@ def test_a_mapping_that_begins_anew_is_shown_once(
     with pytest.raises(SceneError, match='/sfm: the poses could not be estimated'):
         reconstruct(replace(photos, frames=tuple(
             replace(frame, lens=Lens(CAMERA)) for frame in photos.frames)), tmp_path / 'sfm',
-            lambda stage, done, total: shown.append(done) if stage == 'poses' else None)
+            lambda stage, done, total, note='': shown.append(done) if stage == 'poses' else None)
     assert shown == [2, 3, 4, 5]
 
 

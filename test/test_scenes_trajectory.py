@@ -1,9 +1,9 @@
 """Posed renders with a traj.txt: walks in folders of their own."""
 from capture_files import demo_photos, write_trajectory
 from neo_ros.benchmark.protocols import split_walks
-from neo_ros.scenes.capture_writing import write_capture
+from neo_ros.captures.scene_writing import write_capture
+from neo_ros.captures.trajectory import read_trajectory
 from neo_ros.scenes.scene import read_scene
-from neo_ros.scenes.trajectory import read_trajectory
 import numpy as np
 
 

@@ -2,11 +2,11 @@
 from pathlib import Path
 
 import cv2
+from neo_ros.captures import video
+from neo_ros.captures.formats import CaptureFormat, detect_format
+from neo_ros.captures.video import read_video, STEP
 from neo_ros.cli.import_scene import import_scene
 from neo_ros.errors import SceneError
-from neo_ros.scenes import video
-from neo_ros.scenes.formats import CaptureFormat, detect_format
-from neo_ros.scenes.video import read_video, STEP
 import numpy as np
 import pytest
 

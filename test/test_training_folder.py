@@ -6,7 +6,7 @@ import shutil
 from neo_ros.errors import ConfigError
 from neo_ros.geometry import ViewExpansion
 from neo_ros.pipeline import fit_field_step, train
-from neo_ros.scenes.levelling import read_upright_scene
+from neo_ros.scenes.upright import read_upright_scene
 from neo_ros.training.folder import claim, take_field
 from neo_ros.training.run import TrainingRun
 import pytest

@@ -5,11 +5,12 @@ from neo_ros.experiment import Experiment
 from neo_ros.field.config import FieldConfig
 from neo_ros.field.memory_baking import MemoryConfig
 from neo_ros.flat.scene_writing import write_demo_scene
+from neo_ros.machine.progress import no_stage_progress, StageProgress
 from neo_ros.outpaint.fitting import OutpaintConfig
 from neo_ros.outpaint.network import NetworkConfig
 from neo_ros.pipeline import train
 from neo_ros.scenes.pose_sampling import SamplingConfig
-from neo_ros.training.run import Progress, TrainingRun
+from neo_ros.training.run import TrainingRun
 import onnx
 
 TINY = Experiment(
@@ -24,7 +25,7 @@ def write_tiny_scene(folder: Path) -> None:
 
 
 def train_tiny(scene: Path, out: Path, experiment: Experiment = TINY,
-               progress: Progress = lambda stage, done, total, note: None,
+               progress: StageProgress = no_stage_progress,
                cache_gb: float = 0.0) -> TrainingRun:
     """Train on a scene of `write_tiny_scene`."""
     return train(scene, experiment, out, progress, cache_gb)

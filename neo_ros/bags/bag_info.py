@@ -1,5 +1,4 @@
 """What is in a bag, what of it can serve the training or the replay, and what to do next."""
-from collections.abc import Callable
 from dataclasses import dataclass, field
 import math
 from pathlib import Path
@@ -9,11 +8,11 @@ from typing import Any
 from neo_ros.bags.camera_topics import (
     CAMERA_INFO, COMPRESSED, find_info_topic, IMAGE, image_topics, read_lens)
 from neo_ros.bags.reading import BagReader, BagTopic
-from neo_ros.bags.recorded_poses import (
-    foreign_tf, missing_way, POSE_TYPES, TF, TF_STATIC)
+from neo_ros.bags.recorded_poses import foreign_tf, missing_way, POSE_TYPES, TF, TF_STATIC
 from neo_ros.bags.transforms import frame_name, TransformTree
 from neo_ros.errors import BagError, ImageRejected, SceneError
 from neo_ros.geometry import ViewExpansion
+from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.messages.compressed_image import compressed_size
 
 IMAGE_ROLE, POSE_ROLE, TRUTH_ROLE = 'image', 'pose', 'truth'
@@ -73,7 +72,7 @@ class _Camera:
 
 
 def read_bag_info(path: Path, model: Path | None = None, expansion: ViewExpansion | None = None,
-                  progress: Callable[[int, int], None] = lambda done, total: None) -> BagInfo:
+                  progress: Progress = no_progress) -> BagInfo:
     """
     Read a whole bag and describe it.
 

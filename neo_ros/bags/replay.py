@@ -14,6 +14,7 @@ from neo_ros.bags.reading import BagMessage, BagReader, BagTopic, FOREVER_NS
 from neo_ros.bags.writing import BagWriter
 from neo_ros.errors import BagError, ImageRejected
 from neo_ros.geometry import ViewExpansion
+from neo_ros.machine.progress import Progress
 from neo_ros.messages import camera_info_of, FrameProcessor, image_fields, read_image
 from neo_ros.messages.stamps import NS_PER_S, stamp_of
 from neo_ros.runtime import FovExtrapolator
@@ -97,7 +98,7 @@ def replay(bag: Path | str, extrapolator: FovExtrapolator, out: Path | str,
            image_topic: str | None = None, truth_topic: str | None = None, copy: bool = True,
            section: Section = Section(), rectify: bool = False, on_frame: OnImages | None = None,
            on_pair: OnImages | None = None,
-           on_progress: Callable[[int, int], None] | None = None) -> ReplayResult:
+           on_progress: Progress | None = None) -> ReplayResult:
     """
     Write a bag with everything of `bag` (unless `copy` is off) and the wide view of its camera.
 

@@ -22,9 +22,10 @@ from neo_ros.field.rendering import render_view
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
 from neo_ros.machine.files import make_output_folder, write_bytes
 from neo_ros.machine.host import commit, host
+from neo_ros.machine.progress import StageProgress
 from neo_ros.pictures.exposure import exposure_gain
 from neo_ros.scenes.scene import read_scene
-from neo_ros.training.run import Progress, TrainingRun
+from neo_ros.training.run import TrainingRun
 import numpy as np
 import torch
 
@@ -36,7 +37,7 @@ Fitter = Callable[[TrainingRun, float, str], tuple[Renderer, dict[str, Any]]]
 
 def measure_field_curve(scene: Path, experiment: Experiment, scale: str,
                         minutes: Sequence[float], views: int, out: Path,
-                        progress: Progress) -> str:
+                        progress: StageProgress) -> str:
     """
     Train the experiment's field for each of the times, and score it; returns a table.
 
@@ -80,7 +81,7 @@ def _host(experiment: Experiment) -> str:
     return host()
 
 
-def _fitters(experiment: Experiment, progress: Progress) -> dict[str, Fitter]:
+def _fitters(experiment: Experiment, progress: StageProgress) -> dict[str, Fitter]:
     """Return by name what can be fitted here at equal conditions."""
     fitters: dict[str, Fitter] = {'neo_ros': fit_own}
     if find_spec('nerfstudio') is None:

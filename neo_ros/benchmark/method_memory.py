@@ -14,6 +14,8 @@ import re
 import subprocess
 import sys
 
+from neo_ros.machine.progress import no_stage_progress
+
 FRAMES = 3
 
 
@@ -33,7 +35,7 @@ def main() -> None:
 
     folder, name = Path(sys.argv[1]), sys.argv[2]
     job = Job(**json.loads((folder / 'job.json').read_text())['job'])
-    bench = Workbench(job, folder, lambda stage, done, total, note: None)
+    bench = Workbench(job, folder, no_stage_progress)
     # What methods import only when they are made.
     for module in ('pycolmap', 'scipy.ndimage', 'neo_ros.memory.guided_view'):
         if find_spec(module):

@@ -12,11 +12,11 @@ from neo_ros.benchmark.workbench import Job, Workbench
 from neo_ros.errors import ConfigError
 from neo_ros.evaluation.evaluate import MethodScores
 from neo_ros.machine.files import make_output_folder, share_dir, write_bytes
-from neo_ros.training.run import Progress
+from neo_ros.machine.progress import StageProgress
 
 
 def run_jobs(jobs: dict[str, Job], names: Sequence[str], work: Path, rows_file: Path, title: str,
-             progress: Progress, frozen: bool = False) -> str:
+             progress: StageProgress, frozen: bool = False) -> str:
     """
     Benchmark scenes one after the other; returns the tables.
 
@@ -56,7 +56,7 @@ def publish(suite: str, table: str) -> None:
         put_between_markers(document, suite, table)
 
 
-def installed(names: Sequence[str], progress: Progress) -> list[str]:
+def installed(names: Sequence[str], progress: StageProgress) -> list[str]:
     """Leave out the methods whose packages are not installed, and tell `progress`."""
     found = []
     for name in names:
@@ -67,5 +67,5 @@ def installed(names: Sequence[str], progress: Progress) -> list[str]:
     return found
 
 
-def _staged(name: str, progress: Progress) -> Progress:
-    return lambda stage, done, total, note: progress(f'{name}: {stage}', done, total, note)
+def _staged(name: str, progress: StageProgress) -> StageProgress:
+    return lambda stage, done, total, note='': progress(f'{name}: {stage}', done, total, note)

@@ -24,7 +24,7 @@ from neo_ros.evaluation.metrics import Estimate, score_frame
 from neo_ros.evaluation.stability import DepthOf, flicker, stored_depths, WarpingError
 from neo_ros.evaluation.true_depth import demo_depth, field_depth, is_demo_flat
 from neo_ros.machine.files import write_bytes
-from neo_ros.training.run import Progress
+from neo_ros.machine.progress import StageProgress
 import numpy as np
 
 
@@ -58,7 +58,7 @@ def run_benchmark(bench: Workbench, names: Sequence[str],
     return results
 
 
-def load_scorers(progress: Progress) -> dict[str, Scorer]:
+def load_scorers(progress: StageProgress) -> dict[str, Scorer]:
     """Return by name PSNR with SSIM, and LPIPS (VGG, Alex) where its weights can be had."""
     from neo_ros.evaluation.lpips import Lpips
     scorers: dict[str, Scorer] = {'psnr_ssim': score_frame}

@@ -22,14 +22,15 @@ from neo_ros.experiment import Experiment, experiment_from, read_experiment
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.machine.files import make_output_folder, share_dir, write_bytes
 from neo_ros.machine.names import listed
+from neo_ros.machine.progress import StageProgress
 from neo_ros.outpaint.network import NETWORKS
 from neo_ros.pipeline import fit_field_step, train
-from neo_ros.scenes.levelling import stood_up
 from neo_ros.scenes.scene import read_scene, Scene
+from neo_ros.scenes.upright import stood_up
 from neo_ros.training.checkpoint import read_notes, write_notes
 from neo_ros.training.folder import claim
 from neo_ros.training.memory import memory_seconds, NOTES
-from neo_ros.training.run import Progress, TrainingRun
+from neo_ros.training.run import TrainingRun
 
 # Of the training time that goes to the field, which is also B3's: half of six minutes is enough,
 # as 2.2 give held-out photos within 0.36 dB of what 3.7 give (docs/training.md).
@@ -65,7 +66,7 @@ class Job:
 class Workbench:
     """A scene, its test frames, and what has been made for its methods so far."""
 
-    def __init__(self, job: Job, folder: Path, progress: Progress) -> None:
+    def __init__(self, job: Job, folder: Path, progress: StageProgress) -> None:
         self.job, self.folder, self.progress = job, folder, progress
         scene = read_scene(Path(job.scene))
         if job.test_scene is not None:

@@ -2,6 +2,7 @@
 from pathlib import Path
 from typing import Annotated, Optional
 
+from neo_ros.machine.progress import no_stage_progress
 import typer
 
 
@@ -21,15 +22,15 @@ def export(
     """
     from neo_ros.experiment import Experiment, read_experiment
     from neo_ros.model_variants import export_variants
+    from neo_ros.scenes.upright import read_upright_scene
     from neo_ros.training.run import TrainingRun
-    from neo_ros.scenes.levelling import read_upright_scene
     import rich
     from rich.markup import escape
     from rich.table import Table
 
     experiment = read_experiment(config) if config is not None else Experiment()
     run = TrainingRun(read_upright_scene(scene), experiment, out,
-                      lambda stage, done, total, note: None)
+                      no_stage_progress)
     variants = export_variants(run, threads=threads)
     table = Table('format', 'file', 'MB', 'ms', 'ring dB', 'loss dB')
     best = max(variant.ring_psnr for variant in variants)

@@ -24,13 +24,13 @@ def floor(
     The map must be in the world of the photos. neo train then draws its positions on free floor,
     `sampling.robot_radius` off everything else.
     """
+    from neo_ros.captures.report import REPORT_FILE, write_capture_report
     from neo_ros.cli.options import refuse
     from neo_ros.cli.progress import stage_progress
     from neo_ros.errors import ConfigError
-    from neo_ros.evaluation.capture_report import REPORT_FILE, write_capture_report
     from neo_ros.scenes.floor_map import read_floor_mask, read_map_server
-    from neo_ros.scenes.levelling import axis_name, axis_up
     from neo_ros.scenes.scene import read_scene
+    from neo_ros.scenes.upright import axis_name, axis_up
     from neo_ros.scenes.walkable import write_walkable
     import numpy as np
     import rich

@@ -2,8 +2,8 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 import time
-from typing import Protocol
 
+from neo_ros.machine.progress import StageProgress
 from rich.console import Console
 from rich.progress import (
     BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn,
@@ -12,15 +12,8 @@ from rich.progress import (
 LINE_EVERY_S = 30.0
 
 
-class Show(Protocol):
-    """Tell how far a stage is."""
-
-    def __call__(self, stage: str, done: int, total: int, note: str = '') -> None:
-        """Say that `done` of `total` are done."""
-
-
 @contextmanager
-def stage_progress() -> Iterator[Show]:
+def stage_progress() -> Iterator[StageProgress]:
     """Give a function that shows the progress of named stages."""
     console = Console()
     if not console.is_terminal:

@@ -6,11 +6,12 @@ weights are not to be had from a package index.
 """
 import io
 from pathlib import Path
-from typing import Callable, Sequence
+from typing import Sequence
 from zipfile import BadZipFile
 
 from neo_ros.errors import SceneError
 from neo_ros.machine.files import write_bytes
+from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.memory.local_features import Features, find_features, MAGNIFY
 from neo_ros.scenes.posed_images import PosedImages
 import numpy as np
@@ -53,7 +54,7 @@ class PhotoBank:
 
 
 def read_photo_bank(photos: PosedImages, scale: float, cache: Path,
-                    progress: Callable[[int, int], None] = lambda done, total: None,
+                    progress: Progress = no_progress,
                     magnify: float = MAGNIFY) -> PhotoBank:
     """Find the features of all photos at `scale`, or read them from the file `cache`."""
     try:

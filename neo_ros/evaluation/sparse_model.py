@@ -5,13 +5,14 @@ This is B3's map (the paper uses hloc's): pycolmap triangulates the matches of R
 """
 from pathlib import Path
 import shutil
-from typing import Any, Callable, NamedTuple
+from typing import Any, NamedTuple
 from zipfile import BadZipFile
 
 from neo_ros.errors import SceneError
 from neo_ros.evaluation.photo_bank import PhotoBank
 from neo_ros.geometry import Intrinsics
 from neo_ros.machine.files import whole_file
+from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.memory.local_features import match_features
 import numpy as np
 
@@ -19,7 +20,6 @@ PARTNERS = 15          # photos that each photo is matched with
 MOST_ANGLE = 60.0      # degrees between the viewing directions of two photos that are matched
 EPIPOLAR_PIXELS = 1.5  # how far off its epipolar line a match may lie
 RATIO = 0.85
-Progress = Callable[[int, int], None]
 
 
 class SparseModel(NamedTuple):
@@ -40,7 +40,7 @@ class SparseModel(NamedTuple):
 
 
 def read_sparse_model(bank: PhotoBank, folder: Path,
-                      progress: Progress = lambda done, total: None) -> SparseModel:
+                      progress: Progress = no_progress) -> SparseModel:
     """Triangulate the features of a bank, or read the result from `folder`."""
     cache = folder / 'points.npz'
     counts = [len(one.points) for one in bank.features]

@@ -12,6 +12,7 @@ from neo_ros.evaluation.baselines import Method
 from neo_ros.evaluation.evaluate import run_method, StatefulMethod, TruthFrames
 from neo_ros.geometry import Intrinsics
 from neo_ros.machine.files import whole_file
+from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.pictures.filling import sample_pixels
 import numpy as np
 
@@ -113,7 +114,7 @@ def flicker(method: Method, frames: TruthFrames) -> float:
 
 
 def stored_depths(frames: TruthFrames, render: DepthOf, cache: Path,
-                  progress: Callable[[int, int], None] = lambda done, total: None) -> DepthOf:
+                  progress: Progress = no_progress) -> DepthOf:
     """Render the depth of every frame once; float16 metres in the file `cache`."""
     try:
         with np.load(cache) as stored:

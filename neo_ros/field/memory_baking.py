@@ -8,7 +8,7 @@ photo agrees.
 from dataclasses import dataclass
 import math
 from pathlib import Path
-from typing import Callable, Optional
+from typing import Optional
 from zipfile import BadZipFile
 
 import cv2
@@ -19,6 +19,7 @@ from neo_ros.field.rendering import render_rays, to_uint8, world_rays
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import Band, CameraPose, Intrinsics, ViewExpansion
 from neo_ros.machine.files import whole_file
+from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.memory.scene_memory import compress, FINER, Glances, Keyframe, SceneMemory
 from neo_ros.scenes.pose_sampling import PoseSampler, rotation_from_angles
 import numpy as np
@@ -58,7 +59,7 @@ class Photos:
 
 def bake_memory(field: RadianceField, photos: Photos, expansion: ViewExpansion,
                 sampler: PoseSampler, config: MemoryConfig, seed: int, work: Path,
-                progress: Callable[[int, int], None] = lambda done, total: None) -> SceneMemory:
+                progress: Progress = no_progress) -> SceneMemory:
     """
     Render and colour the keyframes of `keyframe_positions`, and take glances from them.
 

@@ -11,6 +11,7 @@ import cv2
 from neo_ros.errors import SceneError
 from neo_ros.flat.demo_flat import build_demo_flat, DemoFlat, sample_training_poses, walking_paths
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
+from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.scene import DEMO_NOTE
 from neo_ros.scenes.transforms_json import write_transforms
@@ -23,7 +24,7 @@ Result = TypeVar('Result')
 
 def write_demo_scene(folder: Path, *, image_size: int = 128, n_train: int = 1000,
                      n_paths: int = 8, frames_per_path: int = 25, seed: int = 0,
-                     progress: Callable[[int, int], None] = lambda done, total: None,
+                     progress: Progress = no_progress,
                      workers: int | None = None) -> None:
     """
     Write the demo flat in the layout of the paper's 3-DoF protocol (section 4.1).
@@ -99,7 +100,7 @@ def fingerprint(flat: DemoFlat, poses: Sequence[np.ndarray]) -> str:
 
 
 def render_demo_views(intrinsics: Intrinsics, poses: Sequence[CameraPose],
-                      progress: Callable[[int, int], None] = lambda done, total: None,
+                      progress: Progress = no_progress,
                       workers: int | None = None) -> list[np.ndarray]:
     """Render RGB uint8 (H, W, 3) views of the demo flat, one per pose."""
     jobs = [(intrinsics, pose.T_world_cam) for pose in poses]

@@ -1,6 +1,6 @@
 """Panoramas at places where the robot can be, and the views that are worth learning from."""
 from collections import Counter
-from typing import Any, Callable, Optional
+from typing import Any, Optional
 
 from neo_ros.errors import SceneError
 from neo_ros.field.panorama import Panorama, panorama_size, render_panorama, view_band
@@ -8,6 +8,7 @@ from neo_ros.field.torch_field import torch_device
 from neo_ros.field.view_cutting import view_cutter
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import Intrinsics
+from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.outpaint.panorama_cache import DrawnPanorama, PanoramaCache
 from neo_ros.pictures.sharpness import blur_threshold, relative_sharpness
 from neo_ros.scenes.pose_sampling import PoseSampler
@@ -46,7 +47,7 @@ class PanoramaPool:
         self.cut_view = view_cutter(field, view)
         self.least_sharpness = 0.0
         # Told of work that keeps a training waiting: several panoramas at once.
-        self.progress: Callable[[int, int], None] = lambda done, total: None
+        self.progress: Progress = no_progress
         self.panoramas: list[Panorama] = []
         self.refused: Counter[str] = Counter()
         self.refused_positions: list[np.ndarray] = []

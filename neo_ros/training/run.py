@@ -1,13 +1,14 @@
 """One run of the pipeline: what is trained, on which photos, and where its files go."""
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Callable, Optional
+from typing import Optional
 
 from neo_ros.errors import ConfigError
 from neo_ros.evaluation.evaluate import TruthFrames
 from neo_ros.experiment import Experiment
 from neo_ros.field.config import FieldConfig
 from neo_ros.geometry import ViewExpansion
+from neo_ros.machine.progress import StageProgress
 from neo_ros.outpaint.networks import check_network
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.scene import Scene
@@ -17,8 +18,6 @@ import numpy as np
 HELD_OUT_EVERY = 25
 # With fewer photos none is.
 LEAST_PHOTOS = HELD_OUT_EVERY // 2 + 1
-
-Progress = Callable[[str, int, int, str], None]
 
 
 @dataclass
@@ -32,7 +31,7 @@ class TrainingRun:
     scene: Scene
     experiment: Experiment
     out: Path
-    progress: Progress
+    progress: StageProgress
     cache_gb: float = 0.0         # of panoramas in files; 0: all of them are in memory
     seconds: float = 0.0
     samples: int = 0              # wide views that the outpainter saw

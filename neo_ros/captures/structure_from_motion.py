@@ -8,14 +8,15 @@ import re
 import shutil
 from typing import Any, Callable, Iterator, Optional, Sequence
 
+from neo_ros.captures.capture import Capture
+from neo_ros.captures.colmap import read_colmap_model
+from neo_ros.captures.levelling import level_world, scaled
+from neo_ros.captures.scene_writing import unreadable_note, write_images
 from neo_ros.errors import NeoError, SceneError
 from neo_ros.geometry import Intrinsics
 from neo_ros.geometry.lens import Lens
 from neo_ros.machine.names import listed
-from neo_ros.scenes.capture import Capture
-from neo_ros.scenes.capture_writing import unreadable_note, write_images
-from neo_ros.scenes.colmap import read_colmap_model
-from neo_ros.scenes.levelling import level, scaled
+from neo_ros.machine.progress import no_stage_progress, StageProgress
 import numpy as np
 
 # All pairs up to this number of photos; beyond it photos are taken for a walk.
@@ -34,7 +35,6 @@ STRONGEST_DISTORTION = 1.0
 WELL_PLACED = 0.8
 # Nobody knows the scale: the median point is put as far away as walls of a room often are.
 MEDIAN_DISTANCE = 3.0
-StageProgress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Verdict:
 
 
 def reconstruct(capture: Capture, work: Path,
-                progress: StageProgress = lambda stage, done, total: None
+                progress: StageProgress = no_stage_progress
                 ) -> tuple[Capture, Verdict]:
     """
     Find the poses of an unposed capture; needs pycolmap (the train extra).
@@ -97,7 +97,7 @@ def reconstruct(capture: Capture, work: Path,
     registered = Capture(tuple(frames), capture.notes + unreadable_note(capture, names)
                          + _notes(reconstruction, lost))
     scale = MEDIAN_DISTANCE / _median_depth(reconstruction)
-    return replace(scaled(level(registered), scale), arbitrary_scale=True), verdict
+    return replace(scaled(level_world(registered), scale), arbitrary_scale=True), verdict
 
 
 def photo_pairs(names: Sequence[str]) -> list[tuple[str, str]]:

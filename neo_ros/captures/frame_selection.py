@@ -2,17 +2,17 @@
 import math
 from typing import Optional
 
+from neo_ros.captures.capture import Capture
 from neo_ros.errors import ConfigError, SceneError
 from neo_ros.geometry import CameraPose
 from neo_ros.geometry.camera_pose import rotation_vector
 from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.pictures.sharpness import sharpness
-from neo_ros.scenes.capture import Capture
 import numpy as np
 
 
-def keyframes(capture: Capture, distance: Optional[float], angle: Optional[float],
-              progress: Progress = no_progress) -> Capture:
+def select_frames(capture: Capture, distance: Optional[float], angle: Optional[float],
+                  progress: Progress = no_progress) -> Capture:
     """
     Keep the sharpest frame of every step of `distance` metres or `angle` radians.
 

@@ -2,10 +2,10 @@
 from pathlib import Path
 from typing import Iterator, Optional, Sequence
 
+from neo_ros.captures.capture import Capture, CapturedFrame, origin_of
 from neo_ros.errors import SceneError
 from neo_ros.machine.names import listed
 from neo_ros.pictures.photo import list_photos, read_photo
-from neo_ros.scenes.capture import Capture, CapturedFrame, origin_of
 import numpy as np
 
 PHOTO_FOLDERS = ('images', 'photos', 'rgb')

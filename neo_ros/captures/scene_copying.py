@@ -1,21 +1,21 @@
 """Bring a capture into the scene format: read everything once, copy what is good."""
 from dataclasses import replace
 import filecmp
-import os
 from pathlib import Path
 import shutil
-from typing import Callable
 
+from neo_ros.captures.capture import scene_name
+from neo_ros.captures.scene_writing import check_near_origin, check_own, NOTE_FILE
 from neo_ros.errors import SceneError
 from neo_ros.machine.files import whole_file
-from neo_ros.scenes.capture_writing import check_near_origin, check_own, NOTE_FILE
+from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.scenes.posed_images import PosedImages, read_rgb_image
 from neo_ros.scenes.scene import clear_earlier_import
 from neo_ros.scenes.transforms_json import read_input_crop, read_transforms, write_transforms
 
 
 def import_transforms(source: Path, scene: Path,
-                      progress: Callable[[int, int], None] = lambda done, total: None) -> None:
+                      progress: Progress = no_progress) -> None:
     """
     Copy a folder of transforms files (nerfstudio, instant-ngp) into a scene folder.
 
@@ -42,8 +42,8 @@ def import_transforms(source: Path, scene: Path,
     for images in found.values():
         check_near_origin(images.image_paths, images.poses)
     every = [path for images in found.values() for path in images.image_paths]
-    check_own(scene, (_scene_name(path, source) for path in every
-                      if not _same(path, scene / _scene_name(path, source))))
+    check_own(scene, (scene_name(path, source) for path in every
+                      if not _same(path, scene / scene_name(path, source))))
     total = len(every)
     done = 0
     copied: dict[str, PosedImages] = {}
@@ -63,18 +63,13 @@ def import_transforms(source: Path, scene: Path,
     (scene / NOTE_FILE).unlink(missing_ok=True)
 
 
-def _scene_name(path: Path, source: Path) -> str:
-    parts = Path(os.path.relpath(path, source)).parts
-    return Path(*('beside' if part == '..' else part for part in parts)).as_posix()
-
-
 def _same(path: Path, target: Path) -> bool:
     return target.exists() and filecmp.cmp(path, target, shallow=False)
 
 
 def _copy_image(path: Path, source: Path, scene: Path, images: PosedImages) -> Path:
     read_rgb_image(path, images.intrinsics)
-    target = scene / _scene_name(path, source)
+    target = scene / scene_name(path, source)
     try:
         if _same(path, target):
             return target

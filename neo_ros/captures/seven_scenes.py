@@ -6,13 +6,13 @@ its authors give as 585 pixels at 640x480, centred; sequences become path ids.
 """
 from pathlib import Path
 
+from neo_ros.captures.capture import Capture, CapturedFrame
+from neo_ros.captures.pose_files import pose_or_lost, read_matrix
 from neo_ros.errors import SceneError
 from neo_ros.geometry import Intrinsics
 from neo_ros.geometry.lens import Lens
 from neo_ros.machine.names import listed, natural_key
 from neo_ros.pictures.photo import first_photo_size
-from neo_ros.scenes.capture import Capture, CapturedFrame
-from neo_ros.scenes.pose_files import pose_or_lost, read_matrix
 
 CAMERA = Intrinsics(640, 480, 585.0, 585.0, 320.0, 240.0)
 

@@ -6,13 +6,13 @@ lost) and intrinsic/intrinsic_color.txt (4x4).
 """
 from pathlib import Path
 
+from neo_ros.captures.capture import Capture, CapturedFrame
+from neo_ros.captures.pose_files import pose_or_lost, read_matrix
 from neo_ros.errors import GeometryError, SceneError
 from neo_ros.geometry import Intrinsics
 from neo_ros.geometry.lens import Lens
 from neo_ros.machine.names import listed
 from neo_ros.pictures.photo import first_photo_size, list_photos
-from neo_ros.scenes.capture import Capture, CapturedFrame
-from neo_ros.scenes.pose_files import pose_or_lost, read_matrix
 
 
 def is_scannet(source: Path) -> bool:

@@ -2,15 +2,15 @@
 from enum import Enum
 from pathlib import Path
 
+from neo_ros.captures.colmap import find_model, read_colmap
+from neo_ros.captures.nerfstudio import read_transforms_capture, TRANSFORMS_FILE
+from neo_ros.captures.photos import find_photos, read_photos
+from neo_ros.captures.scannet import is_scannet, read_scannet
+from neo_ros.captures.seven_scenes import is_seven_scenes, read_seven_scenes
+from neo_ros.captures.trajectory import read_trajectory, TRAJECTORY_FILE
+from neo_ros.captures.video import VIDEO_SUFFIXES
 from neo_ros.errors import SceneError
 from neo_ros.pictures.photo import PHOTO_SUFFIXES
-from neo_ros.scenes.colmap import find_model, read_colmap
-from neo_ros.scenes.photos import find_photos, read_photos
-from neo_ros.scenes.scannet import is_scannet, read_scannet
-from neo_ros.scenes.seven_scenes import is_seven_scenes, read_seven_scenes
-from neo_ros.scenes.trajectory import read_trajectory, TRAJECTORY_FILE
-from neo_ros.scenes.transforms_capture import read_transforms_capture, TRANSFORMS_FILE
-from neo_ros.scenes.video import VIDEO_SUFFIXES
 
 
 class CaptureFormat(str, Enum):

@@ -6,6 +6,7 @@ import shutil
 from typing import Any, Iterable, Optional, Sequence
 
 import cv2
+from neo_ros.captures.capture import Capture, CapturedFrame
 from neo_ros.errors import SceneError
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.geometry.lens import common_pinhole, Lens, Straightener
@@ -13,7 +14,6 @@ from neo_ros.machine.files import whole_file
 from neo_ros.machine.names import listed
 from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.pictures.photo import photo_size
-from neo_ros.scenes.capture import Capture, CapturedFrame
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.scene import clear_earlier_import
 from neo_ros.scenes.transforms_json import write_transforms

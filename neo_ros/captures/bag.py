@@ -10,12 +10,12 @@ from neo_ros.bags.reading import BagReader, BagTopic, describe_topics
 from neo_ros.bags.recorded_poses import (
     find_pose_source, find_pose_topics, foreign_tf, RecordedPoses, TF, TF_STATIC)
 from neo_ros.bags.transforms import frame_name, PoseSource
+from neo_ros.captures.capture import Capture, CapturedFrame, ImageStream, origin_of
 from neo_ros.errors import BagError, ImageRejected
 from neo_ros.geometry import CameraPose
 from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.messages import read_compressed_image, read_image
 from neo_ros.messages.stamps import stamp_of
-from neo_ros.scenes.capture import Capture, CapturedFrame, ImageStream, origin_of
 import numpy as np
 
 

@@ -3,8 +3,8 @@ from pathlib import Path
 from typing import Sequence
 
 import cv2
-from neo_ros.evaluation.capture_map import draw_map
-from neo_ros.evaluation.capture_measures import (
+from neo_ros.captures.report_map import draw_map
+from neo_ros.captures.report_measures import (
     ASSUMED_DISTANCE, CaptureMeasures, GOOD_OVERLAP, measure_capture)
 from neo_ros.evaluation.report import (
     Picture, Plot, Section, Series, Strip, Table, Text, write_report)

@@ -1,5 +1,5 @@
 """A capture from above: where the cameras stood, where they looked, where the robot can be."""
-from neo_ros.evaluation.capture_measures import apart, CaptureMeasures
+from neo_ros.captures.report_measures import apart, CaptureMeasures
 from neo_ros.evaluation.plan_view import FLOOR, PlanView
 from neo_ros.scenes.walkable import WalkableMap
 import numpy as np

@@ -12,13 +12,13 @@ import math
 from pathlib import Path
 from typing import Any, Optional
 
+from neo_ros.captures.capture import Capture, CapturedFrame, scene_name
+from neo_ros.captures.pose_files import pose_or_lost
 from neo_ros.errors import SceneError
 from neo_ros.geometry import Intrinsics
 from neo_ros.geometry.lens import Lens
 from neo_ros.machine.names import listed, natural_key
 from neo_ros.pictures.photo import first_photo_size, PHOTO_SUFFIXES
-from neo_ros.scenes.capture import Capture, CapturedFrame, scene_name
-from neo_ros.scenes.pose_files import pose_or_lost
 from neo_ros.scenes.transforms_json import STRAIGHT_MODELS
 import numpy as np
 

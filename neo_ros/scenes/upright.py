@@ -1,4 +1,4 @@
-"""Which way is up: turn a world so that z points up. And how large it is."""
+"""Which way is up: turn the world of a scene so that z points up."""
 from dataclasses import replace
 import logging
 import math
@@ -6,14 +6,11 @@ from pathlib import Path
 
 from neo_ros.geometry import CameraPose
 from neo_ros.geometry.camera_pose import rotation_from_vector
-from neo_ros.scenes.capture import Capture
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.scene import read_scene, Scene
 import numpy as np
 
 logger = logging.getLogger(__name__)
-# A world whose estimated up is farther from +z than this was not levelled by anyone.
-CLEARLY_TILTED = math.radians(30)
 # Trainings say so beyond this: RedKitchen, held by hand, leans by 2 degrees, any 50 photos of it
 # in a row by 14 at most.
 MOST_LEAN = math.radians(15)
@@ -56,30 +53,6 @@ def lean(poses: list[CameraPose], axis: np.ndarray) -> float:
 def tilt(poses: list[CameraPose]) -> float:
     """Return the angle between the estimated up and the world's z axis, radians."""
     return math.acos(float(np.clip(estimate_up(poses)[2], -1, 1)))
-
-
-def level(capture: Capture) -> Capture:
-    """
-    Turn the world of a posed capture about its origin so that z points up.
-
-    Only poses change, and up is known from now on.
-    """
-    poses = [frame.pose for frame in capture.frames if frame.pose is not None]
-    T = np.eye(4)
-    T[:3, :3] = rotation_between(estimate_up(poses), np.array([0.0, 0.0, 1.0]))
-    return replace(capture, z_up=True, frames=tuple(
-        replace(frame, pose=CameraPose(T @ pose.T_world_cam))
-        for frame, pose in zip(capture.frames, poses)))
-
-
-def scaled(capture: Capture, factor: float) -> Capture:
-    """Multiply all lengths of the world of a posed capture, which are metres then."""
-    poses = [frame.pose for frame in capture.frames if frame.pose is not None]
-    lengths = np.ones((4, 4))
-    lengths[:3, 3] = factor
-    return replace(capture, arbitrary_scale=False, frames=tuple(
-        replace(frame, pose=CameraPose(lengths * pose.T_world_cam))
-        for frame, pose in zip(capture.frames, poses)))
 
 
 def read_upright_scene(folder: Path) -> Scene:

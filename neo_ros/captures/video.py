@@ -4,10 +4,10 @@ from pathlib import Path
 from typing import Optional
 
 import cv2
+from neo_ros.captures.capture import Capture, CapturedFrame, origin_of
 from neo_ros.errors import SceneError
 from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.pictures.sharpness import sharpness
-from neo_ros.scenes.capture import Capture, CapturedFrame, origin_of
 import numpy as np
 
 VIDEO_SUFFIXES = ('.mp4', '.mov', '.avi', '.mkv', '.webm', '.m4v')

@@ -10,12 +10,12 @@ from pathlib import Path
 import struct
 from typing import BinaryIO, Iterator, Optional, Sequence
 
+from neo_ros.captures.capture import Capture, CapturedFrame, scene_name
 from neo_ros.errors import GeometryError, NeoError, SceneError
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.geometry.camera_pose import transform_from_quaternion
 from neo_ros.geometry.lens import Lens
 from neo_ros.machine.names import listed, natural_key
-from neo_ros.scenes.capture import Capture, CapturedFrame, scene_name
 import numpy as np
 
 IMAGE_FOLDERS = ('images', 'input', 'photos', 'rgb')

@@ -18,13 +18,13 @@ import math
 from pathlib import Path
 from typing import Any
 
+from neo_ros.captures.capture import Capture, CapturedFrame
+from neo_ros.captures.pose_files import parse_matrix, pose_or_lost
 from neo_ros.errors import SceneError
 from neo_ros.geometry import Intrinsics
 from neo_ros.geometry.lens import Lens
 from neo_ros.machine.names import listed, natural_key
 from neo_ros.pictures.photo import list_photos
-from neo_ros.scenes.capture import Capture, CapturedFrame
-from neo_ros.scenes.pose_files import parse_matrix, pose_or_lost
 
 TRAJECTORY_FILE = 'traj.txt'
 IMAGE_FOLDERS = ('rgb', 'results', 'color', 'images')

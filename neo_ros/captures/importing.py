@@ -1,0 +1,116 @@
+"""From what was recorded to a scene folder: read, place, level, scale, choose, write, report."""
+from collections.abc import Sequence
+from dataclasses import dataclass
+import math
+from pathlib import Path
+
+from neo_ros.captures.bag import read_bag_capture
+from neo_ros.captures.capture import Capture
+from neo_ros.captures.formats import CaptureFormat, FOLDER_READERS
+from neo_ros.captures.frame_selection import select_frames
+from neo_ros.captures.held_out_runs import hold_out_runs
+from neo_ros.captures.levelling import CLEARLY_TILTED, level_world, scaled
+from neo_ros.captures.report import write_capture_report
+from neo_ros.captures.scene_copying import import_transforms
+from neo_ros.captures.scene_writing import write_capture
+from neo_ros.captures.structure_from_motion import reconstruct
+from neo_ros.captures.video import read_video
+from neo_ros.errors import ConfigError, SceneError
+from neo_ros.machine.progress import of_stage, StageProgress
+from neo_ros.scenes.scene import Scene
+from neo_ros.scenes.upright import read_upright_scene, tilt
+
+
+@dataclass(frozen=True)
+class ImportOptions:
+    """
+    What the user says of a capture; each is an option of `neo import`.
+
+    image_topic, pose_topic             of bags; None: told from the bag
+    keyframe_distance, keyframe_angle   metres, degrees: keep the sharpest frame of every step
+    level                               turn the world so that z points up
+    scale                               multiply all lengths by this
+    """
+
+    image_topic: str | None = None
+    pose_topic: str | None = None
+    keyframe_distance: float | None = None
+    keyframe_angle: float | None = None
+    level: bool = False
+    scale: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ('scale', 'keyframe_distance', 'keyframe_angle'):
+            value = getattr(self, name)
+            if value is not None and not (math.isfinite(value) and value > 0):
+                raise ConfigError(
+                    f'--{name.replace("_", "-")}: expected a number > 0, got {value:g}')
+
+
+def import_capture(source: Path, scene: Path, format_: CaptureFormat, options: ImportOptions,
+                   progress: StageProgress) -> list[str]:
+    """
+    Bring a capture of any format into a scene folder.
+
+    Returns what the user should know, in sentences. Raises NeoError that names what is wrong.
+    """
+    if source.resolve() == scene.resolve():
+        raise SceneError(f'{scene}: expected another folder than the source')
+    if format_ == CaptureFormat.SCENE:
+        import_transforms(source, scene, of_stage(progress, 'images'))
+        return []
+    capture, notes = _read(source, format_, options, progress), []
+    if not capture.posed:
+        capture, verdict = reconstruct(capture, scene / 'sfm', progress)
+        notes.append(str(verdict))
+    elif options.level:
+        capture = level_world(capture)
+    else:
+        notes += _tilt_note(capture)
+    if options.scale is not None:
+        capture = scaled(capture, options.scale)
+        notes.append(f'all lengths are multiplied by {options.scale:g}')
+    if options.keyframe_distance is not None or options.keyframe_angle is not None:
+        angle = options.keyframe_angle
+        capture = select_frames(
+            capture, options.keyframe_distance, None if angle is None else math.radians(angle),
+            of_stage(progress, 'sharpness'))
+    return [*write_capture(capture, scene, of_stage(progress, 'photos')), *notes]
+
+
+def finish_scene(scene: Path, notes: Sequence[str], test_runs: int,
+                 progress: StageProgress) -> tuple[Scene, list[str]]:
+    """
+    Hold test frames back and write the report on the capture into a scene folder.
+
+    Returns the scene as trainings read it, and what the user should know: the notes of the
+    import, and how good the capture is.
+    """
+    notes = list(notes)
+    if test_runs:
+        train, test = hold_out_runs(scene, test_runs)
+        notes.append(f'{len(test)} photos in {test_runs} runs are test frames; their middle '
+                     f'columns will be widened; {len(train)} photos are left to train with')
+    found = read_upright_scene(scene)
+    verdict = write_capture_report(scene, found, notes, of_stage(progress, 'capture report'))
+    return found, [*notes, *verdict]
+
+
+def _read(source: Path, format_: CaptureFormat, options: ImportOptions,
+          progress: StageProgress) -> Capture:
+    if format_ == CaptureFormat.BAG:
+        return read_bag_capture(source, options.image_topic, options.pose_topic,
+                                of_stage(progress, 'messages'))
+    if format_ == CaptureFormat.VIDEO:
+        return read_video(source, of_stage(progress, 'video frames'))
+    return FOLDER_READERS[format_](source)
+
+
+def _tilt_note(capture: Capture) -> list[str]:
+    angle = tilt([frame.pose for frame in capture.frames if frame.pose is not None])
+    if angle <= CLEARLY_TILTED:
+        return []
+    which = (', which points up in this format; if it does not' if capture.z_up
+             else '; if z shall point up')
+    return [f'the photos were held {math.degrees(angle):.0f} degrees from the '
+            f"world's z axis{which}, import with --level"]
