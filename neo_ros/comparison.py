@@ -8,11 +8,11 @@ import time
 from typing import Any, Optional, Sequence
 
 from neo_ros.errors import ConfigError
-from neo_ros.evaluation.report import Plot, Section, Series, Table, Text, write_report
 from neo_ros.experiment import Experiment, read_experiment
 from neo_ros.machine.files import make_output_folder, write_bytes
 from neo_ros.machine.progress import no_stage_progress, StageProgress
 from neo_ros.pipeline import train
+from neo_ros.reports.report import Plot, Section, Series, Table, Text, write_report
 from neo_ros.runtime import FovExtrapolator
 from neo_ros.scenes.digests import list_digest
 from neo_ros.scenes.upright import read_upright_scene

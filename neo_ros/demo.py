@@ -23,8 +23,6 @@ from neo_ros.bags import BagReader
 from neo_ros.bags.demo_bag import IMAGE_TOPIC, TRUTH_TOPIC, write_demo_bag
 from neo_ros.errors import BagError, ModelError, NeoError
 from neo_ros.evaluation.metrics import score_frame
-from neo_ros.evaluation.report import Table, Text, write_report
-from neo_ros.evaluation.strips import frame_strip, Strip, write_strip_png
 from neo_ros.flat.demo_flat import build_demo_flat, walking_paths
 from neo_ros.flat.scene_writing import fingerprint, render_demo_views
 from neo_ros.geometry import ViewExpansion
@@ -32,6 +30,8 @@ from neo_ros.machine.files import make_output_folder, write_bytes
 from neo_ros.machine.processes import end_process
 from neo_ros.messages import read_image
 from neo_ros.messages.stamps import stamp_of
+from neo_ros.reports.report import Table, Text, write_report
+from neo_ros.reports.strips import frame_strip, Strip, write_strip_png
 from neo_ros.runtime import read_model_card
 import numpy as np
 

@@ -6,9 +6,9 @@ import math
 from pathlib import Path
 from typing import Any, Optional
 
+from neo_ros.baking.keyframes import MemoryConfig
 from neo_ros.errors import ConfigError
 from neo_ros.field.config import FieldConfig, FIT_NEAR
-from neo_ros.field.memory_baking import MemoryConfig
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.outpaint.fitting import OutpaintConfig
 from neo_ros.outpaint.network import NetworkConfig

@@ -14,9 +14,9 @@ from neo_ros.bags.demo_bag import write_demo_bag
 from neo_ros.bags.writing import LATCHED
 from neo_ros.cli.main import app
 from neo_ros.errors import BagError, NeoError
-from neo_ros.evaluation.side_by_side import SideBySide
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.messages import image_fields, read_image
+from neo_ros.reports.side_by_side import SideBySide
 from neo_ros.runtime import FovExtrapolator
 import numpy as np
 import pytest

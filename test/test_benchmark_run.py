@@ -4,6 +4,7 @@ import json
 import shutil
 import time
 
+from neo_ros.baking.sparse_model import SparseModel
 from neo_ros.benchmark import scoring, workbench
 from neo_ros.benchmark.methods import make_method, METHODS
 from neo_ros.benchmark.run import run_jobs
@@ -15,7 +16,6 @@ from neo_ros.evaluation import lpips
 from neo_ros.evaluation.baselines import EdgeReplication, NeoModel
 from neo_ros.evaluation.evaluate import evaluate, ROW_KEYS, TruthFrames
 from neo_ros.evaluation.metrics import Estimate, score_frame
-from neo_ros.evaluation.sparse_model import SparseModel
 from neo_ros.experiment import read_experiment
 from neo_ros.field import fitting
 from neo_ros.geometry import CameraPose

@@ -5,10 +5,10 @@ from pathlib import Path
 import shutil
 
 from neo_ros import model_variants
+from neo_ros.baking.keyframes import MemoryConfig
 from neo_ros.cli.main import app
 from neo_ros.comparison import compare, marked_front, Row
 from neo_ros.errors import ConfigError, ModelError, NeoError
-from neo_ros.field.memory_baking import MemoryConfig
 from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.model_variants import export_variants
 from neo_ros.outpaint.export import ExportedFunction

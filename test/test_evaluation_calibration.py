@@ -5,8 +5,8 @@ import cv2
 from hypothesis import given, settings, strategies as st
 from neo_ros.evaluation.calibration import calibrate, Calibration, DROPPED
 from neo_ros.evaluation.evaluate import TruthFrames
-from neo_ros.evaluation.report import Plot, Table
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
+from neo_ros.reports.report import Plot, Table
 from neo_ros.runtime import WideView
 from neo_ros.runtime.confidence import DECAY, expected_error
 from neo_ros.scenes.posed_images import PosedImages

@@ -8,10 +8,10 @@ import cv2
 from neo_ros.captures.report import _places, describe, write_capture_report
 from neo_ros.captures.report_map import draw_map
 from neo_ros.captures.report_measures import measure_capture, RAYS
-from neo_ros.evaluation.plan_view import PlanView
-from neo_ros.evaluation.report import Table
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.pictures.sharpness import blur_threshold
+from neo_ros.reports.plan_view import PlanView
+from neo_ros.reports.report import Table
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.scene import Scene
 from neo_ros.scenes.walkable import WalkableMap

@@ -8,14 +8,13 @@ from neo_ros.errors import ImageRejected, NeoError, SceneError
 from neo_ros.evaluation import evaluate as evaluate_module
 from neo_ros.evaluation.baselines import EdgeReplication, NeoModel
 from neo_ros.evaluation.calibration import calibrate
-from neo_ros.evaluation.evaluate import (
-    evaluate, protocol_of, ROW_KEYS, score_frames, TruthFrames)
+from neo_ros.evaluation.evaluate import evaluate, protocol_of, ROW_KEYS, score_frames, TruthFrames
 from neo_ros.evaluation.evaluation_report import evaluation_sections, write_evaluation
-from neo_ros.evaluation.kept_pictures import pick_frames
 from neo_ros.evaluation.metrics import score_frame
-from neo_ros.evaluation.report import Strip
-from neo_ros.evaluation.strips import outlined
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
+from neo_ros.reports.kept_pictures import pick_frames
+from neo_ros.reports.report import Strip
+from neo_ros.reports.strips import outlined
 from neo_ros.runtime import FovExtrapolator
 from neo_ros.scenes.posed_images import PosedImages
 import numpy as np

@@ -5,10 +5,10 @@ from xml.etree import ElementTree
 
 import cv2
 from neo_ros.errors import NeoError
-from neo_ros.evaluation.report import Plot, Series, Strip, Table, Text, write_report
-from neo_ros.evaluation.report_plot import plot_svg
-from neo_ros.evaluation.strips import error_map, frame_strip, outlined, write_strip_png
 from neo_ros.geometry import Intrinsics, ViewExpansion
+from neo_ros.reports.plot import plot_svg
+from neo_ros.reports.report import Plot, Series, Strip, Table, Text, write_report
+from neo_ros.reports.strips import error_map, frame_strip, outlined, write_strip_png
 import numpy as np
 import pytest
 

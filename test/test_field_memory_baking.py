@@ -3,10 +3,9 @@ from pathlib import Path
 
 from box_room import BAND, cast, EXPANSION, HEIGHT, planar, SOURCE, view
 import cv2
+from neo_ros.baking.kernels import colour_from_photos
+from neo_ros.baking.keyframes import bake_memory, keyframe_positions, MemoryConfig, Photos
 from neo_ros.errors import ConfigError, NeoError
-from neo_ros.field import memory_baking
-from neo_ros.field.baking_kernels import colour_from_photos
-from neo_ros.field.memory_baking import bake_memory, keyframe_positions, MemoryConfig, Photos
 from neo_ros.field.rendering import Rendering
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import CameraPose, Intrinsics

@@ -4,9 +4,7 @@ from unittest.mock import Mock
 
 import cv2
 from neo_ros.errors import NeoError, SceneError
-from neo_ros.evaluation.plan_view import FLOOR
 from neo_ros.evaluation.pose_map import draw_poses, pose_sections, write_poses
-from neo_ros.evaluation.report import Picture, Table
 from neo_ros.field.rendering import render_view, to_uint8
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import Intrinsics
@@ -14,6 +12,8 @@ from neo_ros.outpaint import panorama_pool
 from neo_ros.outpaint.panorama_cache import PanoramaCache
 from neo_ros.outpaint.panorama_pool import PanoramaPool
 from neo_ros.pictures.sharpness import relative_sharpness
+from neo_ros.reports.plan_view import FLOOR
+from neo_ros.reports.report import Picture, Table
 from neo_ros.scenes.pose_sampling import PoseSampler, SamplingConfig
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.walkable import WalkableMap

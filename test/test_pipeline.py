@@ -13,10 +13,10 @@ from typing import Any
 
 import neo_ros
 from neo_ros import pipeline
+from neo_ros.baking.keyframes import MemoryConfig
 from neo_ros.errors import ConfigError, ModelError, NeoError, SceneError
 from neo_ros.experiment import Experiment, ViewConfig
 from neo_ros.field.config import FIT_NEAR
-from neo_ros.field.memory_baking import MemoryConfig
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.memory import scene_memory
 from neo_ros.outpaint.network import NetworkConfig

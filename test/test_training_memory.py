@@ -5,12 +5,12 @@ from typing import Any
 
 from box_room import apart
 from corner_photos import CAMERA, EXPANSION, write_corner
+from neo_ros.baking.landmarks import find_landmarks
 from neo_ros.evaluation.evaluate import TruthFrames
 from neo_ros.experiment import Experiment
 from neo_ros.memory.landmarks import Locator
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.training import memory as training_memory
-from neo_ros.training.memory import find_landmarks
 import numpy as np
 import pytest
 from scene_files import write_picture

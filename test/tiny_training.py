@@ -1,9 +1,9 @@
 """A training that takes seconds, on a demo scene of small photos."""
 from pathlib import Path
 
+from neo_ros.baking.keyframes import MemoryConfig
 from neo_ros.experiment import Experiment
 from neo_ros.field.config import FieldConfig
-from neo_ros.field.memory_baking import MemoryConfig
 from neo_ros.flat.scene_writing import write_demo_scene
 from neo_ros.machine.progress import no_stage_progress, StageProgress
 from neo_ros.outpaint.fitting import OutpaintConfig

@@ -9,7 +9,7 @@ from neo_ros.benchmark.tables import best_practical, NOTE, pose_remark
 from neo_ros.benchmark.workbench import Workbench
 from neo_ros.evaluation.evaluate import MethodScores
 from neo_ros.evaluation.evaluation_report import picture_strips
-from neo_ros.evaluation.report import Plot, Section, Series, Table, Text, write_report
+from neo_ros.reports.report import Plot, Section, Series, Table, Text, write_report
 
 _COLUMNS = (('ring_psnr', 'ring PSNR, dB', 2, 1), ('ring_ssim', 'ring SSIM', 3, 1),
             ('ring_lpips_vgg', 'ring LPIPS', 3, 1), ('whole_psnr', 'whole PSNR, dB', 2, 1),

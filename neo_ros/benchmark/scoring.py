@@ -19,12 +19,12 @@ from neo_ros.errors import ModelError
 from neo_ros.evaluation.baselines import Method
 from neo_ros.evaluation.evaluate import (
     method_scores, MethodScores, ROW_KEYS, score_frames, Scorer, Watcher)
-from neo_ros.evaluation.kept_pictures import KeptPictures, read_picture
 from neo_ros.evaluation.metrics import Estimate, score_frame
 from neo_ros.evaluation.stability import DepthOf, flicker, stored_depths, WarpingError
 from neo_ros.evaluation.true_depth import demo_depth, field_depth, is_demo_flat
 from neo_ros.machine.files import write_bytes
 from neo_ros.machine.progress import StageProgress
+from neo_ros.reports.kept_pictures import KeptPictures, read_picture
 import numpy as np
 
 

@@ -11,13 +11,13 @@ from pathlib import Path
 import time
 from typing import Any, Optional, TypeVar
 
+from neo_ros.baking.photo_bank import PhotoBank, read_photo_bank
+from neo_ros.baking.sparse_model import read_sparse_model, SparseModel
 from neo_ros.benchmark.naive import train_naive
 from neo_ros.benchmark.protocols import (
     choose_view, fitting_network, SCALES, split_checksums, split_walks)
 from neo_ros.errors import ConfigError
 from neo_ros.evaluation.evaluate import TruthFrames
-from neo_ros.evaluation.photo_bank import PhotoBank, read_photo_bank
-from neo_ros.evaluation.sparse_model import read_sparse_model, SparseModel
 from neo_ros.experiment import Experiment, experiment_from, read_experiment
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.machine.files import make_output_folder, share_dir, write_bytes

@@ -6,9 +6,8 @@ import cv2
 from neo_ros.captures.report_map import draw_map
 from neo_ros.captures.report_measures import (
     ASSUMED_DISTANCE, CaptureMeasures, GOOD_OVERLAP, measure_capture)
-from neo_ros.evaluation.report import (
-    Picture, Plot, Section, Series, Strip, Table, Text, write_report)
 from neo_ros.machine.progress import no_progress, Progress
+from neo_ros.reports.report import Picture, Plot, Section, Series, Strip, Table, Text, write_report
 from neo_ros.scenes.scene import Scene
 import numpy as np
 

@@ -1,6 +1,6 @@
 """A capture from above: where the cameras stood, where they looked, where the robot can be."""
 from neo_ros.captures.report_measures import apart, CaptureMeasures
-from neo_ros.evaluation.plan_view import FLOOR, PlanView
+from neo_ros.reports.plan_view import FLOOR, PlanView
 from neo_ros.scenes.walkable import WalkableMap
 import numpy as np
 

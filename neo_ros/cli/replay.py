@@ -54,7 +54,7 @@ def replay(
     with ExitStack() as stack:
         takers = [scores.add_frame] if scores is not None and truth_topic is None else []
         if side_by_side is not None:
-            from neo_ros.evaluation.side_by_side import SideBySide
+            from neo_ros.reports.side_by_side import SideBySide
             takers.append(stack.enter_context(
                 SideBySide(side_by_side, extrapolator.expansion)).add)
 

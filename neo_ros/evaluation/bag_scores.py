@@ -10,10 +10,10 @@ from neo_ros.errors import ImageRejected
 from neo_ros.evaluation.baselines import EdgeReplication
 from neo_ros.evaluation.metrics import psnr, score_frame
 from neo_ros.evaluation.narrower_camera import NarrowerCamera
-from neo_ros.evaluation.report import Plot, Section, Series, Table, Text, write_report
-from neo_ros.evaluation.strips import frame_strip
 from neo_ros.geometry import ViewExpansion
 from neo_ros.machine.files import write_bytes
+from neo_ros.reports.report import Plot, Section, Series, Table, Text, write_report
+from neo_ros.reports.strips import frame_strip
 import numpy as np
 
 CSV_FILE, JSON_FILE, REPORT_FILE = 'scores.csv', 'scores.json', 'report.html'

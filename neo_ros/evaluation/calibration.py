@@ -11,8 +11,8 @@ from pathlib import Path
 
 from neo_ros.evaluation.evaluate import TruthFrames
 from neo_ros.evaluation.metrics import check_pair
-from neo_ros.evaluation.report import Plot, Section, Series, Table
 from neo_ros.geometry import ViewExpansion
+from neo_ros.reports.report import Plot, Section, Series, Table
 from neo_ros.runtime import FovExtrapolator
 from neo_ros.runtime.confidence import expected_error
 import numpy as np

@@ -12,10 +12,10 @@ from typing import Any, Callable, Iterator, Protocol, runtime_checkable, Sequenc
 
 from neo_ros.errors import ImageRejected, SceneError
 from neo_ros.evaluation.baselines import Method
-from neo_ros.evaluation.kept_pictures import KeptPictures, pick_frames, read_picture
 from neo_ros.evaluation.metrics import Estimate, score_frame, summarise
 from neo_ros.geometry import CameraPose, ViewExpansion
 from neo_ros.machine.host import commit, host
+from neo_ros.reports.kept_pictures import KeptPictures, pick_frames, read_picture
 from neo_ros.scenes.posed_images import PosedImages
 import numpy as np
 

@@ -5,11 +5,11 @@ from pathlib import Path
 
 from neo_ros.evaluation.calibration import judge_confidence
 from neo_ros.evaluation.evaluate import MethodScores, TruthFrames
-from neo_ros.evaluation.kept_pictures import pick_frames
 from neo_ros.evaluation.metrics import Estimate
-from neo_ros.evaluation.report import Plot, Section, Series, Strip, Table, Text, write_report
-from neo_ros.evaluation.strips import frame_strip
 from neo_ros.machine.files import write_bytes
+from neo_ros.reports.kept_pictures import pick_frames
+from neo_ros.reports.report import Plot, Section, Series, Strip, Table, Text, write_report
+from neo_ros.reports.strips import frame_strip
 import numpy as np
 
 _COLUMNS = {'ring_psnr': ('Ring PSNR, dB', 2), 'ring_ssim': ('Ring SSIM', 3),

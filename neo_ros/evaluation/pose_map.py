@@ -5,9 +5,9 @@ from typing import Any
 
 import cv2
 from neo_ros.errors import SceneError
-from neo_ros.evaluation.plan_view import FLOOR, PlanView
-from neo_ros.evaluation.report import Picture, Section, Table
 from neo_ros.machine.files import write_bytes
+from neo_ros.reports.plan_view import FLOOR, PlanView
+from neo_ros.reports.report import Picture, Section, Table
 from neo_ros.scenes.pose_sampling import PoseSampler
 from neo_ros.scenes.posed_images import PosedImages
 import numpy as np

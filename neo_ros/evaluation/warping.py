@@ -9,7 +9,7 @@ photo covers is extended from what is there, and counted.
 from typing import NamedTuple
 
 import cv2
-from neo_ros.evaluation.photo_bank import PhotoBank
+from neo_ros.baking.photo_bank import PhotoBank
 from neo_ros.geometry import CameraPose, ViewExpansion
 from neo_ros.memory.local_features import find_features, match_features
 from neo_ros.pictures.exposure import exposure_gain

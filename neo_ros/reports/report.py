@@ -6,10 +6,10 @@ from typing import Sequence
 
 import cv2
 import jinja2
-from neo_ros.evaluation.report_page import PAGE
-from neo_ros.evaluation.report_plot import Plot, plot_svg, Series
-from neo_ros.evaluation.strips import Strip
 from neo_ros.machine.files import write_bytes
+from neo_ros.reports.page import PAGE
+from neo_ros.reports.plot import Plot, plot_svg, Series
+from neo_ros.reports.strips import Strip
 import numpy as np
 
 __all__ = ['Picture', 'Plot', 'Series', 'Strip', 'Table', 'Text', 'write_report']

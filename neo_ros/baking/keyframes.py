@@ -12,8 +12,8 @@ from typing import Optional
 from zipfile import BadZipFile
 
 import cv2
+from neo_ros.baking.kernels import colour_from_photos
 from neo_ros.errors import ConfigError, NeoError
-from neo_ros.field.baking_kernels import colour_from_photos
 from neo_ros.field.panorama import view_band
 from neo_ros.field.rendering import render_rays, to_uint8, world_rays
 from neo_ros.field.voxel_field import RadianceField

@@ -8,8 +8,8 @@ import shutil
 from typing import Any, NamedTuple
 from zipfile import BadZipFile
 
+from neo_ros.baking.photo_bank import PhotoBank
 from neo_ros.errors import SceneError
-from neo_ros.evaluation.photo_bank import PhotoBank
 from neo_ros.geometry import Intrinsics
 from neo_ros.machine.files import whole_file
 from neo_ros.machine.progress import no_progress, Progress

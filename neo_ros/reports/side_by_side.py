@@ -5,8 +5,8 @@ from types import TracebackType
 
 import av
 from neo_ros.errors import NeoError
-from neo_ros.evaluation.strips import frame_strip
 from neo_ros.geometry import ViewExpansion
+from neo_ros.reports.strips import frame_strip
 import numpy as np
 
 # Time in an MP4 is counted in these; frames keep the distance of their stamps.

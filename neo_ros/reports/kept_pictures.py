@@ -5,9 +5,10 @@ import shutil
 from typing import Any
 
 import cv2
+from neo_ros.errors import NeoError
 from neo_ros.geometry import Intrinsics
 from neo_ros.machine.files import write_bytes
-from neo_ros.scenes.posed_images import read_rgb_image
+from neo_ros.pictures.photo import read_photo
 import numpy as np
 
 
@@ -44,8 +45,13 @@ def pick_frames(frames: Sequence[dict[str, Any]], score: str = 'ring_psnr') -> d
 
 
 def read_picture(folder: Path, index: int, target: Intrinsics) -> np.ndarray:
-    """Read a kept wide image, RGB uint8 (H, W, 3)."""
-    return read_rgb_image(_path(folder, index), target)
+    """Read a kept wide image, RGB uint8 (H, W, 3); raises NeoError where it is not there."""
+    path = _path(folder, index)
+    image = read_photo(path)
+    if image is None or image.shape[:2] != (target.height, target.width):
+        raise NeoError(f'{path}: expected a picture of {target.width}x{target.height} that was '
+                       'kept while scoring; score again')
+    return image
 
 
 def _path(folder: Path, index: int) -> Path:
