@@ -24,7 +24,6 @@ from neo_ros.outpaint.training_log import TrainingLog
 from neo_ros.runtime import FovExtrapolator, ModelCard
 from neo_ros.runtime.model_card import Parity, write_model_card
 from neo_ros.runtime.scene_check import fit_scene_reference
-from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.upright import read_upright_scene
 from neo_ros.speed.model import count_flops
 from neo_ros.training.checkpoint import read_notes, train_with_checkpoints, write_notes
@@ -33,7 +32,7 @@ from neo_ros.training.folder import claim, drop_made_of_a_field, take_field
 from neo_ros.training.memory import memory_step
 from neo_ros.training.report import Scoring, write_training_report
 from neo_ros.training.run import LEAST_PHOTOS, TrainingRun
-from neo_ros.training.views import held_out_views, make_stream, note_poses
+from neo_ros.training.views import held_out_views, make_stream, note_poses, real_frames
 import numpy as np
 from torch import nn
 
@@ -177,21 +176,6 @@ def export_step(run: TrainingRun, network: nn.Module,
         'scene_reference': fit_scene_reference(
             real_frames(run, REFERENCE_PHOTOS, run.scene.train),
             lambda image: extrapolator.expand(image).confidence, run.expansion)}))
-
-
-def real_frames(run: TrainingRun, count: int, photos: Optional[PosedImages] = None) -> np.ndarray:
-    """
-    Read narrow views, uint8 (N, h, w, 3), evenly out of photos.
-
-    Without `photos`, out of those that the field was not shown.
-    """
-    photos = photos or run.held_out or run.fitted
-    camera = photos.intrinsics.scaled(run.experiment.scale)
-    frames = []
-    for index in np.linspace(0, len(photos) - 1, min(count, len(photos))).round().astype(int):
-        photo = photos.read_image(index, run.experiment.scale)
-        frames.append(photo[camera.window(run.expansion.source)])
-    return np.stack(frames)
 
 
 def score_step(run: TrainingRun) -> Optional[Scoring]:

@@ -2,13 +2,13 @@
 from corner_photos import CAMERA, EXPANSION, write_corner
 from neo_ros.baking.photo_bank import read_photo_bank
 from neo_ros.baking.sparse_model import epipolar_distance, read_sparse_model
+from neo_ros.benchmark.field_view import FieldView, Oracle
+from neo_ros.benchmark.relocalized import (
+    Localization, pose_error, Relocalized, RelocalizedNeo, Relocalizer)
+from neo_ros.benchmark.warping import (
+    covering, near_matches, on_plane, smooth_warp, WarpedPhoto, Warping)
 from neo_ros.errors import SceneError
 from neo_ros.evaluation.evaluate import score_frames
-from neo_ros.evaluation.field_view import FieldView, Oracle
-from neo_ros.evaluation.relocalized import (
-    Localization, pose_error, Relocalized, RelocalizedNeo, Relocalizer)
-from neo_ros.evaluation.warping import (
-    covering, near_matches, on_plane, smooth_warp, WarpedPhoto, Warping)
 from neo_ros.flat.demo_flat import build_demo_flat
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.geometry.camera_pose import rotation_from_vector

@@ -2,10 +2,10 @@
 from dataclasses import replace
 from pathlib import Path
 
-from neo_ros import model_variants
 from neo_ros.cli.main import app
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.scenes.transforms_json import write_transforms
+from neo_ros.training import variants
 from neo_ros.training.run import TrainingRun
 import numpy as np
 import pytest
@@ -22,11 +22,11 @@ def test_a_world_with_another_axis_up_is_turned_as_for_the_training(
         upright, poses=tuple(CameraPose(turn @ pose.T_world_cam) for pose in upright.poses)))
     runs = []
 
-    def keep(run: TrainingRun, threads: int) -> list[model_variants.Variant]:
+    def keep(run: TrainingRun, threads: int) -> list[variants.Variant]:
         runs.append(run)
-        return [model_variants.Variant('fp32', tmp_path / 'room.fp32.onnx', 1.0, 2.0, 20.0)]
+        return [variants.Variant('fp32', tmp_path / 'room.fp32.onnx', 1.0, 2.0, 20.0)]
 
-    monkeypatch.setattr(model_variants, 'export_variants', keep)
+    monkeypatch.setattr(variants, 'export_variants', keep)
     result = CliRunner().invoke(
         app, ['export', str(tmp_path / 'room'), '--out', str(tmp_path / 'out')])
     assert result.exit_code == 0, result.output

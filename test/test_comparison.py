@@ -4,17 +4,17 @@ import json
 from pathlib import Path
 import shutil
 
-from neo_ros import model_variants
 from neo_ros.baking.keyframes import MemoryConfig
+from neo_ros.benchmark.comparison import compare, marked_front, Row
 from neo_ros.cli.main import app
-from neo_ros.comparison import compare, marked_front, Row
 from neo_ros.errors import ConfigError, ModelError, NeoError
 from neo_ros.memory.scene_memory import SceneMemory
-from neo_ros.model_variants import export_variants
 from neo_ros.outpaint.export import ExportedFunction
 from neo_ros.runtime import read_model_card
+from neo_ros.training import variants
 from neo_ros.training.checkpoint import read_checkpoint, write_checkpoint
 from neo_ros.training.run import TrainingRun
+from neo_ros.training.variants import export_variants
 import numpy as np
 import pytest
 from tiny_training import TINY, train_tiny
@@ -137,7 +137,7 @@ def test_an_fp32_variant_with_a_wrong_confidence_is_refused(
     shutil.copytree(tiny_run.out, tmp_path / 'out')
     run = TrainingRun(tiny_run.scene, TINY, tmp_path / 'out', tiny_run.progress)
     monkeypatch.setattr(
-        model_variants, 'ExportedFunction',
+        variants, 'ExportedFunction',
         lambda network, view, factor: ExportedFunction(network, view, 3 * factor))
     with pytest.raises(ModelError, match='fp32.onnx: expected 99.9 % .* the file was deleted'):
         export_variants(run, ('fp32',))

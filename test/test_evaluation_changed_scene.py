@@ -1,7 +1,7 @@
 """Guided views of the demo flat: fast to set up without a training, and honest about changes."""
 from pathlib import Path
 
-from neo_ros.evaluation.changed_scene import score_change
+from neo_ros.benchmark.changed_scene import score_change
 from neo_ros.evaluation.metrics import psnr
 from neo_ros.flat.demo_flat import build_demo_flat
 from neo_ros.geometry import Band, Intrinsics, ViewExpansion

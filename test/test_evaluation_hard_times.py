@@ -1,8 +1,8 @@
 """A guided model is hardly worse than its network anywhere: the demo flat, without a training."""
 from pathlib import Path
 
+from neo_ros.benchmark.hard_times import AWAY, cases, markdown, score_cases, Shot
 from neo_ros.errors import ModelError
-from neo_ros.evaluation.hard_times import AWAY, cases, markdown, score_cases, Shot
 from neo_ros.flat.demo_flat import build_demo_flat
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.speed.guided import level_pose, write_guided_stand_in

@@ -6,9 +6,9 @@ from typing import Any
 
 from box_room import box_walk, EXPANSION, view, write_box_model
 import cv2
+from neo_ros.benchmark import changed_scene, out_of_scene
+from neo_ros.benchmark.out_of_scene import markdown, score_scenes, spoils
 from neo_ros.errors import ModelError, SceneError
-from neo_ros.evaluation import changed_scene, out_of_scene
-from neo_ros.evaluation.out_of_scene import markdown, score_scenes, spoils
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.runtime import FovExtrapolator
 from neo_ros.scenes.posed_images import PosedImages

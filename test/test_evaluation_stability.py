@@ -1,8 +1,8 @@
 """Warping error and flicker, on the demo flat whose depth is known."""
+from neo_ros.benchmark.true_depth import demo_depth, field_depth, is_demo_flat
 from neo_ros.evaluation.evaluate import score_frames, TruthFrames
 from neo_ros.evaluation.stability import (
     flicker, follow_points, NOISE, stored_depths, warping_error, WarpingError)
-from neo_ros.evaluation.true_depth import demo_depth, field_depth, is_demo_flat
 from neo_ros.flat.scene_writing import write_demo_scene
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
 from neo_ros.scenes.posed_images import PosedImages

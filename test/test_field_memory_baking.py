@@ -3,6 +3,7 @@ from pathlib import Path
 
 from box_room import BAND, cast, EXPANSION, HEIGHT, planar, SOURCE, view
 import cv2
+from neo_ros.baking import keyframes
 from neo_ros.baking.kernels import colour_from_photos
 from neo_ros.baking.keyframes import bake_memory, keyframe_positions, MemoryConfig, Photos
 from neo_ros.errors import ConfigError, NeoError
@@ -115,13 +116,13 @@ def test_a_distance_must_be_positive() -> None:
 ], ids=['edge', 'upright edge', 'corner', 'edge of the known', 'hardly known', 'three by three',
         'slope', 'steps of one surface'])
 def test_a_vertex_lies_on_a_surface(block: list[list[float]], expected: float) -> None:
-    found = memory_baking.mesh_depth(np.array(block, np.float32), len(block))
+    found = keyframes.mesh_depth(np.array(block, np.float32), len(block))
     assert found.dtype == np.float32 and found.tolist() == [[expected]]
 
 
 def test_a_camera_that_never_turns_has_one_heading() -> None:
     sampler = PoseSampler(np.zeros((1, 2)), (0.3, 0.0), ((0.0, 0.0), (0.0, 0.0)), (1.4, 0.0))
-    rotation, = memory_baking._headings(sampler)
+    rotation, = keyframes._headings(sampler)
     assert np.arctan2(rotation[1, 2], rotation[0, 2]) == pytest.approx(0.3)
 
 
@@ -166,7 +167,7 @@ def bake_with_post(work: Path) -> SceneMemory:
                           (HEIGHT, 0.0))
     field = RadianceField.empty(8, POSITION, np.ones(3), 0.2, 0, near=0.5)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(memory_baking, 'render_rays', stand_in_field)
+        patch.setattr(keyframes, 'render_rays', stand_in_field)
         memory = bake_memory(field, photos, EXPANSION, sampler, MemoryConfig(), 0, work)
     return memory
 
@@ -182,7 +183,7 @@ def test_finished_keyframes_are_not_baked_again(
     assert bake_with_post(tmp_path / 'work').write(tmp_path / 'a') == whole
     finished, = (tmp_path / 'work').iterdir()
     with monkeypatch.context() as patch:
-        patch.setattr(memory_baking, '_bake_keyframe', lambda *arguments: 1 / 0)
+        patch.setattr(keyframes, '_bake_keyframe', lambda *arguments: 1 / 0)
         assert bake_with_post(tmp_path / 'work').write(tmp_path / 'b') == whole
     finished.write_bytes(finished.read_bytes()[:1000])
     assert bake_with_post(tmp_path / 'work').write(tmp_path / 'c') == whole

@@ -26,7 +26,8 @@ LAW: dict[str, set[str]] = {
     'outpaint': {'geometry', 'machine', 'pictures', 'scenes', 'field', 'runtime', 'torch', 'onnx',
                  'onnxruntime', 'cv2'},
     'memory': {'geometry', 'machine', 'pictures', 'numba', 'cv2'},
-    'baking': {'geometry', 'machine', 'scenes', 'field', 'memory', 'pycolmap', 'cv2'},
+    'baking': {'geometry', 'machine', 'scenes', 'field', 'memory', 'pycolmap', 'numba',
+               'cv2'},
     'runtime': {'geometry', 'machine', 'pictures', 'memory', 'onnxruntime', 'onnx', 'cv2'},
     'messages': {'geometry', 'pictures', 'cv2'},
     'bags': {'geometry', 'machine', 'runtime', 'messages', 'rosbags', 'mcap', 'cv2'},
@@ -38,7 +39,7 @@ LAW: dict[str, set[str]] = {
                    'messages', 'memory', 'reports', 'torch', 'cv2', 'matplotlib'},
     # What the pipeline is made of.
     'training': {'geometry', 'machine', 'pictures', 'scenes', 'field', 'outpaint', 'runtime',
-                 'memory', 'baking', 'reports', 'evaluation', 'experiment', 'torch'},
+                 'memory', 'baking', 'reports', 'evaluation', 'experiment', 'torch', 'cv2'},
     # Trains with the pipeline, which itself scores with `evaluation`.
     'benchmark': {'geometry', 'machine', 'pictures', 'scenes', 'captures', 'flat', 'field',
                   'outpaint', 'runtime', 'memory', 'baking', 'messages', 'reports', 'evaluation',

@@ -4,7 +4,6 @@ from unittest.mock import Mock
 
 import cv2
 from neo_ros.errors import NeoError, SceneError
-from neo_ros.evaluation.pose_map import draw_poses, pose_sections, write_poses
 from neo_ros.field.rendering import render_view, to_uint8
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import Intrinsics
@@ -17,6 +16,7 @@ from neo_ros.reports.report import Picture, Table
 from neo_ros.scenes.pose_sampling import PoseSampler, SamplingConfig
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.walkable import WalkableMap
+from neo_ros.training.pose_map import draw_poses, pose_sections, write_poses
 import numpy as np
 from plain_field import CENTRE, room_field, standing, WALLS
 import pytest

@@ -1,9 +1,9 @@
 import os
 import shutil
 
+from neo_ros.benchmark.true_depth import is_demo_flat
 from neo_ros.captures.scene_copying import import_transforms
 from neo_ros.errors import SceneError
-from neo_ros.evaluation.true_depth import is_demo_flat
 from neo_ros.flat.demo_flat import build_demo_flat, with_chairs_moved
 from neo_ros.flat.scene_writing import fingerprint, write_demo_scene
 from neo_ros.scenes.scene import read_scene

@@ -2,12 +2,12 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from neo_ros.benchmark.field_view import FieldView, Oracle
+from neo_ros.benchmark.relocalized import Relocalized, RelocalizedNeo, Relocalizer
+from neo_ros.benchmark.warping import Warping
 from neo_ros.benchmark.workbench import Workbench
 from neo_ros.errors import ConfigError
 from neo_ros.evaluation.baselines import EdgeReplication, MeanImage, Method, NeoModel
-from neo_ros.evaluation.field_view import FieldView, Oracle
-from neo_ros.evaluation.relocalized import Relocalized, RelocalizedNeo, Relocalizer
-from neo_ros.evaluation.warping import Warping
 
 
 @dataclass(frozen=True)

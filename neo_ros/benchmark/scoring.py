@@ -14,6 +14,7 @@ from typing import Any, Callable, Sequence
 
 from neo_ros.benchmark.method_memory import measure_memory
 from neo_ros.benchmark.methods import make_method, METHODS
+from neo_ros.benchmark.true_depth import demo_depth, field_depth, is_demo_flat
 from neo_ros.benchmark.workbench import Workbench
 from neo_ros.errors import ModelError
 from neo_ros.evaluation.baselines import Method
@@ -21,7 +22,6 @@ from neo_ros.evaluation.evaluate import (
     method_scores, MethodScores, ROW_KEYS, score_frames, Scorer, Watcher)
 from neo_ros.evaluation.metrics import Estimate, score_frame
 from neo_ros.evaluation.stability import DepthOf, flicker, stored_depths, WarpingError
-from neo_ros.evaluation.true_depth import demo_depth, field_depth, is_demo_flat
 from neo_ros.machine.files import write_bytes
 from neo_ros.machine.progress import StageProgress
 from neo_ros.reports.kept_pictures import KeptPictures, read_picture

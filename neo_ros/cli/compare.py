@@ -22,8 +22,8 @@ def compare(
     Experiments with the same field settings share one field. Leaves comparison.html and
     comparison.json in OUT. Broken off? Run the same command again.
     """
+    from neo_ros.benchmark.comparison import compare as run_comparison
     from neo_ros.cli.progress import stage_progress
-    from neo_ros.comparison import compare as run_comparison
     import rich
     from rich.markup import escape
     from rich.table import Table

@@ -21,9 +21,9 @@ def export(
     as good as it is measured here.
     """
     from neo_ros.experiment import Experiment, read_experiment
-    from neo_ros.model_variants import export_variants
     from neo_ros.scenes.upright import read_upright_scene
     from neo_ros.training.run import TrainingRun
+    from neo_ros.training.variants import export_variants
     import rich
     from rich.markup import escape
     from rich.table import Table

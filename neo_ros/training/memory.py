@@ -20,6 +20,8 @@ from neo_ros.training.views import make_sampler
 
 # What is made on the way to the memory, and how long it took, in the output folder.
 WORK, NOTES = 'memory_work', 'memory.json'
+
+
 def memory_step(run: TrainingRun, field: RadianceField) -> None:
     """
     Make the scene memory that guides the network, if it is not there yet, and name it in the card.

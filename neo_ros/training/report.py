@@ -7,7 +7,6 @@ from neo_ros.evaluation.calibration import judge_confidence
 from neo_ros.evaluation.evaluate import MethodScores, TruthFrames
 from neo_ros.evaluation.evaluation_report import evaluation_sections
 from neo_ros.evaluation.metrics import psnr
-from neo_ros.evaluation.pose_map import pose_sections
 from neo_ros.field.rendering import render_view, to_uint8
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.machine.files import write_bytes
@@ -15,6 +14,7 @@ from neo_ros.pictures.exposure import exposure_gain
 from neo_ros.reports.report import Plot, Section, Series, Strip, Table, Text, write_report
 from neo_ros.reports.strips import error_label, error_map
 from neo_ros.runtime import FovExtrapolator
+from neo_ros.training.pose_map import pose_sections
 from neo_ros.training.run import TrainingRun
 from neo_ros.training.views import held_out_poses, held_out_views
 import numpy as np

@@ -2,7 +2,6 @@
 from typing import Optional
 
 from neo_ros.errors import ConfigError
-from neo_ros.evaluation.pose_map import COUNTS_FILE, draw_poses, write_poses
 from neo_ros.field.free_space import find_free_floor
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import CameraPose
@@ -11,6 +10,7 @@ from neo_ros.outpaint.panorama_cache import PanoramaCache
 from neo_ros.outpaint.real_centres import RealCentres
 from neo_ros.scenes.pose_sampling import PoseSampler
 from neo_ros.scenes.posed_images import PosedImages
+from neo_ros.training.pose_map import COUNTS_FILE, draw_poses, write_poses
 from neo_ros.training.run import TrainingRun
 import numpy as np
 
@@ -88,3 +88,18 @@ def note_poses(run: TrainingRun, stream: PairStream, steps: int) -> None:
     write_poses(run.out, pool.summary(), draw_poses(
         pool.sampler, positions, np.array(pool.refused_positions).reshape(-1, 3),
         run.scene.train))
+
+
+def real_frames(run: TrainingRun, count: int, photos: PosedImages | None = None) -> np.ndarray:
+    """
+    Read narrow views, uint8 (N, h, w, 3), evenly out of photos.
+
+    Without `photos`, out of those that the field was not shown.
+    """
+    photos = photos or run.held_out or run.fitted
+    camera = photos.intrinsics.scaled(run.experiment.scale)
+    frames = []
+    for index in np.linspace(0, len(photos) - 1, min(count, len(photos))).round().astype(int):
+        photo = photos.read_image(index, run.experiment.scale)
+        frames.append(photo[camera.window(run.expansion.source)])
+    return np.stack(frames)

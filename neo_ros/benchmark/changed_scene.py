@@ -1,7 +1,7 @@
 """
 What happens where the camera contradicts what the model remembers: the flat with chairs moved.
 
-    python -m neo_ros.evaluation.changed_scene models/demo_flat.onnx
+    python -m neo_ros.benchmark.changed_scene models/demo_flat.onnx
 
 Renders walks before and after somebody moved four chairs and widens both. Prints, over
 the frames in which a change crosses the border of the camera's view: whether the pose holds, how
@@ -108,7 +108,7 @@ def _near_seam(observed: tuple[slice, slice], shape: tuple[int, ...], reach: flo
 def main() -> None:
     """Score the model of the command line and print JSON."""
     if len(sys.argv) != 2:
-        sys.exit('usage: python -m neo_ros.evaluation.changed_scene MODEL.onnx')
+        sys.exit('usage: python -m neo_ros.benchmark.changed_scene MODEL.onnx')
     extrapolator = FovExtrapolator.load(Path(sys.argv[1]))
     scores = score_change(extrapolator, walking_paths(build_demo_flat(), 8, 25, WALK_SEED))
     print(json.dumps(asdict(scores), indent=1))

@@ -1,7 +1,7 @@
 """
 Compare a guided model with its network where the memory could go wrong.
 
-    python -m neo_ros.evaluation.hard_times models/demo_flat.onnx SCENE OTHER
+    python -m neo_ros.benchmark.hard_times models/demo_flat.onnx SCENE OTHER
 
 Widens the test frames of SCENE as they are, with a camera that is carried elsewhere every few
 images, that leaves the scene (images of OTHER) and comes back, with somebody in the image, in
@@ -15,10 +15,10 @@ import sys
 from typing import NamedTuple
 
 import cv2
+from neo_ros.benchmark.out_of_scene import by_walk, lit, seen_by
 from neo_ros.errors import ModelError
 from neo_ros.evaluation.evaluate import TruthFrames
 from neo_ros.evaluation.metrics import psnr
-from neo_ros.evaluation.out_of_scene import by_walk, lit, seen_by
 from neo_ros.machine.files import write_bytes
 from neo_ros.machine.host import commit, host
 from neo_ros.runtime import FovExtrapolator
@@ -175,7 +175,7 @@ def markdown(rows: Sequence[CaseScores]) -> str:
 def main() -> None:
     """Score the model and the scenes of the command line, print the table and keep the figures."""
     if len(sys.argv) != 4:
-        sys.exit('usage: python -m neo_ros.evaluation.hard_times MODEL.onnx SCENE OTHER')
+        sys.exit('usage: python -m neo_ros.benchmark.hard_times MODEL.onnx SCENE OTHER')
     model, scene, other = (Path(argument) for argument in sys.argv[1:])
     view = FovExtrapolator.load(model, guided=False).expansion
     frames = TruthFrames(read_scene(scene).test, view)

@@ -1,7 +1,7 @@
 """
 How well the out-of-scene score tells images of the trained scene from all others.
 
-    python -m neo_ros.evaluation.out_of_scene models/demo_flat.onnx SCENE OTHER...
+    python -m neo_ros.benchmark.out_of_scene models/demo_flat.onnx SCENE OTHER...
 
 Runs the model, guided by its memory and the network alone, over the test frames of SCENE, of
 other scene folders, and of SCENE spoilt. Prints a Markdown table and writes
@@ -194,7 +194,7 @@ def _jpeg(image: np.ndarray) -> np.ndarray:
 def main() -> None:
     """Score the model and the scenes of the command line, print the table and keep the figures."""
     if len(sys.argv) < 3:
-        sys.exit('usage: python -m neo_ros.evaluation.out_of_scene MODEL.onnx SCENE [OTHER...]')
+        sys.exit('usage: python -m neo_ros.benchmark.out_of_scene MODEL.onnx SCENE [OTHER...]')
     model, scene, *others = (Path(argument) for argument in sys.argv[1:])
     rows = score_scenes(model, scene, others)
     write_bytes(RESULTS, (json.dumps({

@@ -13,13 +13,12 @@ from neo_ros.outpaint.export import (
     calibration_factor, check_parity, ExportedFunction, require_parity)
 from neo_ros.outpaint.networks import build_network
 from neo_ros.outpaint.variants import export_variant, Format, FORMATS
-from neo_ros.pipeline import real_frames
 from neo_ros.runtime import FovExtrapolator, read_model_card, write_model_card
 from neo_ros.runtime.model_card import Parity
 from neo_ros.training.checkpoint import checkpoint_errors, read_checkpoint
 from neo_ros.training.folder import claim
 from neo_ros.training.run import LEAST_PHOTOS, TrainingRun
-from neo_ros.training.views import held_out_views
+from neo_ros.training.views import held_out_views, real_frames
 import numpy as np
 
 # Camera images from which int8 takes its ranges, and those on which torch is compared.

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 from neo_ros.baking.photo_bank import PhotoBank
 from neo_ros.baking.sparse_model import SparseModel
+from neo_ros.benchmark.field_view import FieldView
 from neo_ros.evaluation.baselines import NeoModel
-from neo_ros.evaluation.field_view import FieldView
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
 from neo_ros.memory.local_features import Features, find_features, match_features
 import numpy as np
