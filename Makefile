@@ -31,7 +31,7 @@ soak: setup  ## an hour of the node at 30 Hz: does it grow or fall behind?
 	$(BIN)/neo soak
 
 fuzz: dev-setup  ## 100,000 broken messages for the message layer, 5,000 for a live node
-	$(BIN)/python test/message_fuzzer.py
+	$(BIN)/python test/helpers/message_fuzzer.py
 
 lint: dev-setup  ## style and types
 	$(BIN)/flake8

@@ -146,7 +146,7 @@ def test_no_ablation_is_forgotten() -> None:
     if name.split('.')[0] in ('sampling', 'network', 'memory')])
 def test_the_manual_has_the_setting_in_its_table(name: str) -> None:
     section, key = name.split('.')
-    manual = Path(neo_ros.machine.files.__file__).parents[1] / 'docs' / 'training.md'
+    manual = Path(neo_ros.machine.files.__file__).parents[2] / 'docs' / 'training.md'
     cells = [line.split('|')[1] for line in manual.read_text().splitlines()
              if line.startswith(f'| `{section}.')]
     assert any(f'.{key}`' in cell or f'`{key}`' in cell for cell in cells)

@@ -147,7 +147,7 @@ def test_a_killed_training_goes_on_to_the_same_model(
     monkeypatch.undo()
     # The checkpoint of a step is written after its progress was shown.
     assert read_checkpoint(out / 'field.ckpt')['trainer']['step'] == 129
-    paths = [str(Path(__file__).parent), str(Path(neo_ros.__file__).parent.parent)]
+    paths = [str(Path(__file__).parent / 'helpers'), str(Path(neo_ros.__file__).parent.parent)]
     killed = subprocess.run(
         [sys.executable, '-c', KILL_HARD, str(scene), str(out)], capture_output=True, text=True,
         env={**os.environ, 'PYTHONPATH': os.pathsep.join(paths)}, timeout=100)

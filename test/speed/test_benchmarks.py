@@ -215,7 +215,7 @@ def test_the_field_is_skipped_with_a_reason_where_training_is_not_installed():
             'records = list(measure_trained("field", None, QUICK))\n'
             'print(len(records), records[0].skipped)')
     result = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
-                            cwd=Path(__file__).parent.parent, check=False)
+                            cwd=Path(__file__).parents[2], check=False)
     assert result.stdout.startswith('1 torch is not installed'), result.stderr
 
 

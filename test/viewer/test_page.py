@@ -22,10 +22,11 @@ if CHROMIUM is None:
 playwright_api = pytest.importorskip('playwright.sync_api', reason='comes with the extra dev')
 
 TOKEN = 'a token of the test'
-PROCESS = Path(__file__).with_name('viewer_process.py')
+HELPERS = Path(__file__).parents[1] / 'helpers'
+PROCESS = HELPERS / 'viewer_process.py'
 PYTHONPATH = {'PYTHONPATH': str(Path(neo_ros.__file__).parents[1])}
-CONTRAST = Path(__file__).with_name('contrast.js')
-MORE_VIEWERS = Path(__file__).with_name('more_viewers.js')
+CONTRAST = HELPERS / 'contrast.js'
+MORE_VIEWERS = HELPERS / 'more_viewers.js'
 # Where the ring and the camera's frame are in the picture, in shares of it.
 LEFT_RING, RIGHT_RING, CENTRE = (0.1, 0.5), (0.9, 0.5), (0.5, 0.5)
 

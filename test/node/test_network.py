@@ -55,7 +55,8 @@ def test_node_works_again_when_the_network_is_back(tmp_path):
             [*NAMESPACE, 'ip', 'link', 'set', 'lo', 'up'], capture_output=True).returncode:
         pytest.skip('needs a network namespace: unshare and ip, and the right to use them')
     model = write_tiny_model(tmp_path / 'tiny.onnx')
-    paths = os.pathsep.join([str(Path(__file__).parent), ENVIRONMENT['PYTHONPATH']])
+    helpers = str(Path(__file__).parents[1] / 'helpers')
+    paths = os.pathsep.join([helpers, ENVIRONMENT['PYTHONPATH']])
     result = subprocess.run(
         [*NAMESPACE, sys.executable, __file__, model], text=True, capture_output=True,
         timeout=100, env=os.environ | ENVIRONMENT | {'PYTHONPATH': paths})

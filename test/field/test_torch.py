@@ -210,7 +210,7 @@ def fitted_by_processes(folder: Path, photos: np.ndarray, count: int
         [sys.executable, '-c', FIT, str(folder / 'data.npz')],
         env=os.environ | {'WORLD_SIZE': str(count), 'RANK': str(rank), 'MASTER_PORT': port,
                           'MASTER_ADDR': '127.0.0.1', 'CUDA_VISIBLE_DEVICES': ''},
-        cwd=Path(__file__).parent.parent, stderr=subprocess.PIPE, text=True)
+        cwd=Path(__file__).parents[2], stderr=subprocess.PIPE, text=True)
         for rank in range(count)]
     try:
         errors = [process.communicate(timeout=100)[1] for process in processes]
