@@ -84,7 +84,7 @@ setup(
     maintainer_email='maintainers@neo-ros.example',
     python_requires='>=3.12',
     packages=find_packages(include=[NAME, f'{NAME}.*']),
-    package_data={NAME: ['**/*.npz', 'viewer/page/*']},
+    package_data={NAME: ['py.typed', '**/*.npz', 'viewer/page/*']},
     install_requires=ROBOT,
     extras_require=EXTRAS,
     data_files=[

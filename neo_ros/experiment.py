@@ -4,7 +4,7 @@ import hashlib
 import json
 import math
 from pathlib import Path
-from typing import Any, Optional
+from typing import Any
 
 from neo_ros.baking.keyframes import MemoryConfig
 from neo_ros.errors import ConfigError
@@ -39,12 +39,12 @@ class Experiment:
     __pydantic_config__ = {'extra': 'forbid'}
     seed: int = 0
     scale: float = 1.0                   # resolution to work at, relative to the photos
-    view: Optional[ViewConfig] = None    # default: the test frames', else twice the photos
+    view: ViewConfig | None = None    # default: the test frames', else twice the photos
     field: FieldConfig = FieldConfig()
     sampling: SamplingConfig = SamplingConfig()
     network: NetworkConfig = NetworkConfig()
     outpaint: OutpaintConfig = OutpaintConfig()
-    memory: Optional[MemoryConfig] = MemoryConfig()   # null: the network works alone
+    memory: MemoryConfig | None = MemoryConfig()   # null: the network works alone
 
     def __post_init__(self) -> None:
         if not 0 < self.scale < math.inf:
@@ -79,7 +79,7 @@ class Experiment:
         return _digest({'seed': self.seed, 'scale': self.scale,
                         'field': asdict(self.field_config(mapped))})
 
-    def expansion(self, camera: Intrinsics, stated: Optional[ViewExpansion]) -> ViewExpansion:
+    def expansion(self, camera: Intrinsics, stated: ViewExpansion | None) -> ViewExpansion:
         """
         Return the view expansion at working resolution.
 

@@ -7,7 +7,6 @@ Every step leaves its result in the output folder; a run that was broken off goe
 """
 from pathlib import Path
 import time
-from typing import Optional
 
 import neo_ros
 from neo_ros.evaluation.baselines import EdgeReplication, MeanImage, Method, NeoModel
@@ -42,7 +41,7 @@ REFERENCE_PHOTOS = 300
 
 def train(scene_folder: Path, experiment: Experiment, out: Path,
           progress: StageProgress = no_stage_progress,
-          cache_gb: float = 0.0, field_of: Optional[Path] = None) -> TrainingRun:
+          cache_gb: float = 0.0, field_of: Path | None = None) -> TrainingRun:
     """
     Run the three steps on a scene folder and leave model, report and scores in `out`.
 
@@ -111,7 +110,7 @@ def _fit_field(run: TrainingRun, path: Path, writes: bool) -> None:
 
 
 def fit_outpainter_step(run: TrainingRun, field: RadianceField,
-                        held_out: Optional[np.ndarray] = None, rank: int = 0) -> nn.Module:
+                        held_out: np.ndarray | None = None, rank: int = 0) -> nn.Module:
     """
     Do steps 2 and 3: train the outpainter on views rendered where the robot can be.
 
@@ -144,7 +143,7 @@ def fit_outpainter_step(run: TrainingRun, field: RadianceField,
 
 
 def export_step(run: TrainingRun, network: nn.Module,
-                held_out: Optional[np.ndarray] = None) -> None:
+                held_out: np.ndarray | None = None) -> None:
     """
     Write the model file with its card; parity is checked on real photos.
 
@@ -178,7 +177,7 @@ def export_step(run: TrainingRun, network: nn.Module,
             lambda image: extrapolator.expand(image).confidence, run.expansion)}))
 
 
-def score_step(run: TrainingRun) -> Optional[Scoring]:
+def score_step(run: TrainingRun) -> Scoring | None:
     """Score the model once on the scene's test frames, if it has any, and note it in the card."""
     if run.scene.test is None:
         return None

@@ -1,7 +1,8 @@
+from collections.abc import Iterator
 from dataclasses import asdict, fields, is_dataclass, replace
 import math
 from pathlib import Path
-from typing import Any, Iterator
+from typing import Any
 
 from neo_ros.errors import ConfigError, GeometryError
 from neo_ros.experiment import Experiment, read_experiment, ViewConfig

@@ -1,7 +1,7 @@
 """Which topics of a bag are the camera: its images, its calibration, its wide truth."""
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any, Optional
+from typing import Any
 
 from neo_ros.bags.reading import BagReader, BagTopic, describe_topics
 from neo_ros.errors import BagError, ImageRejected
@@ -15,7 +15,7 @@ IMAGE, COMPRESSED = 'sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage'
 CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
 
 
-def find_image_topic(reader: BagReader, name: Optional[str]) -> BagTopic:
+def find_image_topic(reader: BagReader, name: str | None) -> BagTopic:
     """
     Return the topic of this name, or the one camera of the bag.
 
@@ -47,11 +47,11 @@ class CameraTopics:
     """
 
     image: BagTopic
-    info: Optional[BagTopic]
+    info: BagTopic | None
     wide: str
 
 
-def find_camera(reader: BagReader, source: Intrinsics, name: Optional[str]) -> CameraTopics:
+def find_camera(reader: BagReader, source: Intrinsics, name: str | None) -> CameraTopics:
     """
     Return the camera of this image topic, or the only one with images of the size of `source`.
 
@@ -78,7 +78,7 @@ def find_camera(reader: BagReader, source: Intrinsics, name: Optional[str]) -> C
 
 
 def find_truth_topic(reader: BagReader, camera: CameraTopics,
-                     target: Intrinsics) -> Optional[BagTopic]:
+                     target: Intrinsics) -> BagTopic | None:
     """Return the one image topic of the size of `target` that is not a model's output."""
     wanted = (target.width, target.height)
     made = {f'{camera.wide}/{name}' for name in ('image', 'mask', 'confidence')}
@@ -88,7 +88,7 @@ def find_truth_topic(reader: BagReader, camera: CameraTopics,
     return found[0] if len(found) == 1 else None
 
 
-def image_topics(reader: BagReader, name: Optional[str]) -> list[BagTopic]:
+def image_topics(reader: BagReader, name: str | None) -> list[BagTopic]:
     """
     Return the topics with images of this name, or all that are not depth.
 
@@ -104,7 +104,7 @@ def image_topics(reader: BagReader, name: Optional[str]) -> list[BagTopic]:
     return topics
 
 
-def first_size(reader: BagReader, topic: BagTopic) -> Optional[tuple[int, int]]:
+def first_size(reader: BagReader, topic: BagTopic) -> tuple[int, int] | None:
     """Return width and height of the topic's first image that says them."""
     for message in reader.messages([topic.name]):
         if message.topic != topic:
@@ -129,7 +129,7 @@ def as_raw_image(message: Any, topic: BagTopic) -> Any:
     return SimpleNamespace(header=message.header, **image_fields(read_compressed_image(message)))
 
 
-def find_info_topic(reader: BagReader, image: BagTopic) -> Optional[BagTopic]:
+def find_info_topic(reader: BagReader, image: BagTopic) -> BagTopic | None:
     """Return the camera_info beside an image topic; '.../image/compressed' counts as its raw."""
     base = _base(image)
     wanted = {f'{base.rpartition("/")[0]}/camera_info', f'{base}/camera_info'}

@@ -3,7 +3,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 import logging
 from pathlib import Path
-from typing import Any, Optional
+from typing import Any
 
 from neo_ros.bags.reading import BagReader, BagTopic, describe_topics
 from neo_ros.bags.transforms import (
@@ -51,7 +51,7 @@ class RecordedPoses:
             self.bodies[topic.name] = frame_name(getattr(message, 'child_frame_id', ''))
 
 
-def find_pose_topics(reader: BagReader, wanted: Optional[str]) -> list[BagTopic]:
+def find_pose_topics(reader: BagReader, wanted: str | None) -> list[BagTopic]:
     """Return the pose topic of this name, or all that may be taken. Raises BagError."""
     topics = [topic for topic in reader.topics if topic.msgtype in POSE_TYPES and topic.count]
     if wanted is None or wanted == TF:
@@ -68,9 +68,9 @@ def foreign_tf(topics: Iterable[BagTopic]) -> list[BagTopic]:
             and topic.name not in (TF, TF_STATIC)]
 
 
-def find_pose_source(path: Path, recorded: RecordedPoses, camera: str, wanted: Optional[str],
+def find_pose_source(path: Path, recorded: RecordedPoses, camera: str, wanted: str | None,
                      topics: list[BagTopic], foreign: list[BagTopic],
-                     notes: list[str]) -> Optional[PoseSource]:
+                     notes: list[str]) -> PoseSource | None:
     """
     Return where T_world_cam at a stamp comes from; None for a bag without poses.
 

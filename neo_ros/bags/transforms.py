@@ -2,7 +2,7 @@
 from bisect import bisect_left
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Optional
+from typing import Any
 
 from neo_ros.errors import GeometryError
 from neo_ros.geometry import CameraPose
@@ -35,7 +35,7 @@ class PoseTrack:
         poses = list(self.poses.values())
         return any(not _still(poses[0], T) for T in poses)
 
-    def at(self, stamp_ns: int) -> Optional[np.ndarray]:
+    def at(self, stamp_ns: int) -> np.ndarray | None:
         """
         Return the transform at a time; None where it is not known.
 
@@ -143,7 +143,7 @@ class PoseSource:
 
     steps: list[Step]
 
-    def at(self, stamp_ns: int) -> Optional[np.ndarray]:
+    def at(self, stamp_ns: int) -> np.ndarray | None:
         """Return T_world_cam at a time; None where it is not known."""
         T_world_cam = np.eye(4)
         for _, step in self.steps:
@@ -166,7 +166,7 @@ class PoseSource:
             f'; at most {MAX_GAP_NS / NS_PER_S:g} s are interpolated' if found else '')
 
 
-def read_transform(position: Any, orientation: Any) -> Optional[np.ndarray]:
+def read_transform(position: Any, orientation: Any) -> np.ndarray | None:
     """Return the (4, 4) of ROS vectors with x, y, z and x, y, z, w; None if it is no pose."""
     xyz = np.array([position.x, position.y, position.z])
     if not np.isfinite(xyz).all():

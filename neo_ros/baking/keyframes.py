@@ -8,7 +8,6 @@ photo agrees.
 from dataclasses import dataclass
 import math
 from pathlib import Path
-from typing import Optional
 from zipfile import BadZipFile
 
 import cv2
@@ -109,7 +108,7 @@ def _write_finished(path: Path, texture: bytes, depth: bytes, glances: Glances) 
                        'the same command again') from error
 
 
-def _read_finished(path: Path) -> Optional[tuple[bytes, bytes, Glances]]:
+def _read_finished(path: Path) -> tuple[bytes, bytes, Glances] | None:
     """Read what `_write_finished` wrote; None where it is not there or damaged."""
     try:
         with np.load(path, allow_pickle=False) as data:

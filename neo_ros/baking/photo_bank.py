@@ -4,9 +4,9 @@ The features of a scene's photos, and which photos look like an image: what B2 a
 VLAD (Jegou et al., 2010) over the scene's own photos stands in for the paper's NetVLAD, whose
 weights are not to be had from a package index.
 """
+from collections.abc import Sequence
 import io
 from pathlib import Path
-from typing import Sequence
 from zipfile import BadZipFile
 
 from neo_ros.errors import SceneError

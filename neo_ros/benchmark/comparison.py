@@ -1,11 +1,12 @@
 """Several experiments on one scene, side by side: networks at equal time, ablations."""
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 import json
 import math
 from pathlib import Path
 import statistics
 import time
-from typing import Any, Optional, Sequence
+from typing import Any
 
 from neo_ros.errors import ConfigError
 from neo_ros.experiment import Experiment, read_experiment
@@ -39,13 +40,13 @@ class Row:
     milliseconds: float
     samples: int
     minutes: float
-    validation_psnr: Optional[float]
-    ring_psnr: Optional[float]
+    validation_psnr: float | None
+    ring_psnr: float | None
     on_front: bool = False
 
 
 def compare(scene_folder: Path, configs: Sequence[Path], out: Path,
-            minutes: Sequence[float] = (), steps: Optional[int] = None,
+            minutes: Sequence[float] = (), steps: int | None = None,
             progress: StageProgress = no_stage_progress) -> list[Row]:
     """
     Train every experiment in its own folder of `out`, and write comparison.html and .json.
@@ -108,8 +109,8 @@ def marked_front(rows: Sequence[Row]) -> list[Row]:
             for row in rows]
 
 
-def _prepared(experiment: Experiment, minutes: Optional[float],
-              steps: Optional[int]) -> Experiment:
+def _prepared(experiment: Experiment, minutes: float | None,
+              steps: int | None) -> Experiment:
     changes: dict[str, Any] = {}
     if minutes is not None:
         changes['minutes'] = minutes
@@ -120,7 +121,7 @@ def _prepared(experiment: Experiment, minutes: Optional[float],
 
 
 def _trained_row(scene_folder: Path, name: str, experiment: Experiment, folder: Path,
-                 field_of: Optional[Path], progress: StageProgress) -> Row:
+                 field_of: Path | None, progress: StageProgress) -> Row:
     run = train(scene_folder, experiment, folder,
                 lambda stage, *rest: progress(f'{name}: {stage}', *rest), field_of=field_of)
     model = FovExtrapolator.load(run.model_path, guided=False)
@@ -131,7 +132,7 @@ def _trained_row(scene_folder: Path, name: str, experiment: Experiment, folder: 
                run.figures.get('ring_psnr'))
 
 
-def _finished_row(folder: Path, frames: str) -> Optional[Row]:
+def _finished_row(folder: Path, frames: str) -> Row | None:
     try:
         stored = json.loads((folder / 'row.json').read_text())
         return Row(**stored['row']) if stored['frames'] == frames else None
@@ -154,7 +155,7 @@ def _quality(row: Row) -> float:
 
 
 def _sections(rows: Sequence[Row], timed: bool) -> list[Section]:
-    def decibels(value: Optional[float]) -> str:
+    def decibels(value: float | None) -> str:
         return '' if value is None else f'{value:.2f}'
 
     table = Table(

@@ -4,13 +4,14 @@ Run methods on a scene under a protocol, one after the other, and keep what each
 Every method's scores lie in a file of their own as soon as it is through; a run that was broken
 off goes on with the next method.
 """
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 import json
 import os
 from pathlib import Path
 import shutil
 import time
-from typing import Any, Callable, Sequence
+from typing import Any
 
 from neo_ros.benchmark.method_memory import measure_memory
 from neo_ros.benchmark.methods import make_method, METHODS

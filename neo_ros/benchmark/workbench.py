@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, replace
 import json
 from pathlib import Path
 import time
-from typing import Any, Optional, TypeVar
+from typing import Any, TypeVar
 
 from neo_ros.baking.photo_bank import PhotoBank, read_photo_bank
 from neo_ros.baking.sparse_model import read_sparse_model, SparseModel
@@ -52,9 +52,9 @@ class Job:
     protocol: str
     scale: str
     minutes: float
-    test_scene: Optional[str] = None
-    most_frames: Optional[int] = None
-    settings: Optional[dict[str, Any]] = None
+    test_scene: str | None = None
+    most_frames: int | None = None
+    settings: dict[str, Any] | None = None
 
     def __post_init__(self) -> None:
         if self.scale not in SCALES:

@@ -3,7 +3,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Optional
+from typing import Any
 
 from neo_ros.bags.camera_topics import COMPRESSED, find_image_topic, find_info_topic, read_lens
 from neo_ros.bags.reading import BagReader, BagTopic, describe_topics
@@ -32,8 +32,8 @@ class _Scan:
     poses: RecordedPoses = field(default_factory=RecordedPoses)
 
 
-def read_bag_capture(path: Path, image_topic: Optional[str] = None,
-                     pose_topic: Optional[str] = None,
+def read_bag_capture(path: Path, image_topic: str | None = None,
+                     pose_topic: str | None = None,
                      progress: Progress = no_progress) -> Capture:
     """
     Read the camera of a bag.
@@ -90,7 +90,7 @@ def read_bag_capture(path: Path, image_topic: Optional[str] = None,
                    z_up=source is not None)  # REP-103
 
 
-def _scan(reader: BagReader, image: BagTopic, info: Optional[BagTopic],
+def _scan(reader: BagReader, image: BagTopic, info: BagTopic | None,
           pose_topics: list[BagTopic], progress: Progress) -> _Scan:
     scan = _Scan()
     names = {image.name, TF, TF_STATIC, *(topic.name for topic in pose_topics)} | (
@@ -166,7 +166,7 @@ def _gaps(source: PoseSource, lost: Sequence[int], topics: Sequence[BagTopic]) -
 
 def _stream(path: Path, image: BagTopic, places: Sequence[int]) -> ImageStream:
     """Return a function that reads images of the bag, in the order of the bag."""
-    def read(indices: Sequence[int]) -> Iterator[tuple[int, Optional[np.ndarray]]]:
+    def read(indices: Sequence[int]) -> Iterator[tuple[int, np.ndarray | None]]:
         wanted = {places[index]: index for index in indices}
         if not wanted:
             return
@@ -187,7 +187,7 @@ def _stream(path: Path, image: BagTopic, places: Sequence[int]) -> ImageStream:
     return read
 
 
-def decode_image(message: Any, msgtype: str) -> Optional[np.ndarray]:
+def decode_image(message: Any, msgtype: str) -> np.ndarray | None:
     """Return RGB uint8 (H, W, 3) of an Image or CompressedImage; None if it is damaged."""
     try:
         return (read_compressed_image if msgtype == COMPRESSED else read_image)(message)

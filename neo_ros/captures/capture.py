@@ -1,15 +1,15 @@
 """What the readers of all formats return: frames as they were recorded, posed or not."""
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 import os
 from pathlib import Path
-from typing import Callable, Iterator, Optional, Sequence
 
 from neo_ros.geometry import CameraPose
 from neo_ros.geometry.lens import Lens
 from neo_ros.pictures.photo import read_photo
 import numpy as np
 
-ImageStream = Callable[[Sequence[int]], Iterator[tuple[int, Optional[np.ndarray]]]]
+ImageStream = Callable[[Sequence[int]], Iterator[tuple[int, np.ndarray | None]]]
 
 
 @dataclass(frozen=True)
@@ -26,11 +26,11 @@ class CapturedFrame:
     """
 
     name: str
-    pose: Optional[CameraPose]
-    lens: Optional[Lens]
+    pose: CameraPose | None
+    lens: Lens | None
     path_id: int = 0
-    stamp_ns: Optional[int] = None
-    file: Optional[Path] = None
+    stamp_ns: int | None = None
+    file: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Capture:
 
     frames: tuple[CapturedFrame, ...]
     notes: tuple[str, ...] = ()
-    stream: Optional[ImageStream] = None
+    stream: ImageStream | None = None
     origin: str = ''
     z_up: bool = False
     arbitrary_scale: bool = False
@@ -61,7 +61,7 @@ class Capture:
         """Whether every frame has a pose."""
         return all(frame.pose is not None for frame in self.frames)
 
-    def images(self, indices: Sequence[int]) -> Iterator[tuple[int, Optional[np.ndarray]]]:
+    def images(self, indices: Sequence[int]) -> Iterator[tuple[int, np.ndarray | None]]:
         """Yield (index, RGB uint8 (H, W, 3)); None for images that cannot be read."""
         if self.stream is not None:
             yield from self.stream(indices)
@@ -96,7 +96,7 @@ def scene_name(file: Path, folder: Path) -> str:
 
 
 def _chosen(stream: ImageStream, chosen: Sequence[int]) -> ImageStream:
-    def read(indices: Sequence[int]) -> Iterator[tuple[int, Optional[np.ndarray]]]:
+    def read(indices: Sequence[int]) -> Iterator[tuple[int, np.ndarray | None]]:
         back = {chosen[index]: index for index in indices}
         for original, image in stream(list(back)):
             yield back[original], image

@@ -4,11 +4,12 @@ COLMAP models, binary and text: cameras.* and images.*; points are not needed.
 COLMAP's cameras have OpenCV axes and pixel centres at +0.5, as here; its poses are world to
 camera. Its world is neither in metres nor level unless someone aligned it.
 """
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 import os
 from pathlib import Path
 import struct
-from typing import BinaryIO, Iterator, Optional, Sequence
+from typing import BinaryIO
 
 from neo_ros.captures.capture import Capture, CapturedFrame, scene_name
 from neo_ros.errors import GeometryError, NeoError, SceneError
@@ -38,7 +39,7 @@ class _ModelImage:
     translation: tuple[float, ...]
 
 
-def find_model(source: Path) -> Optional[Path]:
+def find_model(source: Path) -> Path | None:
     """Return the folder with cameras.bin or .txt in or below SOURCE, where COLMAP puts it."""
     for place in ('', 'sparse/0', 'sparse', 'colmap/sparse/0', '0'):
         folder = source / place

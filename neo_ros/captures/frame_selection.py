@@ -1,6 +1,5 @@
 """Fewer, sharper frames from a video: the sharpest of every step of the camera."""
 import math
-from typing import Optional
 
 from neo_ros.captures.capture import Capture
 from neo_ros.errors import ConfigError, SceneError
@@ -11,7 +10,7 @@ from neo_ros.pictures.sharpness import sharpness
 import numpy as np
 
 
-def select_frames(capture: Capture, distance: Optional[float], angle: Optional[float],
+def select_frames(capture: Capture, distance: float | None, angle: float | None,
                   progress: Progress = no_progress) -> Capture:
     """
     Keep the sharpest frame of every step of `distance` metres or `angle` radians.

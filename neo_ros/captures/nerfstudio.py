@@ -10,7 +10,7 @@ they were registered.
 import json
 import math
 from pathlib import Path
-from typing import Any, Optional
+from typing import Any
 
 from neo_ros.captures.capture import Capture, CapturedFrame, scene_name
 from neo_ros.captures.pose_files import pose_or_lost
@@ -50,7 +50,7 @@ def read_transforms_capture(source: Path) -> Capture:
     if not present:
         raise SceneError(f'{path}: none of the {len(entries)} listed images exists; the first one '
                          f'is {path.parent / entries[0]["file_path"]}')
-    size: Optional[tuple[int, int]] = None
+    size: tuple[int, int] | None = None
     names = [entry['file_path'] if file is None else scene_name(file, path.parent)
              for entry, file in zip(entries, files)]
     order = sorted(range(len(entries)), key=lambda index: natural_key(names[index]))
@@ -82,7 +82,7 @@ def read_transforms_capture(source: Path) -> Capture:
                    arbitrary_scale=document.get('arbitrary_scale') is True)
 
 
-def _image_file(path: Path, index: int, entry: Any) -> Optional[Path]:
+def _image_file(path: Path, index: int, entry: Any) -> Path | None:
     if not isinstance(entry, dict) or not isinstance(entry.get('file_path'), str):
         raise SceneError(f'{path}: frames[{index}]: expected an object with "file_path"')
     for name in (entry['file_path'], entry['file_path'].replace('\\', '/')):
@@ -116,7 +116,7 @@ def _path_id(entry: dict[str, Any], where: str) -> int:
         raise SceneError(f'{where}: path_id: {error}') from error
 
 
-def _focal(values: dict[str, Any], axis: str, size: int) -> Optional[float]:
+def _focal(values: dict[str, Any], axis: str, size: int) -> float | None:
     """Return fl_x or fl_y in pixels, from the angle where it is not there; None without both."""
     focal, angle = (_number(values, f'{key}_{axis}') for key in ('fl', 'camera_angle'))
     if focal is None and angle is not None:
@@ -124,7 +124,7 @@ def _focal(values: dict[str, Any], axis: str, size: int) -> Optional[float]:
     return focal
 
 
-def _number(values: dict[str, Any], key: str) -> Optional[float]:
+def _number(values: dict[str, Any], key: str) -> float | None:
     """Return a number, None where the key is missing or null."""
     try:
         return None if values.get(key) is None else float(values[key])

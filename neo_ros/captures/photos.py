@@ -1,6 +1,6 @@
 """Photos without poses: a folder of image files of one size."""
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Iterator, Optional, Sequence
 
 from neo_ros.captures.capture import Capture, CapturedFrame, origin_of
 from neo_ros.errors import SceneError
@@ -38,7 +38,7 @@ def read_photos(source: Path) -> Capture:
         photo = read_photo(file)
         if photo is None:
             continue
-        upright: Optional[np.ndarray] = photo
+        upright: np.ndarray | None = photo
         if file.suffix.lower() in EXIF_SUFFIXES:
             upright = read_photo(file, upright=True)
         assert upright is not None, 'it could be read just now'
@@ -69,7 +69,7 @@ def read_photos(source: Path) -> Capture:
         return Capture(tuple(CapturedFrame(f'images/{file.name}', None, None, file=file)
                              for file in readable), tuple(notes))
 
-    def read(indices: Sequence[int]) -> Iterator[tuple[int, Optional[np.ndarray]]]:
+    def read(indices: Sequence[int]) -> Iterator[tuple[int, np.ndarray | None]]:
         return ((index, read_photo(readable[index], upright=True)) for index in indices)
 
     return Capture(

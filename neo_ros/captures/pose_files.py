@@ -1,6 +1,5 @@
 """Matrices in text files: 16 (or 12) numbers, row by row, camera to world."""
 from pathlib import Path
-from typing import Optional
 
 from neo_ros.errors import GeometryError, SceneError
 from neo_ros.geometry import CameraPose
@@ -29,7 +28,7 @@ def parse_matrix(text: str, where: str) -> np.ndarray:
     return numbers.reshape(shapes[numbers.size])
 
 
-def pose_or_lost(matrix: np.ndarray, where: str, opengl: bool = False) -> Optional[CameraPose]:
+def pose_or_lost(matrix: np.ndarray, where: str, opengl: bool = False) -> CameraPose | None:
     """
     Take a camera-to-world matrix; None for a lost pose (values that are not finite).
 

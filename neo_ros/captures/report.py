@@ -1,6 +1,6 @@
 """Is my capture good enough? A page with the answer, and the same in a few lines of text."""
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Sequence
 
 import cv2
 from neo_ros.captures.report_map import draw_map

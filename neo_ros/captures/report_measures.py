@@ -1,6 +1,5 @@
 """How good a capture is, from its poses and pixels alone; what depends on depth is an estimate."""
 from dataclasses import dataclass
-from typing import Optional
 
 import cv2
 from neo_ros.geometry import Intrinsics, ViewExpansion
@@ -43,7 +42,7 @@ class CaptureMeasures:
     brightness: np.ndarray
     viewed: np.ndarray
     wide_seen: np.ndarray
-    walkable_near: Optional[float]
+    walkable_near: float | None
 
     @property
     def blurred(self) -> np.ndarray:
@@ -170,7 +169,7 @@ def _sees(camera: Intrinsics, T_cam_world: np.ndarray, points: np.ndarray) -> np
     return (z > 0.1) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
 
 
-def _walkable_near(scene: Scene) -> Optional[float]:
+def _walkable_near(scene: Scene) -> float | None:
     if scene.walkable is None:
         return None
     centres = scene.walkable.centres()

@@ -1,9 +1,10 @@
 """Write a capture as a scene folder: one pinhole camera, images that are known to be readable."""
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 import json
 from pathlib import Path
 import shutil
-from typing import Any, Iterable, Optional, Sequence
+from typing import Any
 
 import cv2
 from neo_ros.captures.capture import Capture, CapturedFrame
@@ -66,7 +67,7 @@ def check_near_origin(names: Sequence[object], poses: Sequence[CameraPose]) -> N
 
 
 def write_images(capture: Capture, folder: Path,
-                 progress: Progress = no_progress) -> tuple[list[Optional[str]], Intrinsics]:
+                 progress: Progress = no_progress) -> tuple[list[str | None], Intrinsics]:
     """
     Write the images alone, posed or not; frames without a lens are taken for pinhole images.
 
@@ -100,7 +101,7 @@ def write_images(capture: Capture, folder: Path,
             for index, name in enumerate(names)], straightener.pinhole
 
 
-def unreadable_note(capture: Capture, names: Sequence[Optional[str]]) -> tuple[str, ...]:
+def unreadable_note(capture: Capture, names: Sequence[str | None]) -> tuple[str, ...]:
     """Name the images that `write_images` could not read, if there are any."""
     unreadable = [_where(frame) for frame, name in zip(capture.frames, names) if name is None]
     return (f'{len(unreadable)} images cannot be read and are left out: {listed(unreadable)}',

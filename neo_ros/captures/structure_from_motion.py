@@ -1,4 +1,5 @@
 """Poses for photos that have none: structure from motion with pycolmap, on the CPU."""
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 import json
@@ -6,7 +7,7 @@ import math
 from pathlib import Path
 import re
 import shutil
-from typing import Any, Callable, Iterator, Optional, Sequence
+from typing import Any
 
 from neo_ros.captures.capture import Capture
 from neo_ros.captures.colmap import read_colmap_model
@@ -123,7 +124,7 @@ def _without_blanks(capture: Capture) -> Capture:
         for index, frame in enumerate(capture.frames)))
 
 
-def _claim(work: Path, names: list[str], pinhole: Optional[Intrinsics]) -> None:
+def _claim(work: Path, names: list[str], pinhole: Intrinsics | None) -> None:
     """Keep the database of the same photos, and begin anew with others."""
     note = work / 'photos.json'
     wanted = json.dumps([names, repr(pinhole), (work / 'import.json').read_text()])
@@ -135,7 +136,7 @@ def _claim(work: Path, names: list[str], pinhole: Optional[Intrinsics]) -> None:
     note.write_text(wanted)
 
 
-def _extract(database: Path, work: Path, names: list[str], pinhole: Optional[Intrinsics],
+def _extract(database: Path, work: Path, names: list[str], pinhole: Intrinsics | None,
              progress: StageProgress) -> None:
     import pycolmap
     reader = pycolmap.ImageReaderOptions()
@@ -209,7 +210,7 @@ def _map(database: Path, work: Path, model: Path, count: int, calibrated: bool,
 
 
 def _largest_model(database: Path, work: Path, count: int, refine: bool,
-                   show: Callable[[int], None]) -> Optional[Any]:
+                   show: Callable[[int], None]) -> Any | None:
     """Place the photos; `refine` estimates focal length and distortion, too."""
     import pycolmap
     options = pycolmap.IncrementalPipelineOptions()

@@ -1,7 +1,6 @@
 """A video without poses: the sharpest frame of every step that the picture moves."""
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Optional
 
 import cv2
 from neo_ros.captures.capture import Capture, CapturedFrame, origin_of
@@ -27,7 +26,7 @@ def read_video(source: Path, progress: Progress = no_progress) -> Capture:
     total = _frame_count(source)
     chosen: list[int] = []
     best, count = (-1, -1.0), 0
-    start: Optional[_Corners] = None
+    start: _Corners | None = None
     for index, image in _frames(source):
         count = index + 1
         grey = _small(image)
@@ -45,7 +44,7 @@ def read_video(source: Path, progress: Progress = no_progress) -> Capture:
     if total > 0:
         progress(count, count)  # Many videos say a few more or less than they have.
 
-    def stream(indices: Sequence[int]) -> Iterator[tuple[int, Optional[np.ndarray]]]:
+    def stream(indices: Sequence[int]) -> Iterator[tuple[int, np.ndarray | None]]:
         wanted = {chosen[index]: index for index in indices}
         if wanted:
             for number, image in _frames(source):

@@ -3,8 +3,9 @@ The methods that are compared: each takes the narrow image and gives the wide on
 
 Edge replication and the mean image are the floors: whoever does not beat them has learnt nothing.
 """
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Iterable, Protocol
+from typing import Protocol
 
 import cv2
 from neo_ros.errors import SceneError

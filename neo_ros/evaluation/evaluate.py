@@ -4,11 +4,12 @@ Score methods on the wide truth of a scene: per frame, in the mean, and as resul
 The input of a test frame is the window of its wide truth that the expansion calls observed, so
 input and truth agree to the bit.
 """
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 import tempfile
 import time
-from typing import Any, Callable, Iterator, Protocol, runtime_checkable, Sequence
+from typing import Any, Protocol, runtime_checkable
 
 from neo_ros.errors import ImageRejected, SceneError
 from neo_ros.evaluation.baselines import Method

@@ -4,7 +4,8 @@ Scores of a widened view against the truth: whole image, extrapolated ring, band
 All measures work on RGB uint8 with data range 255. The ring is what the model made up: where a
 method pastes the observed centre, the whole image flatters it, the ring does not.
 """
-from typing import Iterable, Mapping, NamedTuple
+from collections.abc import Iterable, Mapping
+from typing import NamedTuple
 
 import cv2
 from neo_ros.errors import ImageRejected

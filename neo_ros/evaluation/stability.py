@@ -4,8 +4,8 @@ How steady a widened view is: along a walk, and while the camera stands still.
 Warping error as in Lai et al. (ECCV 2018): the last wide image is brought to the present one by
 the true motion; what then differs was not steady. Depth and poses are the truth's, not a flow.
 """
+from collections.abc import Callable
 from pathlib import Path
-from typing import Callable
 from zipfile import BadZipFile
 
 from neo_ros.evaluation.baselines import Method

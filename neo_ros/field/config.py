@@ -1,6 +1,5 @@
 """How the radiance field is fitted: the settings `field` of an experiment."""
 from dataclasses import dataclass
-from typing import Optional
 
 from neo_ros.errors import ConfigError
 
@@ -22,13 +21,13 @@ class FieldConfig:
     __pydantic_config__ = {'extra': 'forbid'}
     voxels: int = 3_000_000         # grid points at the last stage, most of them in air: not kept
     steps: int = 6000               # optimiser steps; not read where `minutes` is given
-    minutes: Optional[float] = None  # of fitting time, instead of steps
+    minutes: float | None = None  # of fitting time, instead of steps
     rays_per_step: int = 4096       # rays in a batch
     sh_degree: int = 0              # view dependence: 0 none (matt), 1 or 2 for shiny scenes
     margin: float = 3.0             # metres around the cameras that the first guess covers
     shell: float = 0.2              # relative thickness of the contracted outside
     # Metres before the lens that views leave out; None: found from the photos.
-    near: Optional[float] = None
+    near: float | None = None
     learning_rate: float = 0.1      # of density and colour, decayed to a tenth
     distortion: float = 0.01        # weight of the distortion loss
     pointwise: float = 0.05         # weight of the samples' own colour error
@@ -48,6 +47,6 @@ class FieldConfig:
                 raise ConfigError(f'field.{name}: expected {least:_} ... {most:_}, got {value}')
 
 
-def fit_near(view_near: Optional[float]) -> float:
+def fit_near(view_near: float | None) -> float:
     """Return what the rays of photos leave out, metres, where views leave out `view_near`."""
     return FIT_NEAR if view_near is None else min(view_near, FIT_NEAR)

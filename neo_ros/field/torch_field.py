@@ -5,7 +5,7 @@ The same layout, the same steps and the same thresholds, so both show the same p
 CUDA; on a CPU the compiled kernels are several times as fast.
 """
 import math
-from typing import NamedTuple, Optional
+from typing import NamedTuple
 
 from neo_ros.field.kernels import MIN_SHOWN, MIN_TRANSMITTANCE
 from neo_ros.field.voxel_field import OCCUPIED_ALPHA, RadianceField
@@ -216,7 +216,7 @@ def torch_device(name: str) -> torch.device:
 def on_device(field: RadianceField) -> TorchField:
     """Return the field's arrays on its device; they are copied once, and again when changed."""
     source = (field.grid, field.skip, field.seen)
-    found: Optional[TorchField] = field.mirror
+    found: TorchField | None = field.mirror
     if found is None or any(a is not b for a, b in zip(found.source, source)):
         found = TorchField(field, torch_device(field.device))
         field.mirror = found

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 import math
 from pathlib import Path
-from typing import Any, Optional
+from typing import Any
 
 from neo_ros.errors import SceneError
 from neo_ros.field import kernels
@@ -131,7 +131,7 @@ class RadianceField:
                 padding_mode='border', align_corners=True)[0, :, 0, 0])
         return torch.cat(values, 1).T.contiguous().numpy()
 
-    def world_points(self, index: Optional[np.ndarray] = None) -> np.ndarray:
+    def world_points(self, index: np.ndarray | None = None) -> np.ndarray:
         """
         World positions of grid points, float64 (..., 3); the inverse contraction.
 

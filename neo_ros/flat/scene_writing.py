@@ -1,11 +1,12 @@
 """Write the demo flat as a scene folder: training photos, wide test walks, the floor map."""
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 import hashlib
 import json
 import multiprocessing
 import os
 from pathlib import Path
-from typing import Any, Callable, Iterator, Sequence, TypeVar
+from typing import Any, TypeVar
 
 import cv2
 from neo_ros.errors import SceneError

@@ -1,8 +1,8 @@
 """The solid shapes the demo flat is built from: boxes, vertical cone frusta, ellipsoids."""
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 import math
-from typing import Sequence
 
 import numpy as np
 

@@ -1,7 +1,7 @@
 """Reflectance of the demo flat's surfaces; every pattern is filtered to the size of a sample."""
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Callable
 
 from neo_ros.flat.pictures import draw_picture, noise_bitmap
 from neo_ros.flat.shapes import Material

@@ -1,6 +1,6 @@
 """Calibrated cameras with lens distortion, and the pinhole view that is cut out of them."""
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Mapping, Optional
 
 import cv2
 from neo_ros.errors import GeometryError, SceneError
@@ -172,7 +172,7 @@ class Straightener:
 
     def __init__(self, pinhole: Intrinsics) -> None:
         self.pinhole = pinhole
-        self._last: Optional[tuple[Lens, tuple[np.ndarray, np.ndarray]]] = None
+        self._last: tuple[Lens, tuple[np.ndarray, np.ndarray]] | None = None
 
     def is_identity(self, lens: Lens) -> bool:
         """Whether the images of this lens stay as they are."""

@@ -1,5 +1,6 @@
 """`sensor_msgs/Image` to RGB arrays and back."""
-from typing import Any, Callable, NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import cv2
 from neo_ros.errors import ImageRejected

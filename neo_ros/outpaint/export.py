@@ -1,7 +1,7 @@
 """Export an outpainter as one self-contained ONNX file: uint8 in, uint8 out, all inside."""
+from collections.abc import Callable
 import logging
 from pathlib import Path
-from typing import Callable
 
 from neo_ros.errors import ModelError
 from neo_ros.geometry import ViewExpansion

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 import math
 import os
 import time
-from typing import Any, Optional
+from typing import Any
 
 from neo_ros.errors import ConfigError
 from neo_ros.geometry import ViewExpansion
@@ -30,7 +30,7 @@ class OutpaintConfig:
 
     __pydantic_config__ = {'extra': 'forbid'}
     steps: int = 4000              # optimiser steps; not read where `minutes` is given
-    minutes: Optional[float] = None  # of training time, rendering included, instead of steps
+    minutes: float | None = None  # of training time, rendering included, instead of steps
     batch: int = 16                # wide views in a step, over all processes
     learning_rate: float = 2e-3    # peak; warmed up over 100 steps or 5 %, then a cosine to zero
     weight_decay: float = 0.01
@@ -106,7 +106,7 @@ class OutpaintTrainer:
     """
 
     def __init__(self, expansion: ViewExpansion, network: NetworkConfig, config: OutpaintConfig,
-                 seed: int, held_out: Optional[np.ndarray] = None) -> None:
+                 seed: int, held_out: np.ndarray | None = None) -> None:
         torch.manual_seed(seed)
         self.config, self.expansion, self.seed = config, expansion, seed
         self.rank, self.world = processes()
@@ -128,7 +128,7 @@ class OutpaintTrainer:
         self.loss = math.nan
         self.seconds = 0.0
         # The first batch counts, whose panoramas take longest; after `restore` they come again.
-        self._clock: Optional[float] = time.monotonic()
+        self._clock: float | None = time.monotonic()
 
     @property
     def figure(self) -> float:

@@ -8,7 +8,6 @@ and without the second, refining network, whose purpose they are. The paper's 51
 head and stages of 180 channels, patch 8, depth 3, windows of 8 and 16; here all of it is small.
 """
 import math
-from typing import Optional
 
 from neo_ros.errors import ConfigError
 from neo_ros.geometry import ViewExpansion
@@ -146,7 +145,7 @@ class WindowAttention(nn.Module):
     the windows by half; at the border they hang over tokens that are never valid.
     """
 
-    hidden: Optional[torch.Tensor]
+    hidden: torch.Tensor | None
 
     def __init__(self, width: int, window: int, valid: np.ndarray, shifted: bool) -> None:
         super().__init__()

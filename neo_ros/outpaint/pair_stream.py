@@ -1,6 +1,4 @@
 """Narrow/wide training pairs, rendered on the fly."""
-from typing import Optional
-
 from neo_ros.field.panorama import panorama_size
 from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import Intrinsics, ViewExpansion
@@ -32,8 +30,8 @@ class PairStream:
     """
 
     def __init__(self, field: RadianceField, sampler: PoseSampler, view: Intrinsics,
-                 positions: int, seed: int, real: Optional[RealCentres] = None,
-                 real_share: float = 0.0, cache: Optional[PanoramaCache] = None) -> None:
+                 positions: int, seed: int, real: RealCentres | None = None,
+                 real_share: float = 0.0, cache: PanoramaCache | None = None) -> None:
         self.seed = seed
         self.pool = PanoramaPool(field, sampler, view, positions, seed, cache)
         self.real, self.real_share = real, real_share

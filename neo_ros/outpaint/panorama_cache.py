@@ -2,7 +2,6 @@
 from dataclasses import dataclass
 import json
 from pathlib import Path
-from typing import Optional
 
 from neo_ros.errors import NeoError
 from neo_ros.field.panorama import Panorama
@@ -41,7 +40,7 @@ class PanoramaCache:
                 self.used -= _size(path)
                 path.unlink()
 
-    def read(self, index: int, band: Band, size: tuple[int, int]) -> Optional[DrawnPanorama]:
+    def read(self, index: int, band: Band, size: tuple[int, int]) -> DrawnPanorama | None:
         """Return panorama `index`, None where it is not there, damaged or of another (H, W)."""
         try:
             notes = json.loads(self._path(index, 'json').read_text())

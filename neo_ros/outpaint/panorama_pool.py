@@ -1,6 +1,6 @@
 """Panoramas at places where the robot can be, and the views that are worth learning from."""
 from collections import Counter
-from typing import Any, Optional
+from typing import Any
 
 from neo_ros.errors import SceneError
 from neo_ros.field.panorama import Panorama, panorama_size, render_panorama, view_band
@@ -40,7 +40,7 @@ class PanoramaPool:
     """
 
     def __init__(self, field: RadianceField, sampler: PoseSampler, view: Intrinsics,
-                 positions: int, seed: int, cache: Optional[PanoramaCache] = None) -> None:
+                 positions: int, seed: int, cache: PanoramaCache | None = None) -> None:
         self.field, self.sampler, self.view = field, sampler, view
         self.positions, self.seed, self.cache = positions, seed, cache
         self.device = torch_device(field.device)
@@ -138,7 +138,7 @@ class PanoramaPool:
             f'pair stream: {TRIES} positions in a row show nothing to learn from ({found}); '
             'does the floor map belong to this scene?')
 
-    def _refusal(self, panorama: Panorama) -> Optional[str]:
+    def _refusal(self, panorama: Panorama) -> str | None:
         """Say why a position is of no use, None if it is of use."""
         if panorama.blocked > MOST_BLOCKED:
             return 'in matter'
@@ -156,7 +156,7 @@ class PanoramaPool:
     def _cut(self, index: int, random: np.random.Generator) -> torch.Tensor:
         return self.cut_view(self.panoramas[index], self.sampler.draw_rotation(random, index))
 
-    def _view_refusal(self, view: torch.Tensor) -> Optional[str]:
+    def _view_refusal(self, view: torch.Tensor) -> str | None:
         if not covered(view):
             return 'not seen by photos'
         if self.least_sharpness and _sharpness(view) < self.least_sharpness:

@@ -1,6 +1,6 @@
 """Curves of a training for TensorBoard, which is optional: only this file needs it."""
 from pathlib import Path
-from typing import Any, Optional, TYPE_CHECKING
+from typing import Any, TYPE_CHECKING
 
 from neo_ros.errors import ConfigError
 
@@ -23,7 +23,7 @@ class TrainingLog:
                               ) from error
         self._make: Any = SummaryWriter
         self._folder = folder
-        self._writer: Optional[Any] = None
+        self._writer: Any | None = None
         self._validations = 0
 
     def note(self, trainer: 'OutpaintTrainer') -> None:

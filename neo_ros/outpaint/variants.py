@@ -4,7 +4,7 @@ from copy import deepcopy
 import logging
 from pathlib import Path
 import tempfile
-from typing import Literal, Optional
+from typing import Literal
 
 from neo_ros.geometry import ViewExpansion
 from neo_ros.outpaint.export import ExportedFunction, write_graph
@@ -65,7 +65,7 @@ class _Frames(CalibrationDataReader):
     def __init__(self, frames: np.ndarray) -> None:
         self._frames: Iterator[np.ndarray] = iter(frames)
 
-    def get_next(self) -> Optional[dict[str, np.ndarray]]:
+    def get_next(self) -> dict[str, np.ndarray] | None:
         """Return the next input, None after the last."""
         frame = next(self._frames, None)
         return None if frame is None else {'image': frame[None]}

@@ -1,5 +1,5 @@
 """Blend overlapping pictures band by band, and extend a picture beyond its edges."""
-from typing import Sequence
+from collections.abc import Sequence
 
 import cv2
 import numpy as np

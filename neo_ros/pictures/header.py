@@ -1,5 +1,5 @@
 """What a compressed picture says of itself before it is decoded: its size, and its end."""
-from typing import Iterator
+from collections.abc import Iterator
 
 from neo_ros.errors import ImageRejected
 

@@ -1,7 +1,8 @@
 """Plots of a report, drawn by matplotlib as SVG."""
+from collections.abc import Sequence
 from dataclasses import dataclass
 from io import BytesIO
-from typing import Any, Literal, Sequence
+from typing import Any, Literal
 
 import numpy as np
 

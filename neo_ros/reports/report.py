@@ -1,8 +1,8 @@
 """Write a report: one HTML file that needs nothing else, from texts, tables, strips and plots."""
 import base64
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Sequence
 
 import cv2
 import jinja2

@@ -1,7 +1,7 @@
 """Strips of pictures: camera view in place, widened view, truth, error; for pages and as PNG."""
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Sequence
 
 import cv2
 from neo_ros.geometry import ViewExpansion

@@ -1,7 +1,7 @@
 """Step 2 of the paper: poses where the robot can be, in groups that share one position."""
 from dataclasses import dataclass
 import math
-from typing import Literal, Optional
+from typing import Literal
 
 from neo_ros.errors import ConfigError
 from neo_ros.geometry import CameraPose
@@ -25,13 +25,13 @@ class SamplingConfig:
     # hand holds a camera, around the photos; auto: walkable where there is a map, else photos
     area: Literal['auto', 'walkable', 'free_space', 'photos'] = 'auto'
     # metres between grid positions; default: 0.05 on a floor, 0.2 around photos
-    interval: Optional[float] = None
+    interval: float | None = None
     yaws: int = 72           # headings at a position on the floor, evenly spaced; 0 = any
     robot_radius: float = 0.2  # metres that the camera keeps off the edge of free floor
-    camera_height: Optional[float] = None  # z of the camera; default: the map's or the photos'
+    camera_height: float | None = None  # z of the camera; default: the map's or the photos'
     radius: float = 0.3      # metres around the photos that a hand-held camera can be
     positions: int = 1000    # positions to render, drawn from the grid
-    sharp_only: Optional[bool] = None  # draw blurred views again; default: for `photos` only
+    sharp_only: bool | None = None  # draw blurred views again; default: for `photos` only
 
     def __post_init__(self) -> None:
         if not ((self.interval is None or 0 < self.interval < math.inf)
@@ -65,7 +65,7 @@ class PoseSampler:
     pitch_roll: tuple[tuple[float, float], tuple[float, float]]
     height: tuple[float, float]
     yaws: int = 0
-    floor: Optional[WalkableMap] = None
+    floor: WalkableMap | None = None
 
     def __post_init__(self) -> None:
         if not len(self.positions_xy):

@@ -1,7 +1,7 @@
 """The hand-over between captures and training: images with poses and one set of intrinsics."""
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Callable, Sequence
 
 import cv2
 from neo_ros.errors import SceneError

@@ -2,7 +2,6 @@
 from dataclasses import dataclass
 import logging
 from pathlib import Path
-from typing import Optional
 
 from neo_ros.errors import SceneError
 from neo_ros.geometry import ViewExpansion
@@ -29,9 +28,9 @@ class Scene:
 
     name: str
     train: PosedImages
-    test: Optional[PosedImages]
-    expansion: Optional[ViewExpansion]
-    walkable: Optional[WalkableMap]
+    test: PosedImages | None
+    expansion: ViewExpansion | None
+    walkable: WalkableMap | None
 
 
 def read_scene(folder: Path) -> Scene:

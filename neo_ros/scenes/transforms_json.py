@@ -7,7 +7,7 @@ camera for all: files of other cameras are for `transforms_capture`, which `neo 
 import json
 import logging
 from pathlib import Path
-from typing import Any, Optional
+from typing import Any
 
 from neo_ros.errors import SceneError
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
@@ -61,7 +61,7 @@ def read_transforms(path: Path) -> PosedImages:
                        document.get('z_up') is True, document.get('arbitrary_scale') is True)
 
 
-def read_input_crop(path: Path) -> Optional[ViewExpansion]:
+def read_input_crop(path: Path) -> ViewExpansion | None:
     """Return the expansion that a file of wide truth states as `input_crop`, if it does."""
     document = _read_json(path)
     crop = document.get('input_crop')
@@ -76,7 +76,7 @@ def read_input_crop(path: Path) -> Optional[ViewExpansion]:
 
 
 def write_transforms(path: Path, images: PosedImages,
-                     expansion: Optional[ViewExpansion] = None) -> None:
+                     expansion: ViewExpansion | None = None) -> None:
     """
     Write a transforms file for images that lie in or below its folder.
 

@@ -1,10 +1,10 @@
 """Checkpoints of a training: nested dicts of numbers, texts, numpy arrays and tensors."""
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 import json
 from pathlib import Path
 import time
-from typing import Any, Callable
+from typing import Any
 
 from neo_ros.errors import NeoError, SceneError
 from neo_ros.machine.files import whole_file, write_bytes

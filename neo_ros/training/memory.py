@@ -6,7 +6,6 @@ import json
 from pathlib import Path
 import shutil
 import time
-from typing import Optional
 
 from neo_ros.baking.keyframes import bake_memory, MemoryConfig, Photos
 from neo_ros.baking.landmarks import find_landmarks
@@ -61,7 +60,7 @@ def memory_step(run: TrainingRun, field: RadianceField) -> None:
         write_model_card(model, card.model_copy(update=news))
 
 
-def memory_seconds(notes: Path, config: MemoryConfig) -> Optional[float]:
+def memory_seconds(notes: Path, config: MemoryConfig) -> float | None:
     """Return how long a scene memory took, None where it was not made, or of other settings."""
     try:
         found = json.loads(notes.read_text())

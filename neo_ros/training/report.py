@@ -1,7 +1,6 @@
 """The report at the end of a training: what the field shows, what the model makes of it."""
 from dataclasses import dataclass
 import json
-from typing import Optional
 
 from neo_ros.evaluation.calibration import judge_confidence
 from neo_ros.evaluation.evaluate import MethodScores, TruthFrames
@@ -39,7 +38,7 @@ class Scoring:
                            'methods': [result.to_dict() for result in self.results]}, indent=1)
 
 
-def write_training_report(run: TrainingRun, field: RadianceField, scoring: Optional[Scoring],
+def write_training_report(run: TrainingRun, field: RadianceField, scoring: Scoring | None,
                           ) -> dict[str, float]:
     """
     Write report.html (and scores.json, if the scene has test frames) into the run's folder.

@@ -1,7 +1,6 @@
 """One run of the pipeline: what is trained, on which photos, and where its files go."""
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Optional
 
 from neo_ros.errors import ConfigError
 from neo_ros.evaluation.evaluate import TruthFrames
@@ -45,7 +44,7 @@ class TrainingRun:
         held_out = set(range(HELD_OUT_EVERY // 2, len(self.scene.train), HELD_OUT_EVERY))
         self.fitted = self.scene.train.subset(
             [i for i in range(len(self.scene.train)) if i not in held_out])
-        self.held_out: Optional[PosedImages] = (
+        self.held_out: PosedImages | None = (
             self.scene.train.subset(sorted(held_out)) if held_out else None)
         self._check_view()
         check_network(self.expansion, self.experiment.network)

@@ -1,6 +1,4 @@
 """Step 2 of the paper: the wide views that a run trains its outpainter on, and validates it on."""
-from typing import Optional
-
 from neo_ros.errors import ConfigError
 from neo_ros.field.free_space import find_free_floor
 from neo_ros.field.voxel_field import RadianceField
@@ -18,7 +16,7 @@ import numpy as np
 VALIDATION_VIEWS = 32
 
 
-def held_out_views(run: TrainingRun, field: RadianceField) -> Optional[np.ndarray]:
+def held_out_views(run: TrainingRun, field: RadianceField) -> np.ndarray | None:
     """
     Return wide views RGBA uint8 (N, H, W, 4) of photos that nothing was trained on.
 
@@ -62,7 +60,7 @@ def make_stream(run: TrainingRun, field: RadianceField, seed: int) -> PairStream
     return stream
 
 
-def make_sampler(run: TrainingRun, field: Optional[RadianceField]) -> PoseSampler:
+def make_sampler(run: TrainingRun, field: RadianceField | None) -> PoseSampler:
     """Choose poses where the experiment says; only `free_space` needs the field."""
     config, area = run.experiment.sampling, run.sampling_area
     if area == 'photos':

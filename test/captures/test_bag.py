@@ -1,8 +1,9 @@
 """A recorded bag as a capture: cameras, calibrations and poses however they were recorded."""
 from collections import Counter
+from collections.abc import Callable
 import math
 from pathlib import Path
-from typing import Any, Callable, Optional
+from typing import Any
 
 from camera_bags import as_sqlite, CameraBag
 from capture_files import demo_photos, write_bag
@@ -37,7 +38,7 @@ def camera_poses() -> list[np.ndarray]:
     return [base_pose(i) @ T_BASE_OPTICAL for i in range(COUNT)]
 
 
-def add_camera(bag: CameraBag, topic: str = RAW, info: Optional[str] = RAW_INFO,
+def add_camera(bag: CameraBag, topic: str = RAW, info: str | None = RAW_INFO,
                compressed: bool = False, order: Any = range(COUNT), **changes: Any) -> None:
     for i in order:
         bag.image(topic, START + i * STEP, IMAGES[i], compressed=compressed)
@@ -468,7 +469,7 @@ def test_a_cut_off_bag_gives_what_is_left_of_it(tmp_path: Path) -> None:
     (3000, 5.0),
 ], ids=lambda value: str(value))
 def test_tracks_are_interpolated_where_they_are_known(stamp: int,
-                                                      expected: Optional[float]) -> None:
+                                                      expected: float | None) -> None:
     track = PoseTrack()
     # Metres along x at milliseconds; it stands still from 2 s to 4 s.
     for milliseconds, x in ((100, 1.0), (0, 0.0), (2000, 5.0), (4000, 5.0)):

@@ -1,10 +1,10 @@
 """Every format gives back the same photos and poses, and says clearly what is wrong."""
+from collections.abc import Callable
 from dataclasses import astuple
 import json
 import math
 from pathlib import Path
 import shutil
-from typing import Callable
 
 from capture_files import (
     CAMERA, demo_photos, START_NS, STEP_NS, write_bag, write_colmap_binary, write_colmap_text,

@@ -2,7 +2,6 @@
 from dataclasses import replace
 import math
 from pathlib import Path
-from typing import Optional
 
 from capture_files import demo_photos
 import cv2
@@ -143,7 +142,7 @@ def test_any_axis_may_point_up(
 
 @pytest.mark.parametrize('degrees, warned', [(10, None), (20, 20), (29, 29), (44, 44), (50, 40)])
 def test_a_world_that_no_quarter_turn_stands_up_is_told(
-        degrees: float, warned: Optional[int], caplog: pytest.LogCaptureFixture) -> None:
+        degrees: float, warned: int | None, caplog: pytest.LogCaptureFixture) -> None:
     photos = hand_held(rotation_from_vector(np.array([math.radians(degrees), 0, 0])))
     stood_up(Scene('room', photos, None, None, None))
     assert ('--level' in caplog.text) == (warned is not None)

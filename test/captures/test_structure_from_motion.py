@@ -1,9 +1,10 @@
 """Poses for photos without poses; skipped where pycolmap is not installed."""
+from collections.abc import Callable
 from dataclasses import replace
 import math
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, Callable
+from typing import Any
 
 from capture_files import write_image
 from neo_ros.captures.capture import Capture

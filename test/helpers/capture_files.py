@@ -1,11 +1,11 @@
 """One small posed capture of the demo flat, written as every format that `neo import` reads."""
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 import json
 import math
 from pathlib import Path
 import struct
-from typing import Sequence
 
 import cv2
 from neo_ros.bags import write_demo_bag

@@ -1,7 +1,6 @@
 """Small captures on disk for tests: pictures, poses, transforms files."""
 import math
 from pathlib import Path
-from typing import Optional
 
 import cv2
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
@@ -25,7 +24,7 @@ def write_picture(path: Path, image: np.ndarray) -> None:
 
 def write_capture(folder: Path, count: int = 3, camera: Intrinsics = CAMERA,
                   name: str = 'transforms_train.json', images: str = 'images',
-                  expansion: Optional[ViewExpansion] = None, suffix: str = '.png') -> PosedImages:
+                  expansion: ViewExpansion | None = None, suffix: str = '.png') -> PosedImages:
     """Write `count` pictures and their transforms file; poses go round in a circle."""
     paths = tuple(folder / images / f'{index}{suffix}' for index in range(count))
     for index, path in enumerate(paths):

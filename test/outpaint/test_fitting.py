@@ -1,6 +1,7 @@
+from collections.abc import Iterator
 from io import BytesIO
 import math
-from typing import Any, Iterator
+from typing import Any
 
 from hypothesis import given, settings, strategies as st
 from neo_ros.errors import ConfigError

@@ -1,8 +1,9 @@
+from collections.abc import Callable
 import json
 import logging
 import math
 from pathlib import Path
-from typing import Any, Callable
+from typing import Any
 
 from neo_ros.errors import SceneError
 from neo_ros.geometry import Intrinsics, ViewExpansion
