@@ -5,12 +5,13 @@ Gauss-Newton on the difference of grey images, coarse to fine, in six degrees of
 gain and bias free and Huber weights (Lucas and Kanade 1981; as in DSO, Engel et al. 2018).
 """
 import math
-from typing import NamedTuple
 
 import cv2
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.geometry.camera_pose import rotation_from_vector
 from neo_ros.memory import alignment_kernels as kernels
+from neo_ros.memory.alignment_kernels import GuideLevel, PhotoLevel, Warp
+from neo_ros.memory.kernels import Pinhole
 from neo_ros.memory.rendering import GuideView, MemoryRenderer
 from neo_ros.pictures.exposure import exposure_gain, MOST_GAIN
 import numpy as np
@@ -33,14 +34,6 @@ LEAST_OVERLAP = 0.3
 LOST = 0.05
 # Share of an image that somebody may hide.
 OCCLUDED = 0.35
-
-
-class PhotoLevel(NamedTuple):
-    """A camera image at one scale, grey float32 (h, w) in [0, 1], and its gradients."""
-
-    grey: np.ndarray
-    gradient_x: np.ndarray
-    gradient_y: np.ndarray
 
 
 class Aligner:
@@ -78,14 +71,11 @@ class Aligner:
         for _ in range(rounds):
             guide = self.renderer.render(pose, self.levels[0], ALIGNED_WITH)
             greys = self._pyramid(guide.image)
-            # From the guide's camera to the photo's; then what maps the photo's grey to the
-            # guide's.
-            T, gain, bias = np.eye(4), self._first_gain(photo[-1], greys[-1], guide), 0.0
+            warp = Warp(np.eye(4), self._first_gain(photo[-1], greys[-1], guide), 0.0)
             for level in range(coarsest, -1, -1):
-                T, gain, bias = self._align_level(
-                    level, photo[level], greys[level], self._depth(guide, level), T, gain, bias,
-                    near)
-            pose = CameraPose.nearest(pose.T_world_cam @ np.linalg.inv(T))
+                shown = GuideLevel(greys[level], self._depth(guide, level), self._rays[level])
+                warp = self._align_level(level, photo[level], shown, warp, near)
+            pose = CameraPose.nearest(pose.T_world_cam @ np.linalg.inv(warp.T))
             coarsest = min(coarsest, 1)
         return pose
 
@@ -107,35 +97,33 @@ class Aligner:
         size = (self.levels[level].width, self.levels[level].height)
         return cv2.resize(guide.depth, size, interpolation=cv2.INTER_NEAREST)
 
-    def _align_level(self, level: int, photo: PhotoLevel, guide: np.ndarray, depth: np.ndarray,
-                     T: np.ndarray, gain: float, bias: float, near: bool
-                     ) -> tuple[np.ndarray, float, float]:
-        camera = self.levels[level]
+    def _align_level(self, level: int, photo: PhotoLevel, guide: GuideLevel, warp: Warp,
+                     near: bool) -> Warp:
+        view, depth = self.levels[level], guide.depth
+        camera = Pinhole(view.fx, view.fy, view.cx, view.cy)
         away = max(float(np.median(depth[depth > 0])), 0.5) if (depth > 0).any() else 1.0
         H, g = np.empty((8, 8)), np.empty(8)
-        before, kept = np.inf, (T, gain, bias)
+        before, kept = np.inf, warp
         for iteration in range(ITERATIONS + 1):
             error, overlap = kernels.normal_equations(
-                *photo, guide, depth, self._rays[level], camera.fx, camera.fy, camera.cx,
-                camera.cy, T, gain, bias, GEMAN_MCCLURE if near else HUBER, near, H, g)
+                photo, guide, camera, warp, GEMAN_MCCLURE if near else HUBER, near, H, g)
             # Pixels that are lost must not look like an improvement.
             cost = error / overlap if overlap >= LOST else np.inf
             if cost > before:
-                T, gain, bias = kept
-                break
+                return kept
             if iteration == ITERATIONS:
                 break  # The last step, too, had to be an improvement.
-            kept, before = (T, gain, bias), cost
+            kept, before = warp, cost
             step = -np.linalg.solve(H + DAMPING * np.diag(np.diag(H) + 1e-6), g)
             move = np.eye(4)
             move[:3, :3], move[:3, 3] = rotation_from_vector(step[3:6]), step[:3]
-            T = move @ T
-            gain = float(np.clip(gain + step[6], 0.8 / MOST_GAIN, 1.25 * MOST_GAIN))
-            bias += float(step[7])
+            warp = Warp(move @ warp.T, float(np.clip(
+                warp.gain + step[6], 0.8 / MOST_GAIN, 1.25 * MOST_GAIN)),
+                warp.bias + float(step[7]))
             moved = camera.fx * (np.linalg.norm(step[:3]) / away + np.linalg.norm(step[3:6]))
             if moved < STILL:
                 break
-        return T, gain, bias
+        return warp
 
 
 def agreement(image: np.ndarray, guide: np.ndarray, known: np.ndarray) -> tuple[float, float]:

@@ -4,7 +4,8 @@ from typing import NamedTuple
 import cv2
 from neo_ros.geometry import CameraPose, ViewExpansion
 from neo_ros.memory.alignment import FINEST
-from neo_ros.memory.recent_kernels import bring_differences
+from neo_ros.memory.kernels import Pinhole
+from neo_ros.memory.recent_kernels import bring_differences, SeenImages
 import numpy as np
 
 # Images that are kept. A new one is kept beside the one before if surfaces have moved by this
@@ -113,12 +114,11 @@ class RecentImages:
         T = np.stack([self._poses[slot].inverse() @ pose.T_world_cam for slot in order])
         brought = np.empty((*small.shape, 3), np.float32)
         weight = np.empty(small.shape, np.float32)
-        camera = self._source
-        bring_differences(
-            self._rays, small, np.array(order), self._twins, T[:, :3, :3].astype(np.float32),
-            T[:, :3, 3].astype(np.float32), gain, np.float32(camera.fx), np.float32(camera.fy),
-            np.float32(camera.cx), np.float32(camera.cy), self._differences, self._depths,
-            self._trusts, brought, weight)
+        source = self._source
+        camera = Pinhole(*map(np.float32, (source.fx, source.fy, source.cx, source.cy)))
+        seen = SeenImages(self._differences, self._depths, self._trusts, np.array(order),
+                          T[:, :3, :3].astype(np.float32), T[:, :3, 3].astype(np.float32))
+        bring_differences(self._rays, small, gain, seen, self._twins, camera, brought, weight)
         if not weight.any():
             return None
         if size == self._size:

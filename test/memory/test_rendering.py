@@ -101,8 +101,9 @@ def is_empty_by_fresh_kernels() -> bool:
     assert specification and specification.loader
     fresh = importlib.util.module_from_spec(specification)
     specification.loader.exec_module(fresh)
-    return not fresh._is_hidden(0, 3, 0, 3, 1.0, 0, False, np.zeros((4, 4), np.float32),
-                                np.zeros((4, 4), np.int8))
+    canvas = kernels.Canvas(np.zeros((4, 4, 3), np.float32), np.zeros((4, 4), np.float32),
+                            np.zeros((4, 4), np.int8))
+    return not fresh._is_hidden(kernels.Box(0, 3, 0, 3), 1.0, 0, False, canvas)
 
 
 def full_disk(*arguments: object) -> None:

@@ -10,6 +10,7 @@ from neo_ros.machine.compiled import ALL_THREADS
 from neo_ros.machine.files import share_dir
 from neo_ros.memory import alignment, scene_guide
 from neo_ros.memory.alignment import agreement, Aligner
+from neo_ros.memory.alignment_kernels import GuideLevel, Warp
 from neo_ros.memory.rendering import GuideView, MemoryRenderer
 from neo_ros.memory.scene_guide import better, SceneGuide, Sight
 from neo_ros.runtime import FovExtrapolator
@@ -73,9 +74,9 @@ def test_a_step_that_loses_the_image_is_taken_back(
     # Grey that rises so little that only a turn by half a circle would make a bow of it.
     photo = aligner.photo(np.repeat(255 * (0.5 + 0.06 * across)[..., None], 3, axis=2))
     bow = (0.5 + 0.2 * across ** 2).astype(np.float32)
-    T, gain, bias = aligner._align_level(
-        0, photo[0], bow, np.full(bow.shape, 2, np.float32), np.eye(4), 1.0, 0.0, False)
-    assert np.array_equal(T, np.eye(4)) and (gain, bias) == (1.0, 0.0)
+    shown = GuideLevel(bow, np.full(bow.shape, 2, np.float32), aligner.levels[0].pixel_rays())
+    found = aligner._align_level(0, photo[0], shown, Warp(np.eye(4), 1.0, 0.0), False)
+    assert np.array_equal(found.T, np.eye(4)) and (found.gain, found.bias) == (1.0, 0.0)
 
 
 @pytest.mark.parametrize(('image', 'guide', 'known', 'expected'), [
