@@ -10,7 +10,7 @@ PYTHON ?=
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME \
 	PYTHONPATH RMW_IMPLEMENTATION ROS_DISTRO VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup train-setup dev-setup demo test bench soak fuzz lint constraints clean
+.PHONY: help setup train-setup dev-setup demo test bench soak fuzz lint docs constraints clean
 help:
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 22
 
@@ -36,6 +36,9 @@ fuzz: dev-setup  ## 100,000 broken messages for the message layer, 5,000 for a l
 lint: dev-setup  ## style and types
 	$(BIN)/flake8
 	$(BIN)/mypy
+
+docs: dev-setup  ## the generated tables of docs/, from results/ and the code
+	$(BIN)/python -m neo_ros.documents
 
 constraints:  ## newest versions of all packages into constraints.txt (takes minutes)
 	rm -rf $(VENV)-newest

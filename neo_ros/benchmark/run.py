@@ -7,11 +7,11 @@ from neo_ros.benchmark.page import write_benchmark_report
 from neo_ros.benchmark.protocols import check_split
 from neo_ros.benchmark.scoring import run_benchmark, write_rows
 from neo_ros.benchmark.suites import config_folder, SPLITS_FILE
-from neo_ros.benchmark.tables import markdown, put_between_markers
+from neo_ros.benchmark.tables import markdown
 from neo_ros.benchmark.workbench import Job, Workbench
 from neo_ros.errors import ConfigError
 from neo_ros.evaluation.evaluate import MethodScores
-from neo_ros.machine.files import make_output_folder, share_dir, write_bytes
+from neo_ros.machine.files import make_output_folder, write_bytes
 from neo_ros.machine.progress import StageProgress
 
 
@@ -47,13 +47,6 @@ def run_jobs(jobs: dict[str, Job], names: Sequence[str], work: Path, rows_file: 
     write_bytes(work / f'{title}.md', table.encode())
     write_benchmark_report(work / f'{title}.html', benches, benchmarks)
     return table
-
-
-def publish(suite: str, table: str) -> None:
-    """Put the tables of a whole suite into docs/benchmarks.md, in a source checkout."""
-    document = share_dir() / 'docs' / 'benchmarks.md'
-    if document.is_file():
-        put_between_markers(document, suite, table)
 
 
 def installed(names: Sequence[str], progress: StageProgress) -> list[str]:

@@ -1,13 +1,11 @@
 """The tables of a benchmark in Markdown, with the paper's figures beside ours."""
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 from typing import Any
 
 from neo_ros.benchmark.methods import METHODS
 from neo_ros.benchmark.paper_figures import PAPER, PAPER_SCENES
 from neo_ros.evaluation.evaluate import MethodScores
 from neo_ros.evaluation.metrics import summarise
-from neo_ros.machine.files import write_bytes
 
 # A table for each part of the wide image, with these columns.
 _PARTS = ('ring', 'seam', 'whole')
@@ -66,17 +64,6 @@ def paper_gap(protocol: str) -> str:
         low, neo, high = (PAPER[name][scene][0] for name in ('naive', 'NEO', 'oracle'))
         shares.append(f'{_number((neo - low) / (high - low), 0, 100, " %")} ({scene})')
     return ', '.join(shares)
-
-
-def put_between_markers(document: Path, name: str, text: str) -> None:
-    """Replace what stands between the two markers of a name in a document that has them."""
-    begin, end = f'<!-- {name} begin -->', f'<!-- {name} end -->'
-    content = document.read_text()
-    if begin not in content or end not in content:
-        return
-    before, rest = content.split(begin, 1)
-    after = rest.split(end, 1)[1]
-    write_bytes(document, f'{before}{begin}\n{text}{end}{after}'.encode())
 
 
 def best_practical(results: Sequence[MethodScores], score: str = 'ring_psnr') -> str | None:

@@ -52,7 +52,7 @@ def benchmark(
 
     from neo_ros.benchmark.bundle import bundled
     from neo_ros.benchmark.methods import check_methods
-    from neo_ros.benchmark.run import installed, publish, run_jobs
+    from neo_ros.benchmark.run import installed, run_jobs
     from neo_ros.benchmark.suites import prepare_demo, read_suite, suite_jobs
     from neo_ros.benchmark.workbench import Job
     from neo_ros.cli.options import refuse
@@ -96,12 +96,12 @@ def benchmark(
             table = run_jobs(jobs, names, work, rows_file, name, show, frozen=scene is None)
     print(table)  # As it is: rich would break its lines.
     if whole and out is None:
-        publish(name, table)
+        write_bytes(kept.with_suffix('.md'), table.encode())
         write_bytes(kept, rows_file.read_bytes())
         rows_file = kept
     elif scene is None and not whole:
         missing = ', '.join(method for method in plan.methods if method not in names)
         rich.print(f'Not run: {escape(missing)}. What is kept of the whole suite '
-                   f'({escape(str(kept))}, docs/benchmarks.md) stays as it was.')
+                   f'({escape(str(kept))} and .md) stays as it was.')
     rich.print(f'Written: {escape(str(rows_file))}, '
                f'{escape(str(work / name))}.md and {escape(str(work / name))}.html')

@@ -6,7 +6,6 @@ from neo_ros.benchmark.protocols import (
     check_split, choose_view, fitting_network, split_checksums, split_walks)
 from neo_ros.benchmark.suites import (
     config_folder, merged, prepare_demo, read_suite, SPLITS_FILE, suite_jobs)
-from neo_ros.benchmark.tables import put_between_markers
 from neo_ros.benchmark.workbench import Job, Workbench
 from neo_ros.errors import ConfigError, SceneError
 from neo_ros.experiment import Experiment, ViewConfig
@@ -167,15 +166,6 @@ def test_settings_are_laid_over_one_another():
 def test_jobs_are_checked(changed, field):
     with pytest.raises(ConfigError, match=field):
         Job(**{'scene': '.', 'protocol': 'square', 'scale': 'full', 'minutes': 1.0, **changed})
-
-
-def test_tables_go_between_their_markers(tmp_path):
-    document = tmp_path / 'page.md'
-    document.write_text('a\n<!-- x begin -->\nold\n<!-- x end -->\nb\n')
-    put_between_markers(document, 'x', 'new\n')
-    assert document.read_text() == 'a\n<!-- x begin -->\nnew\n<!-- x end -->\nb\n'
-    put_between_markers(document, 'y', 'other')
-    assert 'other' not in document.read_text()
 
 
 def test_the_demo_flat_is_rendered_where_it_is_missing(tmp_path, monkeypatch):

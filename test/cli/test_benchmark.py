@@ -72,14 +72,13 @@ def tiny_suite(flat_scene, tmp_path, monkeypatch):
         'scenes': {'flat': {**entry, 'frames': 2}}, 'settings': {}}))
     bench = Workbench(Job(str(flat_scene), **entry), tmp_path / 'other', lambda *progress: None)
     (tmp_path / 'splits.json').write_text(json.dumps({'flat': bench.checksums}))
-    (tmp_path / 'docs').mkdir()
-    document = tmp_path / 'docs/benchmarks.md'
-    document.write_text('<!-- tiny begin -->\nbefore\n<!-- tiny end -->\n')
+    (tmp_path / 'results').mkdir()
+    tables = tmp_path / 'results/tiny.md'
+    tables.write_text('before')
     for module in (suites, run):
         monkeypatch.setattr(module, 'config_folder', lambda: tmp_path)
-    monkeypatch.setattr(run, 'share_dir', lambda: tmp_path)
     monkeypatch.chdir(tmp_path)
-    return document
+    return tables
 
 
 def test_a_part_of_a_suite_replaces_nothing_that_is_kept(tiny_suite, tmp_path):
@@ -97,10 +96,10 @@ def test_a_part_of_a_suite_replaces_nothing_that_is_kept(tiny_suite, tmp_path):
     assert 'Written: results/tiny.json' in run_suite()
     assert [row['method'] for row in json.loads(kept.read_text())] == [
         'edge_replication', 'mean_image']
-    document = tiny_suite.read_text()
-    assert '| edge_replication |' in document and 'before' not in document
+    tables = tiny_suite.read_text()
+    assert '| edge_replication |' in tables and 'before' not in tables
     run_suite('--methods', 'mean_image')
-    assert len(json.loads(kept.read_text())) == 2 and tiny_suite.read_text() == document
+    assert len(json.loads(kept.read_text())) == 2 and tiny_suite.read_text() == tables
 
 
 def test_a_bundle_is_cut_into_files_that_are_one_archive(tmp_path, monkeypatch):

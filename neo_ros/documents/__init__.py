@@ -1,0 +1,1 @@
+"""The tables of docs/, made from results/, the command line and the code: `make docs`."""

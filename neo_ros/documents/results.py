@@ -1,0 +1,209 @@
+"""Tables of docs/results/ from the files in results/."""
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+import json
+from pathlib import Path
+from typing import Any
+
+from neo_ros.benchmark.paper_figures import PAPER, PAPER_SCENES
+from neo_ros.documents.pages import Maker, table
+from neo_ros.errors import NeoError
+
+Row = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column: its head, the key of a row (dots lead inwards), its format, a factor before."""
+
+    head: str
+    key: str
+    form: str = '{}'
+    factor: float = 1
+
+    def cell(self, row: Row) -> str:
+        """Return the text of a row; empty where the row has no value."""
+        value: Any = row
+        for part in self.key.split('.'):
+            value = None if value is None else value.get(part)
+        if value is None:
+            return ''
+        return self.form.format(value if isinstance(value, str) else value * self.factor)
+
+
+@dataclass(frozen=True)
+class Rows:
+    """A table of the rows of a file, those that `keep` holds for."""
+
+    file: str
+    columns: tuple[Column, ...]
+    keep: Callable[[Row], bool] = lambda row: True
+
+
+DB, RATIO, MS = '{:.2f}', '{:.3f}', '{:.1f}'
+METHOD = (
+    Column('method', 'method', '`{}`'), Column('ring PSNR, dB', 'ring_psnr', DB),
+    Column('ring SSIM', 'ring_ssim', RATIO), Column('ring LPIPS VGG', 'ring_lpips_vgg', RATIO),
+    Column('whole PSNR, dB', 'whole_psnr', DB), Column('minutes', 'train_minutes', '{:.1f}'))
+COMPARED = (
+    Column('network', 'name'), Column('views seen', 'samples', '{:,}'),
+    Column('GFLOP', 'gflop', DB), Column('ms', 'milliseconds', MS),
+    Column('MB', 'megabytes', '{:.1f}'), Column('held-out photos, dB', 'validation_psnr', DB),
+    Column('test frames, dB', 'ring_psnr', DB))
+ABLATION = (
+    Column('setting', 'name'), Column('views seen', 'samples', '{:,}'),
+    Column('held-out photos, dB', 'validation_psnr', DB),
+    Column('test frames, dB', 'ring_psnr', DB))
+FIELD = (
+    Column('scene', 'scene'), Column('field', 'implementation'), Column('voxels', 'config_hash'),
+    Column('minutes', 'minutes', '{:.0f}'), Column('steps', 'steps', '{:,}'),
+    Column('held-out photos, dB', 'held_out_psnr', DB),
+    Column('wide views, dB', 'whole_psnr', DB), Column('SSIM', 'whole_ssim', RATIO),
+    Column('LPIPS VGG', 'whole_lpips_vgg', RATIO))
+NODE = (
+    Column('', 'name'), Column('images out, Hz', 'rate_hz', MS),
+    Column('median, ms', 'median_ms', MS), Column('p95, ms', 'p95_ms', MS),
+    Column('p99, ms', 'p99_ms', MS),
+    Column('of it decode, check, publish, ms', 'details.decode_check_publish_ms', MS))
+TIMED = (
+    Column('', 'name'), Column('median, ms', 'median_ms', MS), Column('p99, ms', 'p99_ms', MS),
+    Column('over the floor', 'measured_over_floor', '{:.1f}'))
+SOAK = (
+    Column('seconds', 'seconds', '{:.0f}'), Column('busy processes beside it', 'hogs'),
+    Column('images out, Hz', 'mean_rate_hz', MS),
+    Column('median, ms', 'latency_ms.whole.median', MS),
+    Column('p99, ms', 'latency_ms.whole.p99', MS), Column('most, ms', 'latency_ms.whole.max', MS),
+    Column('memory first, MB', 'rss_mb.first', '{:.0f}'),
+    Column('memory last, MB', 'rss_mb.last', '{:.0f}'),
+    Column('diagnostics late', 'missed_beats'))
+HARD = (
+    Column('images', 'case'), Column('known by the memory', 'known', '{:.0f} %', 100),
+    Column('guided ring, dB', 'ring_psnr', DB), Column('network alone, dB', 'network_psnr', DB),
+    Column('ahead on the worst walk, dB', 'worst_walk', DB),
+    Column('images until found', 'search'))
+OUTSIDE = (
+    Column('frames', 'frames'), Column('count', 'count'),
+    Column('known by the memory', 'known', '{:.0f} %', 100), Column('score', 'score', DB),
+    Column('AUROC', 'auroc', RATIO), Column('score, network alone', 'network_score', DB),
+    Column('AUROC, network alone', 'network_auroc', RATIO))
+
+TABLES: dict[str, Rows] = {
+    **{name: Rows(name, METHOD) for name in (
+        'staircase_60', 'living_room_40', 'redkitchen_30', 'redkitchen_6')},
+    **{name: Rows(name, COMPARED) for name in (
+        'compare_networks', 'compare_small', 'compare_widths', 'quality_over_time')},
+    **{name: Rows(name, ABLATION) for name in (
+        'compare_ablations', 'compare_ablations_more', 'compare_ablations_redkitchen')},
+    'field_curve': Rows('field_curve', FIELD),
+    'node': Rows('node', NODE), 'networks': Rows('networks', TIMED),
+    'stream': Rows('stream', TIMED), 'soak': Rows('soak', SOAK), 'hogs': Rows('hogs', SOAK),
+    'hard_times': Rows('hard_times', HARD), 'out_of_scene': Rows('out_of_scene', OUTSIDE),
+}
+# Over all scenes of a suite: the key of a row, its format and a factor.
+MEASURES = {
+    'ring_psnr': (DB, 1.0), 'ring_lpips_vgg': (RATIO, 1.0), 'ring_ssim': (RATIO, 1.0),
+    'oracle_gap_closed': ('{:.0f} %', 100.0), 'warping_error': ('{:.2f}', 1e3),
+    'latency_ms_median': (MS, 1.0), 'train_minutes': ('{:.1f}', 1.0), 'model_mb': ('{:.1f}', 1.0)}
+
+
+def rows_of(root: Path, file: str) -> list[Row]:
+    """Return the rows of a file in results/, whatever else it holds."""
+    content = _read(root, file)
+    if isinstance(content, list):
+        return content
+    return content.get('rows') or content.get('records') or [content]
+
+
+def sources(root: Path, *names: str) -> str:
+    """
+    Return what the figures of a page were made by, at which commit, on which machine.
+
+    names are files in results/, or entries of results/stated.json as `stated:ENTRY`.
+    """
+    notes, taken_over = _read(root, 'sources'), _read(root, 'stated')
+    lines = []
+    for name in names:
+        file, _, entry = name.partition(':')
+        note = taken_over[entry] if entry else notes[file]
+        made = [note] if entry else [*rows_of(root, file), _header(_read(root, file)), note]
+        known = (', '.join(_distinct(made, 'commit')), '; '.join(_distinct(made, 'host')),
+                 note.get('note'))
+        lines.append(f'- [{entry or file}](../../results/{file}.json): `{note["command"]}`; '
+                     f'commit {"; ".join(filter(None, known))}')
+    return '\n'.join(lines)
+
+
+def rows(root: Path, name: str) -> str:
+    """Return the table of a file, by its name in TABLES."""
+    plan = TABLES[name]
+    words = _read(root, 'sources')[plan.file].get('labels', {})
+    cells = [[words.get(cell, cell) for cell in (column.cell(row) for column in plan.columns)]
+             for row in rows_of(root, plan.file) if plan.keep(row)]
+    # A column in which nothing stands is left out.
+    kept = [i for i in range(len(plan.columns)) if any(line[i] for line in cells)]
+    return table([plan.columns[i].head for i in kept], [[line[i] for i in kept] for line in cells])
+
+
+def suite(root: Path, file: str, measure: str) -> str:
+    """Return one measure of a suite: a row for each method, a column for each scene."""
+    form, factor = MEASURES[measure]
+    found = {(row['method'], row['scene']): row.get(measure) for row in rows_of(root, file)}
+    scenes = list(dict.fromkeys(scene for _, scene in found))
+    return table(['method', *scenes], [
+        [f'`{method}`', *(_figure(found.get((method, scene)), form, factor) for scene in scenes)]
+        for method in dict.fromkeys(method for method, _ in found)])
+
+
+def stated(root: Path, name: str) -> str:
+    """Return a table that was taken over from notes: see results/stated.json."""
+    content = _read(root, 'stated')[name]
+    return table(content['columns'], [list(map(str, row)) for row in content['rows']])
+
+
+def paper(root: Path) -> str:
+    """Return the paper's own figures: PSNR / SSIM / LPIPS VGG of the whole image."""
+    scenes = [scene for protocol in PAPER_SCENES.values() for scene in protocol]
+    return table(['method', *scenes], [
+        [name, *('{:.2f} / {:.3f} / {:.3f}'.format(*figures[scene]) for scene in scenes)]
+        for name, figures in PAPER.items()])
+
+
+def quality_over_time(root: Path) -> bytes:
+    """Return the plot of `neo_fast` over minutes of training, SVG."""
+    from neo_ros.reports.plot import Plot, plot_svg, Series
+    found = rows_of(root, 'quality_over_time')
+    minutes = [row['minutes'] for row in found]
+    return plot_svg(Plot('', 'minutes of training', 'ring PSNR, dB', [
+        Series('held-out photos', minutes, [row['validation_psnr'] for row in found]),
+        Series('test frames', minutes, [row['ring_psnr'] for row in found])]))
+
+
+MAKERS: dict[str, Maker] = {
+    'sources': sources, 'rows': rows, 'suite': suite, 'stated': stated, 'paper': paper}
+PLOTS: dict[str, Callable[[Path], bytes]] = {'quality_over_time.svg': quality_over_time}
+
+
+def _read(root: Path, name: str) -> Any:
+    path = root / 'results' / f'{name}.json'
+    try:
+        return json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        raise NeoError(f'{path}: expected a JSON file: {error}') from error
+
+
+def _header(content: Any) -> Row:
+    """Return commit and machine of a whole file, where it says them once."""
+    if not isinstance(content, dict):
+        return {}
+    machine = content.get('host')
+    if isinstance(machine, dict):
+        return {'commit': machine['commit'], 'host': machine['cpu']}
+    return {'commit': content.get('commit'), 'host': machine}
+
+
+def _distinct(made: Iterable[Row], key: str) -> list[str]:
+    return list(dict.fromkeys(row[key] for row in made if isinstance(row.get(key), str)))
+
+
+def _figure(value: float | None, form: str, factor: float) -> str:
+    return '' if value is None else form.format(value * factor)
