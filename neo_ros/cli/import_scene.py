@@ -32,6 +32,8 @@ def import_scene(
         '--level', help='Turn the world so that z points up, as the photos were held.')] = False,
     scale: Annotated[float | None, typer.Option(
         help='Multiply all lengths by this factor; for models that are not in metres.')] = None,
+    fisheye_view: Annotated[float | None, typer.Option(
+        help='Degrees of the widest view that is cut out of a fisheye; default: 120.')] = None,
     size: Annotated[int | None, typer.Option(
         help='Demo only: edge of the training photos in pixels; default: 128.', min=16)] = None,
     photos: Annotated[int | None, typer.Option(
@@ -59,7 +61,7 @@ def import_scene(
             refuse('the demo has its own', test_runs=test_runs or None, format=format_name,
                    image_topic=image_topic, pose_topic=pose_topic,
                    keyframe_distance=keyframe_distance, keyframe_angle=keyframe_angle,
-                   level=level, scale=scale)
+                   level=level, scale=scale, fisheye_view=fisheye_view)
             write_demo_scene(scene, image_size=size or 128, n_train=photos or 1000,
                              progress=lambda done, total: show('images', done, total))
         else:
@@ -71,9 +73,10 @@ def import_scene(
             if format_ == CaptureFormat.SCENE:
                 refuse(f'for captures, {source} is a scene already and is copied as it is',
                        keyframe_distance=keyframe_distance, keyframe_angle=keyframe_angle,
-                       level=level, scale=scale)
+                       level=level, scale=scale, fisheye_view=fisheye_view)
             notes = import_capture(Path(source), scene, format_, ImportOptions(
-                image_topic, pose_topic, keyframe_distance, keyframe_angle, level, scale), show)
+                image_topic, pose_topic, keyframe_distance, keyframe_angle, level, scale,
+                fisheye_view), show)
         found, notes = finish_scene(scene, notes, test_runs, show)
     camera = found.train.intrinsics
     tests = 'no test frames' if found.test is None else f'{len(found.test)} test frames'
