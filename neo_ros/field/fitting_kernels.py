@@ -46,14 +46,14 @@ class SampleSlopes(NamedTuple):
     The samples of R rays, S at most of each, and the gradient of every one.
 
     cell int64 (R, S); float32: frac (R, S, 3), d_density (R, S), d_rgb (R, S, 3) with respect to
-    the sigmoid's argument; count int64 (R,).
+    the sigmoid's argument; counts int64 (R,).
     """
 
     cell: np.ndarray
     frac: np.ndarray
     d_density: np.ndarray
     d_rgb: np.ndarray
-    count: np.ndarray
+    counts: np.ndarray
 
 
 class _Pixel(NamedTuple):
