@@ -11,7 +11,8 @@ ROBOT = [
     'lz4',
     'matplotlib',
     'mcap',
-    'numba',
+    # machine/compiled.py uses private parts; test/machine/test_compiled.py names what broke.
+    'numba<0.69',
     'numpy',
     'onnxruntime',
     'opencv-python-headless',

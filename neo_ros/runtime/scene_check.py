@@ -23,16 +23,24 @@ HISTOGRAM = STEPS ** 3
 MEASURES = HISTOGRAM + 5
 # Colours are counted on about so many pixels a side: more change little but the time.
 SMALL_SIDE = 96
-# Added to the covariance, as a share of its mean variance: colours that no photo has would
-# otherwise have no variance at all.
-SHRINKAGE = 0.1
-# One photo in five sets the threshold instead of the Gaussian, whose own photos flatter it.
-CALIBRATION_EVERY = 5
-# Photos at random poses also look at bare walls from close by, which tell little of the scene.
-USUAL_SHARE = 0.9
-STEEPNESS = 4.0
-MOST_GAIN = 1.25
-LEAST_PHOTOS = 20
+
+
+@dataclass(frozen=True)
+class SceneCheckThresholds:
+    """How a reference is fitted, and how a score follows from how unusual an image is."""
+
+    # Added to the covariance, as a share of its mean variance: colours that no photo has would
+    # otherwise have no variance at all.
+    shrinkage: float = 0.1
+    # One photo in five sets the threshold instead of the Gaussian, whose own photos flatter it.
+    calibration_every: int = 5
+    # Photos at random poses also look at bare walls from close by, which tell little of the scene.
+    usual_share: float = 0.9
+    steepness: float = 4.0
+    # A camera's exposure is not always the one of the training photos.
+    most_gain: float = 1.25
+    # Fewer photos say too little.
+    least_photos: int = 20
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +74,9 @@ class SceneReference:
 class SceneCheck:
     """Scores images against the reference of one scene."""
 
-    def __init__(self, reference: SceneReference, expansion: ViewExpansion) -> None:
+    def __init__(self, reference: SceneReference, expansion: ViewExpansion,
+                 thresholds: SceneCheckThresholds = SceneCheckThresholds()) -> None:
+        self._steepness = thresholds.steepness
         self._expansion = expansion
         self._mean = _unpack(reference.mean)
         self._whitening = _unpack(reference.whitening).reshape(MEASURES, MEASURES)
@@ -82,42 +92,44 @@ class SceneCheck:
         """
         measures = measure_image(image, confidence, self._expansion)
         unusual = float(_unusual(measures, self._mean, self._whitening))
-        return 1 / (1 + (self._threshold / max(unusual, 1e-9)) ** STEEPNESS)
+        return 1 / (1 + (self._threshold / max(unusual, 1e-9)) ** self._steepness)
 
 
 def fit_scene_reference(photos: np.ndarray,
                         predict_confidence: Callable[[np.ndarray], np.ndarray],
-                        expansion: ViewExpansion) -> SceneReference | None:
+                        expansion: ViewExpansion,
+                        thresholds: SceneCheckThresholds = SceneCheckThresholds()
+                        ) -> SceneReference | None:
     """
     Learn what the scene looks like from its photos, as they are and a little brighter or darker.
 
     `photos`: uint8 RGB (N, h, w, 3). `predict_confidence` runs the network on one and returns
-    its confidence, uint8 (H, W). Returns None for fewer than 20 photos, which say too little.
+    its confidence, uint8 (H, W). Returns None for fewer than `thresholds.least_photos`.
     """
-    if len(photos) < LEAST_PHOTOS:
+    if len(photos) < thresholds.least_photos:
         return None
     random = np.random.default_rng(0)
     measures = []
     for index, photo in enumerate(photos):
-        # A camera's exposure is not always the one of the training photos.
-        gain = np.exp(random.uniform(-1, 1) * np.log(MOST_GAIN)) if index % 2 else 1.0
+        gain = np.exp(random.uniform(-1, 1) * np.log(thresholds.most_gain)) if index % 2 else 1.0
         image = np.minimum(np.rint(photo * gain), 255).astype(np.uint8)
         measures.append(measure_image(image, predict_confidence(image), expansion))
-    return _fit(np.stack(measures))
+    return _fit(np.stack(measures), thresholds)
 
 
-def _fit(measures: np.ndarray) -> SceneReference:
-    calibration = np.arange(len(measures)) % CALIBRATION_EVERY == CALIBRATION_EVERY // 2
+def _fit(measures: np.ndarray, thresholds: SceneCheckThresholds) -> SceneReference:
+    every = thresholds.calibration_every
+    calibration = np.arange(len(measures)) % every == every // 2
     fitted = measures[~calibration]
     mean, spread = fitted.mean(0), fitted.std(0) + 1e-3
     # All colours share one spread, or the rare ones would count as much as the common ones.
     spread[:HISTOGRAM] = fitted[:, :HISTOGRAM].std() + 1e-3
     covariance = np.cov(((fitted - mean) / spread).T)
-    covariance += SHRINKAGE * np.trace(covariance) / MEASURES * np.eye(MEASURES)
+    covariance += thresholds.shrinkage * np.trace(covariance) / MEASURES * np.eye(MEASURES)
     whitening = np.linalg.inv(np.linalg.cholesky(covariance)) / spread
     unusual = _unusual(measures[calibration], mean, whitening)
     return SceneReference(mean=_pack(mean), whitening=_pack(whitening),
-                          threshold=round(float(np.quantile(unusual, USUAL_SHARE)), 4))
+                          threshold=round(float(np.quantile(unusual, thresholds.usual_share)), 4))
 
 
 def measure_image(image: np.ndarray, confidence: np.ndarray,

@@ -16,7 +16,7 @@ from neo_ros.baking.keyframes import keyframe_glances, keyframe_size, mesh_depth
 from neo_ros.field.panorama import view_band
 from neo_ros.flat.demo_flat import build_demo_flat, DemoFlat
 from neo_ros.geometry import Band, CameraPose, Intrinsics, ViewExpansion
-from neo_ros.memory.landmarks import Landmarks, LEAST_PHOTOS, magnification
+from neo_ros.memory.landmarks import Landmarks, LandmarkThresholds, magnification
 from neo_ros.memory.local_features import find_features
 from neo_ros.memory.scene_memory import Keyframe, SceneMemory
 from neo_ros.runtime import FovExtrapolator, read_model_card
@@ -117,8 +117,8 @@ def exact_landmarks(flat: DemoFlat, camera: Intrinsics, poses: Sequence[CameraPo
         descriptors.append(features.descriptors)
     every = np.arange(sum(map(len, points)))
     return Landmarks.from_observations(
-        np.concatenate(points), np.tile(every, LEAST_PHOTOS),
-        np.tile(np.concatenate(descriptors), (LEAST_PHOTOS, 1)))
+        np.concatenate(points), np.tile(every, LandmarkThresholds.least_photos),
+        np.tile(np.concatenate(descriptors), (LandmarkThresholds.least_photos, 1)))
 
 
 def _follow(extrapolator: FovExtrapolator, images: Sequence[np.ndarray]
