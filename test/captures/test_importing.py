@@ -7,6 +7,7 @@ from neo_ros.captures.formats import CaptureFormat
 from neo_ros.captures.importing import import_capture, ImportOptions
 from neo_ros.errors import ConfigError, SceneError
 from neo_ros.geometry import CameraPose, Intrinsics
+from neo_ros.machine.progress import no_stage_progress
 from neo_ros.scenes.scene import read_scene
 import numpy as np
 import pytest
@@ -29,7 +30,7 @@ def write_drive(path: Path, **info: object) -> Path:
 
 
 def imported(bag: Path, scene: Path, options: ImportOptions) -> Intrinsics:
-    import_capture(bag, scene, CaptureFormat.BAG, options, lambda stage, done, total: None)
+    import_capture(bag, scene, CaptureFormat.BAG, options, no_stage_progress)
     return read_scene(scene).train.intrinsics
 
 
