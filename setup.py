@@ -7,7 +7,6 @@ from setuptools import find_packages, setup
 
 NAME = 'neo_ros'
 ROBOT = [
-    'apsw',
     'jinja2',
     'lz4',
     'matplotlib',
@@ -17,7 +16,6 @@ ROBOT = [
     'numpy',
     'onnxruntime',
     'opencv-python-headless',
-    'pydantic>=2',
     'pyyaml',
     'rich',
     'rosbags>=0.11',
@@ -30,7 +28,7 @@ if 'ROS_DISTRO' not in os.environ and 'AMENT_PREFIX_PATH' not in os.environ:
     ROBOT += ['ros-jazzy-common-interfaces', 'ros-jazzy-rclpy[fastrtps]']
 TEST = ['hypothesis', 'pytest', 'pytest-timeout']
 EXTRAS = {
-    'train': ['onnx', 'onnxscript', 'pycolmap', 'scipy', 'tensorboard', 'torch'],
+    'train': ['onnx', 'onnxscript', 'pycolmap', 'pydantic>=2', 'scipy', 'tensorboard', 'torch'],
     # The page of `neo view`.
     'viewer': ['aiohttp'],
     # The video of `neo replay --side-by-side`.

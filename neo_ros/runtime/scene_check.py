@@ -8,12 +8,13 @@ room, a covered lens, darkness and blur all are.
 import base64
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+import sys
 
 import cv2
+from neo_ros.errors import ModelError
 from neo_ros.geometry import ViewExpansion
+from neo_ros.runtime.card_fields import check_number, check_text
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, field_validator, FiniteFloat
 
 # Steps per colour channel of the histogram: 4 x 4 x 4 colours.
 STEPS = 4
@@ -42,7 +43,8 @@ class SceneCheckThresholds:
     least_photos: int = 20
 
 
-class SceneReference(BaseModel):
+@dataclass(frozen=True, kw_only=True)
+class SceneReference:
     """
     What images of the trained scene look like; a part of the model card.
 
@@ -51,20 +53,22 @@ class SceneReference(BaseModel):
     image may be; most training photos lie below.
     """
 
-    model_config = ConfigDict(extra='forbid', frozen=True)
-
     mean: str
     whitening: str
-    threshold: FiniteFloat = Field(gt=0)
+    threshold: float
 
-    @field_validator('mean', 'whitening')
-    @classmethod
-    def _has_its_size(cls, text: str, info: Any) -> str:
-        count = MEASURES if info.field_name == 'mean' else MEASURES ** 2
-        values = _unpack(text)
-        if values.size != count or not np.isfinite(values).all():
-            raise ValueError(f'expected {count} finite float32 values in base64')
-        return text
+    def __post_init__(self) -> None:
+        for name, count in (('mean', MEASURES), ('whitening', MEASURES ** 2)):
+            text = getattr(self, name)
+            check_text(name, text)
+            try:
+                values = _unpack(text)
+            except ValueError:
+                values = np.empty(0)
+            if values.size != count or not np.isfinite(values).all():
+                raise ModelError(f'{name}: expected {count} finite float32 values in base64, '
+                                 f'got {text!r:.80}')
+        check_number('threshold', self.threshold, sys.float_info.min)
 
 
 class SceneCheck:

@@ -5,6 +5,7 @@ So any size can be measured without a training: what counts for the time is how 
 how many pixels are drawn and aligned, not where their colours came from.
 """
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 import math
 from pathlib import Path
 import tempfile
@@ -72,8 +73,8 @@ def write_guided_stand_in(folder: Path, view: ViewExpansion, poses: Sequence[Cam
     memory.landmarks = exact_landmarks(flat, view.source, looks)
     model = write_stand_in_model(folder / 'stand_in.onnx', view)
     file = MemoryFile(file='stand_in.memory', sha256=memory.write(folder / 'stand_in.memory'))
-    write_model_card(model, read_model_card(model).model_copy(
-        update={'memory': file, 'scene_id': 'demo_flat'}))
+    write_model_card(model, replace(
+        read_model_card(model), memory=file, scene_id='demo_flat'))
     return model
 
 
