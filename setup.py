@@ -19,7 +19,8 @@ ROBOT = [
     'pydantic>=2',
     'pyyaml',
     'rich',
-    'rosbags>=0.11',
+    # bags/qos.py uses more of it than its documented interface.
+    'rosbags>=0.11,<0.12',
     'typer',
     'zstandard',
 ]
@@ -30,6 +31,8 @@ if 'ROS_DISTRO' not in os.environ and 'AMENT_PREFIX_PATH' not in os.environ:
 TEST = ['hypothesis', 'pytest', 'pytest-timeout']
 EXTRAS = {
     'train': ['onnx', 'onnxscript', 'pycolmap', 'scipy', 'tensorboard', 'torch'],
+    # Foxglove's own images, calibrations and transforms in protobuf.
+    'foxglove': ['mcap-protobuf-support'],
     # The page of `neo view`.
     'viewer': ['aiohttp'],
     # The video of `neo replay --side-by-side`.
