@@ -37,13 +37,14 @@ class Experiment:
     """Everything that decides a training's result, beside the photos."""
 
     __pydantic_config__ = {'extra': 'forbid'}
-    seed: int = 0
+    seed: int = 0   # one seed on one machine gives one model; on a GPU nearly
     scale: float = 1.0                   # resolution to work at, relative to the photos
-    view: ViewConfig | None = None    # default: the test frames', else twice the photos
-    field: FieldConfig = FieldConfig()
-    sampling: SamplingConfig = SamplingConfig()
-    network: NetworkConfig = NetworkConfig()
-    outpaint: OutpaintConfig = OutpaintConfig()
+    # default: as the test frames say, else the photos, and twice that
+    view: ViewConfig | None = None
+    field: FieldConfig = FieldConfig()             # how the radiance field is fitted
+    sampling: SamplingConfig = SamplingConfig()    # where wide training views are rendered
+    network: NetworkConfig = NetworkConfig()       # which outpainter, and its size
+    outpaint: OutpaintConfig = OutpaintConfig()    # how the outpainter is trained
     memory: MemoryConfig | None = MemoryConfig()   # null: the network works alone
 
     def __post_init__(self) -> None:

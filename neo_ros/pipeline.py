@@ -5,6 +5,7 @@ Yu et al., NeRF-Enhanced Outpainting for Faithful Field-of-View Extrapolation, s
 radiance field, render wide views at poses where the robot can be, train the outpainter on them.
 Every step leaves its result in the output folder; a run that was broken off goes on there.
 """
+from dataclasses import replace
 from pathlib import Path
 import time
 
@@ -170,11 +171,11 @@ def export_step(run: TrainingRun, network: nn.Module,
     frames = real_frames(run, 8)
     worst, share = check_parity(function, extrapolator.expand, frames)
     require_parity(path, worst, share)
-    write_model_card(path, card.model_copy(update={
-        'parity': Parity(max_abs_error=worst, share_within_1=share),
-        'scene_reference': fit_scene_reference(
+    write_model_card(path, replace(
+        card, parity=Parity(max_abs_error=worst, share_within_1=share),
+        scene_reference=fit_scene_reference(
             real_frames(run, REFERENCE_PHOTOS, run.scene.train),
-            lambda image: extrapolator.expand(image).confidence, run.expansion)}))
+            lambda image: extrapolator.expand(image).confidence, run.expansion)))
 
 
 def score_step(run: TrainingRun) -> Scoring | None:
@@ -192,5 +193,5 @@ def score_step(run: TrainingRun) -> Scoring | None:
     # The card tells how good the model is; how fast it is depends on the machine.
     scores = {name: round(estimate.mean, 4) for name, estimate in results[0].estimates.items()
               if name != 'milliseconds'}
-    write_model_card(run.model_path, neo.card.model_copy(update={'scores': scores}))
+    write_model_card(run.model_path, replace(neo.card, scores=scores))
     return Scoring(truth, results)

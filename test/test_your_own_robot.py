@@ -1,4 +1,4 @@
-"""The commands of docs/your-own-robot.md, as they stand there, on a generated bag."""
+"""The commands of docs/guides/your-own-robot.md, as they stand there, on a generated bag."""
 import csv
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 import yaml
 
-DOCUMENT = Path(neo_ros.__file__).parent.parent / 'docs' / 'your-own-robot.md'
+DOCUMENT = Path(neo_ros.__file__).parent.parent / 'docs' / 'guides' / 'your-own-robot.md'
 EXPANSION = ViewExpansion.to_size(Intrinsics.from_hfov(32, 32, 1.5708), 64, 64)
 FRAMES = 60
 

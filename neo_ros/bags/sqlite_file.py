@@ -2,10 +2,12 @@
 from collections import Counter
 from collections.abc import Collection, Iterator
 from pathlib import Path
+import shutil
+import sqlite3
+import tempfile
 from typing import Any
 from urllib.parse import quote
 
-import apsw
 from neo_ros.bags.damage import Damage
 from neo_ros.errors import BagError
 
@@ -44,9 +46,9 @@ class SqliteFile:
                     self.counts[topic] = count
                 if expected is None:
                     self._expected = self.counts.total()
-            except apsw.Error:
+            except sqlite3.Error:
                 self._recount()
-        except apsw.Error as error:
+        except sqlite3.Error as error:
             self.close()
             raise BagError(f'{path}: not a readable sqlite3 bag: {error}') from error
 
@@ -59,7 +61,7 @@ class SqliteFile:
         """First and last log time; None where that cannot be read."""
         try:
             (first, last), = self._rows('SELECT MIN(timestamp), MAX(timestamp) FROM messages')
-        except apsw.Error:
+        except sqlite3.Error:
             stamps = [row[2] for row in self._rows_by_number(set())]
             return (min(stamps), max(stamps)) if stamps else None
         return None if first is None else (first, last)
@@ -89,7 +91,7 @@ class SqliteFile:
                     'ORDER BY timestamp, id', (*topics, start_ns, min(stop_ns, _LAST_NS))):
                 seen.add(row[0])
                 yield row[1], row[2], row[3]
-        except apsw.Error:
+        except sqlite3.Error:
             for number, topic, stamp_ns, data in self._rows_by_number(seen):
                 if topic in topics and start_ns <= stamp_ns < stop_ns:
                     yield topic, stamp_ns, data
@@ -124,7 +126,7 @@ class SqliteFile:
                 number, misses = number + 1, 0 if row else misses + 1
                 if row and row[0] not in seen:
                     yield row
-            except apsw.Error:
+            except sqlite3.Error:
                 if not misses:
                     self._damaged_at = min(self._damaged_at or number, number)
                 number, misses = number + (1 if misses else 0), misses + 1
@@ -133,7 +135,7 @@ class SqliteFile:
         """Return the number of the last row; None where it cannot be read."""
         try:
             return self._rows('SELECT MAX(id) FROM messages')[0][0] or 0
-        except apsw.Error:
+        except sqlite3.Error:
             return self._expected
 
     def _rows(self, query: str) -> list[Any]:
@@ -143,50 +145,57 @@ class SqliteFile:
         try:
             columns = [row[1] for row in self._rows(f'PRAGMA table_info({name})')]
             return [dict(zip(columns, row)) for row in self._rows(f'SELECT * FROM {name}')]
-        except apsw.Error:
+        except sqlite3.Error:
             if must:
                 raise
             return []  # Bags before Iron have no definitions.
 
 
-def _open(path: Path) -> apsw.Connection:
+def _open(path: Path) -> sqlite3.Connection:
     """Open a database for reading only, with its log if it has one."""
-    error: apsw.Error | None = None
+    try:
+        if not _is_torn(path):
+            return _open_pages(path)
+        # A copy without the last page: sqlite would read what is cut off as zeros. Once open, a
+        # file needs no name.
+        with tempfile.TemporaryDirectory(prefix='neo_ros_bag_') as folder:
+            return _open_pages(_copy_whole_pages(path, Path(folder)))
+    except (OSError, sqlite3.Error) as error:
+        raise BagError(f'{path}: not a readable sqlite3 bag: {error}') from error
+
+
+def _open_pages(path: Path) -> sqlite3.Connection:
     # A log can only be read where a file can be made beside it; without it, nothing is touched.
-    options = ['mode=ro', 'mode=ro&immutable=1'] if Path(f'{path}-wal').exists() else [
-        'mode=ro&immutable=1']
-    for option in options:
+    if Path(f'{path}-wal').exists():
         try:
-            database = apsw.Connection(
-                f'file:{quote(str(path))}?{option}',
-                flags=apsw.SQLITE_OPEN_READONLY | apsw.SQLITE_OPEN_URI,
-                vfs=_WHOLE_PAGES.name if _is_torn(path) else None)
-            # Otherwise sqlite refuses a file that is shorter than its header says.
-            database.execute('PRAGMA writable_schema = ON')
-            database.execute('SELECT name FROM sqlite_master').fetchall()
-            return database
-        except apsw.Error as failure:
-            error = failure
-    raise BagError(f'{path}: not a readable sqlite3 bag: {error}') from error
+            return _connect(path, 'mode=ro')
+        except sqlite3.Error:
+            pass
+    return _connect(path, 'mode=ro&immutable=1')
 
 
-class _WholePages(apsw.VFS):
-    """Hides the last page of a file if it is cut: sqlite would read the rest of it as zeros."""
+def _copy_whole_pages(path: Path, folder: Path) -> Path:
+    copy = folder / 'bag.db3'
+    shutil.copyfile(path, copy)
+    with copy.open('r+b') as file:
+        page = _page_bytes(file.read(_HEADER_BYTES))
+        file.truncate(copy.stat().st_size // page * page)
+    if Path(f'{path}-wal').exists():
+        shutil.copyfile(f'{path}-wal', f'{copy}-wal')
+    return copy
 
-    name = 'neo_ros_whole_pages'
 
-    def __init__(self) -> None:
-        super().__init__(self.name, '')
-
-    def xOpen(self, name: Any, flags: list[int]) -> apsw.VFSFile:  # noqa: N802
-        return _WholePagesFile('', name, flags)
-
-
-class _WholePagesFile(apsw.VFSFile):
-
-    def xFileSize(self) -> int:  # noqa: N802
-        page = _page_bytes(self.xRead(_HEADER_BYTES, 0))
-        return super().xFileSize() // page * page
+def _connect(path: Path, option: str) -> sqlite3.Connection:
+    database = sqlite3.connect(f'file:{quote(str(path))}?{option}', uri=True,
+                               isolation_level=None, check_same_thread=False)
+    try:
+        # Otherwise sqlite refuses a file that is shorter than its header says.
+        database.execute('PRAGMA writable_schema = ON')
+        database.execute('SELECT name FROM sqlite_master').fetchall()
+    except sqlite3.Error:
+        database.close()
+        raise
+    return database
 
 
 def _page_bytes(header: bytes) -> int:
@@ -199,6 +208,3 @@ def _is_torn(path: Path) -> bool:
         header = file.read(_HEADER_BYTES)
     size = path.stat().st_size
     return size > _HEADER_BYTES and size % _page_bytes(header) != 0
-
-
-_WHOLE_PAGES = _WholePages()

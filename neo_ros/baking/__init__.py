@@ -1,0 +1,1 @@
+"""Makes the scene memory and its landmarks, from the field and the photos."""

@@ -1,11 +1,13 @@
 """Compiled loop that colours a panorama from the photos themselves."""
 import math
+from typing import NamedTuple
 
 from neo_ros.field.kernels import FAST
 from neo_ros.machine.compiled import njit
 from numba import prange
 import numpy as np
 
+# Chosen by measuring, but globals: the kernel is compiled with their values in it.
 # Photos that are blended in a pixel.
 BLENDED = 4
 # What a photo may differ from the field's depth, relative and in metres, and still see the point.
@@ -22,6 +24,40 @@ LEAST_COSINE = 0.5
 SLACK = 1 - 1e-6
 
 
+class PanoramaPixels(NamedTuple):
+    """
+    The panorama that is coloured: what the field shows there.
+
+    position float32 (3,); rays (h, w, 3); depth float32 (h, w), metres along the ray,
+    0 = unknown; coarse uint8 (h, w, 3), the field's own colours.
+    """
+
+    position: np.ndarray
+    rays: np.ndarray
+    depth: np.ndarray
+    coarse: np.ndarray
+
+
+class PhotoArrays(NamedTuple):
+    """
+    The photos that colour it, all of one camera.
+
+    images uint8 (N, H, W, 3); float32: depth (N, H, W) metres along the ray, rotations (N, 3, 3)
+    camera to world, positions (N, 3), gains (N, 3) that multiply a photo's colours to the
+    scene's; fx, fy, cx, cy in pixels.
+    """
+
+    images: np.ndarray
+    depth: np.ndarray
+    rotations: np.ndarray
+    positions: np.ndarray
+    gains: np.ndarray
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+
 @njit(**FAST)
 def cubic(k, t):
     """Catmull and Rom's weight of the k-th of four samples, t of the way from the second on."""
@@ -35,18 +71,15 @@ def cubic(k, t):
 
 
 @njit(parallel=True, **FAST)
-def colour_from_photos(position, rays, depth, coarse, photos, photo_depth, rotations, positions,
-                       gains, fx, fy, cx, cy, out):
+def colour_from_photos(panorama, posed, out):
     """
     Blend, for every pixel of a panorama, the photos that see its point most nearly alike.
 
-    position (3,), rays (h, w, 3), depth (h, w) metres, 0 = unknown, and coarse (h, w, 3) uint8,
-    the field's own colours, describe the panorama. photos (N, H, W, 3) uint8, photo_depth
-    (N, H, W) metres along the ray, rotations (N, 3, 3) camera to world, positions (N, 3), gains
-    (N, 3) multiply a photo's colours to the scene's. Photos are read by cubic interpolation: what
-    a linear one blurs would be blurred once more when the panorama is drawn. Fills out (h, w, 3)
-    uint8.
+    Takes PanoramaPixels and PhotoArrays; fills out uint8 (h, w, 3). Photos are read by cubic
+    interpolation: what a linear one blurs would be blurred once more when the panorama is drawn.
     """
+    position, rays, depth, coarse = panorama
+    photos, photo_depth, rotations, positions, gains, fx, fy, cx, cy = posed
     high, wide = photos.shape[1], photos.shape[2]
     offsets, squares = np.empty((len(photos), 3)), np.empty(len(photos))
     for n in range(len(photos)):

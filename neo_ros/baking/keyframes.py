@@ -11,7 +11,7 @@ from pathlib import Path
 from zipfile import BadZipFile
 
 import cv2
-from neo_ros.baking.kernels import colour_from_photos
+from neo_ros.baking.kernels import colour_from_photos, PanoramaPixels, PhotoArrays
 from neo_ros.errors import ConfigError, NeoError
 from neo_ros.field.panorama import view_band
 from neo_ros.field.rendering import render_rays, to_uint8, world_rays
@@ -167,11 +167,11 @@ def _bake_keyframe(field: RadianceField, photos: Photos, seen: np.ndarray, gains
                               kind='stable')[:PHOTOS])
     camera = photos.intrinsics
     colour_from_photos(
-        position.astype(np.float32), rays, depth, to_uint8(rendering.image),
-        photos.images[near], seen[near],
-        np.ascontiguousarray(photos.T_world_cam[near, :3, :3], np.float32),
-        centres[near].astype(np.float32), gains[near],
-        camera.fx, camera.fy, camera.cx, camera.cy, texture)
+        PanoramaPixels(position.astype(np.float32), rays, depth, to_uint8(rendering.image)),
+        PhotoArrays(photos.images[near], seen[near],
+                    np.ascontiguousarray(photos.T_world_cam[near, :3, :3], np.float32),
+                    centres[near].astype(np.float32), gains[near],
+                    camera.fx, camera.fy, camera.cx, camera.cy), texture)
     return Keyframe(position, mesh_depth(depth, finer), texture)
 
 

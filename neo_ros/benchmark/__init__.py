@@ -1,0 +1,1 @@
+"""Rivals, protocols, suites and their tables."""

@@ -33,7 +33,7 @@ from neo_ros.training.memory import memory_seconds, NOTES
 from neo_ros.training.run import TrainingRun
 
 # Of the training time that goes to the field, which is also B3's: half of six minutes is enough,
-# as 2.2 give held-out photos within 0.36 dB of what 3.7 give (docs/training.md).
+# as 2.2 gave held-out photos within 0.36 dB of what 3.7 gave.
 FIELD_SHARE = 0.5
 _Made = TypeVar('_Made')
 

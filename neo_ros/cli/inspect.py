@@ -1,4 +1,5 @@
 """`neo inspect`: what a model file says of itself, and how fast it runs here."""  # noqa: A005
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, TYPE_CHECKING
 
@@ -67,7 +68,7 @@ def _card_rows(card: 'ModelCard') -> list[tuple[str, str]]:
                  f'top {expansion.top}, bottom {expansion.bottom} pixels'))
     for tensor in (card.input, card.outputs.wide, card.outputs.confidence):
         rows.append((f'tensor {tensor.name}', ' '.join(
-            str(value) for name, value in tensor if name != 'name')))
+            str(value) for name, value in asdict(tensor).items() if name != 'name')))
     rows += [('mask', card.mask_polarity), ('config', card.config_hash)]
     rows += [(f'score {name}', f'{value:.3f}') for name, value in card.scores.items()]
     rows += [

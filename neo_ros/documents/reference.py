@@ -24,17 +24,35 @@ def commands(root: Path) -> str:
 
 def fields(root: Path, file: str, name: str, prefix: str = '') -> str:
     """Return the fields of a class: its source says name, type, default and a comment beside."""
-    path = root / file
-    text = path.read_text()
-    lines = text.splitlines()
-    found = [node for node in ast.walk(ast.parse(text))
-             if isinstance(node, ast.ClassDef) and node.name == name]
-    if not found:
-        raise NeoError(f'{path}: expected the class {name}')
+    found, lines = _class(root / file, name)
     rows = [[f'`{prefix}{ast.unparse(node.target)}`', _cell(ast.unparse(node.annotation)),
              _value(node.value), _line(_comment(lines, node))]
-            for node in found[0].body if isinstance(node, ast.AnnAssign)]
+            for node in found.body if isinstance(node, ast.AnnAssign)]
     return table(['key', 'type', 'default', ''], rows)
+
+
+def words(root: Path, file: str, name: str) -> str:
+    """Return what a class says of itself."""
+    return ast.get_docstring(_class(root / file, name)[0]) or ''
+
+
+def rooms(root: Path) -> str:
+    """Return every room with what it owns and what the import law lets it use."""
+    test = ast.parse((root / 'test' / 'test_import_law.py').read_text())
+    law: dict[str, set[str]] = next(
+        ast.literal_eval(node.value) for node in test.body
+        if isinstance(node, ast.AnnAssign) and ast.unparse(node.target) == 'LAW' and node.value)
+    rows = []
+    for room, may in law.items():
+        owns = ast.get_docstring(ast.parse((root / 'neo_ros' / room / '__init__.py').read_text()))
+        modules = sorted(name for name in may if (root / 'neo_ros' / f'{name}.py').is_file())
+        inner = [f'`{name}`' for name in (*sorted(may & law.keys()), *modules)]
+        libraries = sorted(may - law.keys() - {*modules, 'cli'})
+        if 'cli' in may:
+            inner.append('`cli`')
+        rows.append([f'`{room}`', _line((owns or '').split('\n\n')[0]), ', '.join(inner),
+                     ', '.join(libraries)])
+    return table(['room', 'owns', 'may import', 'heavy libraries'], rows)
 
 
 def interface(root: Path, name: str) -> str:
@@ -43,7 +61,18 @@ def interface(root: Path, name: str) -> str:
     return interface_tables()[name].rstrip('\n')
 
 
-MAKERS: dict[str, Maker] = {'commands': commands, 'fields': fields, 'interface': interface}
+MAKERS: dict[str, Maker] = {
+    'commands': commands, 'fields': fields, 'words': words, 'rooms': rooms,
+    'interface': interface}
+
+
+def _class(path: Path, name: str) -> tuple[ast.ClassDef, list[str]]:
+    """Return a class of a module, and the module's lines."""
+    text = path.read_text()
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.ClassDef) and node.name == name:
+            return node, text.splitlines()
+    raise NeoError(f'{path}: expected the class {name}')
 
 
 def _comment(lines: list[str], node: ast.AnnAssign) -> str:

@@ -1,0 +1,1 @@
+"""Metrics, scores of a model or a bag, and how true the confidence is."""

@@ -1,0 +1,1 @@
+"""The voxel radiance field: rays, rendering, fitting, panoramas."""

@@ -5,8 +5,10 @@ import time
 from typing import Any
 
 from neo_ros.errors import SceneError
-from neo_ros.field import fitting_kernels, kernels
+from neo_ros.field import kernels
 from neo_ros.field.config import FieldConfig, fit_near
+from neo_ros.field.fitting_kernels import (
+    adam_step, Batch, differentiate_rays, LossWeights, SampleSlopes, scatter_gradients)
 from neo_ros.field.voxel_field import packed, RadianceField, unpacked
 from neo_ros.geometry import Intrinsics
 from numba import get_num_threads
@@ -57,11 +59,10 @@ class FieldTrainer:
         self.updates = np.zeros(len(grid), np.int32)
         rays = self.config.rays_per_step
         limit = self.field.sample_limit
-        self.cell = np.empty((rays, limit), np.int64)
-        self.frac = np.empty((rays, limit, 3), np.float32)
-        self.d_density = np.empty((rays, limit), np.float32)
-        self.d_rgb = np.empty((rays, limit, 3), np.float32)
-        self.count = np.empty(rays, np.int64)
+        self.slopes = SampleSlopes(
+            np.empty((rays, limit), np.int64), np.empty((rays, limit, 3), np.float32),
+            np.empty((rays, limit), np.float32), np.empty((rays, limit, 3), np.float32),
+            np.empty(rays, np.int64))
 
     def sample_rays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """
@@ -123,19 +124,17 @@ class FieldTrainer:
         error = np.empty(pixels, np.float32)
         d_gain = np.empty((pixels, 3), np.float32)
         gain = np.exp(self.log_gain[photo])
-        shape = np.array(field.shape)
-        fitting_kernels.differentiate_rays(
-            rays_o, rays_d, target, gain, self.random.random(len(rays_o), np.float32),
-            self.random.random((pixels, 3), np.float32), field.grid, field.row_of, shape,
-            field.skip, field.box, field.step, field.near, field.shift, field.terms,
-            np.float32(config.distortion), np.float32(self.pointwise),
-            np.float32(config.sparsity), self.cell, self.frac,
-            self.d_density, self.d_rgb, self.count, error, d_gain)
-        fitting_kernels.scatter_gradients(
-            rays_d, self.cell, self.frac, self.d_density, self.d_rgb, self.count,
-            field.row_of, shape, field.terms, get_num_threads(), self.gradient, self.touched)
+        arrays = field.arrays
+        jitter = self.random.random(len(rays_o), np.float32)
+        background = self.random.random((pixels, 3), np.float32)
+        weights = LossWeights(np.float32(config.distortion), np.float32(self.pointwise),
+                              np.float32(config.sparsity))
+        differentiate_rays(Batch(rays_o, rays_d, jitter, target, gain, background), arrays,
+                           weights, self.slopes, error, d_gain)
+        scatter_gradients(
+            rays_d, self.slopes, arrays, get_num_threads(), self.gradient, self.touched)
         rate = np.float32(config.learning_rate * 0.1 ** self.share)
-        fitting_kernels.adam_step(
+        adam_step(
             field.grid, self.gradient, self.first, self.second, self.touched, self.updates, rate)
         if config.exposure:
             self._update_exposure(photo, d_gain * gain)
@@ -268,7 +267,4 @@ class FieldTrainer:
         """Take the field from the device that it was fitted on."""
 
     def _mark_seen(self, rays_o: np.ndarray, rays_d: np.ndarray) -> None:
-        field = self.field
-        kernels.mark_seen(
-            rays_o, rays_d, field.grid, field.row_of, np.array(field.shape), field.skip, field.box,
-            field.step, field.near, field.shift, field.sample_limit, field.seen)
+        kernels.mark_seen(rays_o, rays_d, self.field.arrays, self.field.seen)

@@ -5,8 +5,10 @@ The layout of the field is that of `kernels`. Every gradient is added by the one
 its voxel, in ray order, so results do not depend on the number of threads or their timing.
 """
 import math
+from typing import NamedTuple
 
-from neo_ros.field.kernels import FAST, march, MIN_WEIGHT, sample_colour, sh_basis
+from neo_ros.field.kernels import (
+    FAST, march, MIN_WEIGHT, RaySamples, sample_colour, sh_basis)
 from neo_ros.machine.compiled import njit
 from numba import prange
 import numpy as np
@@ -15,22 +17,68 @@ import numpy as np
 CORRECTION = 1 - np.array([0.9, 0.99]) ** np.arange(4000)[:, None]
 
 
+class Batch(NamedTuple):
+    """
+    What a step of the fit works on: R rays of P pixels, float32.
+
+    The R / P rays of a pixel follow one another, and their mean is its colour. rays_o and rays_d
+    (R, 3), jitter (R,) in [0, 1); per pixel (P, 3) target, gain of its photo, and background.
+    """
+
+    rays_o: np.ndarray
+    rays_d: np.ndarray
+    jitter: np.ndarray
+    target: np.ndarray
+    gain: np.ndarray
+    background: np.ndarray
+
+
+class LossWeights(NamedTuple):
+    """Weights of the terms of the loss, float32; see `differentiate_rays`."""
+
+    distortion: np.float32
+    pointwise: np.float32
+    sparsity: np.float32
+
+
+class SampleSlopes(NamedTuple):
+    """
+    The samples of R rays, S at most of each, and the gradient of every one.
+
+    cell int64 (R, S); float32: frac (R, S, 3), d_density (R, S), d_rgb (R, S, 3) with respect to
+    the sigmoid's argument; counts int64 (R,).
+    """
+
+    cell: np.ndarray
+    frac: np.ndarray
+    d_density: np.ndarray
+    d_rgb: np.ndarray
+    counts: np.ndarray
+
+
+class _Pixel(NamedTuple):
+    """A pixel's slope of its own colour error, and its part of the batch, (3,) each."""
+
+    slope: np.ndarray
+    gain: np.ndarray
+    target: np.ndarray
+    background: np.ndarray
+
+
 @njit(parallel=True, **FAST)
-def differentiate_rays(rays_o, rays_d, target, gain, jitter, background, grid, row_of, shape,
-                       skip, box, step, near, shift, terms, distortion, pointwise, sparsity,
-                       cell, frac, d_density, d_rgb, count, error, d_gain):
+def differentiate_rays(batch, field, weights, slopes, error, d_gain):
     """
     Render rays and emit the gradient of every sample (no gradient is added here).
 
-    R rays, P pixels: the R / P rays of a pixel follow one another, and their mean is its colour.
-    target, gain and background are per pixel (P, 3). Loss per ray: squared error of the pixel's
-    colour, `distortion` times the distortion loss of mip-NeRF 360 (eq. 15, its first sum),
+    Takes a Batch, FieldArrays and LossWeights. Loss per ray: squared error of the pixel's colour,
+    `distortion` times the distortion loss of mip-NeRF 360 (eq. 15, its first sum),
     `pointwise` times the samples' own weighted squared error (DirectVoxGO, section 4), and
     `sparsity` times the sum of the samples' opacities.
-    Outputs, per ray r and sample i: cell (R, S), frac (R, S, 3), d_density (R, S),
-    d_rgb (R, S, 3) with respect to the sigmoid's argument; count (R,), and per pixel error (P,),
-    d_gain (P, 3).
+    Fills SampleSlopes, and per pixel error (P,) and d_gain (P, 3).
     """
+    rays_o, rays_d, jitter, target, gain, background = batch
+    cell, frac, d_density, d_rgb, count = slopes
+    terms = field.terms
     pixels = target.shape[0]
     each = rays_o.shape[0] // pixels
     limit = cell.shape[1]
@@ -52,8 +100,8 @@ def differentiate_rays(rays_o, rays_d, target, gain, jitter, background, grid, r
                 r = p * each + k
                 n, light[k] = march(
                     rays_o[r, 0], rays_o[r, 1], rays_o[r, 2],
-                    rays_d[r, 0], rays_d[r, 1], rays_d[r, 2], jitter[r], grid, row_of, shape,
-                    skip, box, step, near, shift, cell[r], frac[r], alpha[k], depth[k], raw[k])
+                    rays_d[r, 0], rays_d[r, 1], rays_d[r, 2], jitter[r], field,
+                    RaySamples(cell[r], frac[r], alpha[k], depth[k], raw[k]))
                 count[r] = n
                 sh_basis(rays_d[r, 0], rays_d[r, 1], rays_d[r, 2], basis)
                 left = np.float32(1)
@@ -63,8 +111,8 @@ def differentiate_rays(rays_o, rays_d, target, gain, jitter, background, grid, r
                     if weight < MIN_WEIGHT:
                         rgb[k, i, 0] = -1
                         continue
-                    sample_colour(grid, row_of, shape, cell[r, i], frac[r, i, 0],
-                                  frac[r, i, 1], frac[r, i, 2], basis, blend, rgb[k, i])
+                    sample_colour(field, cell[r, i], frac[r, i, 0], frac[r, i, 1],
+                                  frac[r, i, 2], basis, blend, rgb[k, i])
                     for channel in range(3):
                         mean[channel] += weight * rgb[k, i, channel]
                 for channel in range(3):
@@ -76,17 +124,20 @@ def differentiate_rays(rays_o, rays_d, target, gain, jitter, background, grid, r
                 error[p] += difference * difference
                 d_gain[p, channel] = 2 * difference * colour
                 slope[channel] = 2 * difference * gain[p, channel]
+            pixel = _Pixel(slope, gain[p], target[p], background[p])
             for k in range(each):
                 r = p * each + k
-                _ray_gradient(count[r], light[k], alpha[k], depth[k], raw[k], rgb[k], slope,
-                              gain[p], target[p], background[p], step, distortion, pointwise,
-                              sparsity, value, d_density[r], d_rgb[r])
+                samples = RaySamples(cell[r], frac[r], alpha[k], depth[k], raw[k])
+                _ray_gradient(count[r], light[k], samples, rgb[k], pixel, weights, field.step,
+                              value, d_density[r], d_rgb[r])
 
 
 @njit(**FAST)
-def _ray_gradient(n, light, alpha, depth, raw, rgb, slope, gain, target, background, step,
-                  distortion, pointwise, sparsity, value, d_density, d_rgb):
+def _ray_gradient(n, light, samples, rgb, pixel, weights, step, value, d_density, d_rgb):
     """Fill d_density and d_rgb of one ray; `value` is dL/dweight of each sample."""
+    _, _, alpha, depth, raw = samples
+    slope, gain, target, background = pixel
+    distortion, pointwise, sparsity = weights
     # Distances enter the distortion loss as t / (t + 1): near and far count alike.
     total_w = np.float32(0)
     total_ws = np.float32(0)
@@ -136,10 +187,11 @@ def _ray_gradient(n, light, alpha, depth, raw, rgb, slope, gain, target, backgro
 
 
 @njit(parallel=True, **FAST)
-def scatter_gradients(rays_d, cell, frac, d_density, d_rgb, count, row_of, shape, terms,
-                      threads, gradient, touched):
-    """Add all samples' gradients to `gradient` (V, 1 + 3K) and mark the rows in `touched`."""
-    sy, sz = shape[1], shape[2]
+def scatter_gradients(rays_d, samples, field, threads, gradient, touched):
+    """Add the SampleSlopes to `gradient` (V, 1 + 3K) and mark the rows in `touched`."""
+    cell, frac, d_density, d_rgb, count = samples
+    row_of, terms = field.row_of, field.terms
+    sy, sz = field.shape[1], field.shape[2]
     for owner in prange(threads):
         basis = np.empty(terms, np.float32)
         slopes = np.empty(3 * terms, np.float32)

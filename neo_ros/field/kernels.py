@@ -9,12 +9,13 @@ contracted to grid coordinates as in DirectVoxGO's unbounded scenes (after mip-N
 the inner box the map is linear, and the world outside fills a shell of relative thickness `shell`.
 """
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 from neo_ros.machine.compiled import njit
 from numba import prange
 import numpy as np
 
+# These three are globals as kernels are compiled with their values in them.
 # Light that is left is taken for none; at 8 bits a pixel this is far below one step.
 MIN_TRANSMITTANCE = 1e-4
 # Samples that contribute less get no colour lookup. All samples of a new field are faint
@@ -26,6 +27,44 @@ MIN_SHOWN = 1e-3
 FAST: dict[str, Any] = {
     'fastmath': {'nsz', 'arcp', 'contract', 'afn', 'reassoc'},
     'error_model': 'numpy'}
+
+
+class FieldArrays(NamedTuple):
+    """
+    A radiance field, as kernels take it.
+
+    grid and row_of are described above; shape int64 (3,); skip and seen uint8 (X * Y * Z,) per
+    cell: `skip` 0 = occupied, n = at least n cells to the nearest occupied one.
+    box float64 (8,): centre xyz, half extent xyz, shell, voxel edge in metres. step in voxels,
+    near in metres, shift of the raw density; terms per colour; limit of a ray's samples.
+    """
+
+    grid: np.ndarray
+    row_of: np.ndarray
+    shape: np.ndarray
+    skip: np.ndarray
+    seen: np.ndarray
+    box: np.ndarray
+    step: float
+    near: float
+    shift: float
+    terms: int
+    limit: int
+
+
+class RaySamples(NamedTuple):
+    """
+    Samples of one ray, S at most, in the order in which it meets them.
+
+    cell int64 (S,); float32: frac (S, 3) place in the cell, alpha (S,), depth (S,) metres,
+    raw (S,) density before its activation.
+    """
+
+    cell: np.ndarray
+    frac: np.ndarray
+    alpha: np.ndarray
+    depth: np.ndarray
+    raw: np.ndarray
 
 
 @njit(**FAST)
@@ -54,16 +93,16 @@ def opacity(density, step):
 
 
 @njit(**FAST)
-def march(ox, oy, oz, dx, dy, dz, jitter, grid, row_of, shape, skip, box, step, near, shift,
-          cell, frac, alpha, depth, raw):
+def march(ox, oy, oz, dx, dy, dz, jitter, field, samples):
     """
     Walk one ray and store its samples in occupied cells.
 
-    d must be a unit vector. box = (centre xyz, half extent xyz, shell, voxel edge in metres).
-    `skip` (cells) uint8: 0 = occupied, n = at least n cells to the nearest occupied one.
-    Returns the number of samples and the light left behind the last one.
+    d must be a unit vector. Returns the number of samples and the light left behind the last one.
     """
-    sx, sy, sz = shape[0], shape[1], shape[2]
+    grid, row_of, skip, box, step = field.grid, field.row_of, field.skip, field.box, field.step
+    near, shift = field.near, field.shift
+    cell, frac, alpha, depth, raw = samples
+    sx, sy, sz = field.shape[0], field.shape[1], field.shape[2]
     shell, voxel = box[6], box[7]
     extent = 1 + shell
     count = 0
@@ -132,13 +171,14 @@ def march(ox, oy, oz, dx, dy, dz, jitter, grid, row_of, shape, skip, box, step, 
 
 
 @njit(**FAST)
-def sample_colour(grid, row_of, shape, base, fx, fy, fz, basis, blend, rgb):
+def sample_colour(field, base, fx, fy, fz, basis, blend, rgb):
     """
     Interpolate the coefficients of one sample and evaluate its colour in (0, 1).
 
     blend (3 K,) is scratch: rows are added whole, which the compiler does many columns at once.
     """
-    sy, sz = shape[1], shape[2]
+    grid, row_of = field.grid, field.row_of
+    sy, sz = field.shape[1], field.shape[2]
     terms = basis.shape[0]
     blend[:] = 0
     for corner in range(8):
@@ -159,8 +199,7 @@ def sample_colour(grid, row_of, shape, base, fx, fy, fz, basis, blend, rgb):
 
 
 @njit(parallel=True, **FAST)
-def render_rays(rays_o, rays_d, grid, row_of, shape, skip, seen, box, step, near, shift, terms,
-                limit, background, out):
+def render_rays(rays_o, rays_d, field, background, out):
     """
     Render unit rays (N, 3) into out (N, 6).
 
@@ -170,20 +209,21 @@ def render_rays(rays_o, rays_d, grid, row_of, shape, skip, seen, box, step, near
     """
     n = rays_o.shape[0]
     chunk = 64
+    limit, length = field.limit, field.step * field.box[7]
     for block in prange((n + chunk - 1) // chunk):
         cell = np.empty(limit, np.int64)
         frac = np.empty((limit, 3), np.float32)
         alpha = np.empty(limit, np.float32)
         depth = np.empty(limit, np.float32)
         raw = np.empty(limit, np.float32)
-        basis = np.empty(terms, np.float32)
-        blend = np.empty(3 * terms, np.float32)
+        samples = RaySamples(cell, frac, alpha, depth, raw)
+        basis = np.empty(field.terms, np.float32)
+        blend = np.empty(3 * field.terms, np.float32)
         rgb = np.empty(3, np.float32)
         for r in range(block * chunk, min((block + 1) * chunk, n)):
             count, light = march(
                 rays_o[r, 0], rays_o[r, 1], rays_o[r, 2],
-                rays_d[r, 0], rays_d[r, 1], rays_d[r, 2], 0.5, grid, row_of, shape, skip, box,
-                step, near, shift, cell, frac, alpha, depth, raw)
+                rays_d[r, 0], rays_d[r, 1], rays_d[r, 2], 0.5, field, samples)
             sh_basis(rays_d[r, 0], rays_d[r, 1], rays_d[r, 2], basis)
             total = np.zeros(6, np.float32)
             left = np.float32(1)
@@ -191,14 +231,14 @@ def render_rays(rays_o, rays_d, grid, row_of, shape, skip, seen, box, step, near
             for i in range(count):
                 weight = left * alpha[i]
                 if left > half and left - weight <= half:
-                    total[3] = depth[i] + ((left - half) / weight - 0.5) * step * box[7]
+                    total[3] = depth[i] + ((left - half) / weight - 0.5) * length
                 left -= weight
                 total[4] += weight
-                total[5] += weight * (seen[cell[i]] > 0)
+                total[5] += weight * (field.seen[cell[i]] > 0)
                 if weight < MIN_SHOWN:
                     continue
-                sample_colour(grid, row_of, shape, cell[i], frac[i, 0], frac[i, 1], frac[i, 2],
-                              basis, blend, rgb)
+                sample_colour(field, cell[i], frac[i, 0], frac[i, 1], frac[i, 2], basis, blend,
+                              rgb)
                 for channel in range(3):
                     total[channel] += weight * (rgb[channel] - background)
             for channel in range(3):
@@ -209,21 +249,27 @@ def render_rays(rays_o, rays_d, grid, row_of, shape, skip, seen, box, step, near
 
 
 @njit(parallel=True, **FAST)
-def mark_seen(rays_o, rays_d, grid, row_of, shape, skip, box, step, near, shift, limit, seen):
-    """Mark every cell that a training ray reaches with light left; marks never race to differ."""
+def mark_seen(rays_o, rays_d, field, seen):
+    """
+    Mark every cell that a training ray reaches with light left; marks never race to differ.
+
+    `seen` is an argument of its own: a parallel loop that only writes to a member of a tuple is
+    taken for one without effect, and numba leaves it out.
+    """
     n = rays_o.shape[0]
     chunk = 64
+    limit = field.limit
     for block in prange((n + chunk - 1) // chunk):
         cell = np.empty(limit, np.int64)
         frac = np.empty((limit, 3), np.float32)
         alpha = np.empty(limit, np.float32)
         depth = np.empty(limit, np.float32)
         raw = np.empty(limit, np.float32)
+        samples = RaySamples(cell, frac, alpha, depth, raw)
         for r in range(block * chunk, min((block + 1) * chunk, n)):
             count, _ = march(
                 rays_o[r, 0], rays_o[r, 1], rays_o[r, 2],
-                rays_d[r, 0], rays_d[r, 1], rays_d[r, 2], 0.5, grid, row_of, shape, skip, box,
-                step, near, shift, cell, frac, alpha, depth, raw)
+                rays_d[r, 0], rays_d[r, 1], rays_d[r, 2], 0.5, field, samples)
             left = 1.0
             for i in range(count):
                 if left < 0.05:

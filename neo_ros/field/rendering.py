@@ -35,10 +35,7 @@ def render_rays(field: RadianceField, rays_o: np.ndarray, rays_d: np.ndarray) ->
     directions = np.ascontiguousarray(rays_d.reshape(-1, 3), np.float32)
     out = np.empty((len(origins), 6), np.float32)
     if field.device == 'cpu':
-        kernels.render_rays(
-            origins, directions, field.grid, field.row_of, np.array(field.shape), field.skip,
-            field.seen, field.box, field.step, field.near, field.shift, field.terms,
-            field.sample_limit, BACKGROUND, out)
+        kernels.render_rays(origins, directions, field.arrays, BACKGROUND, out)
     else:
         from neo_ros.field.torch_field import on_device
         mirror = on_device(field)

@@ -205,6 +205,13 @@ class RadianceField:
                               OCCUPIED_ALPHA, occupied)
         return occupied
 
+    @property
+    def arrays(self) -> kernels.FieldArrays:
+        """What the kernels take."""
+        return kernels.FieldArrays(
+            self.grid, self.row_of, np.array(self.shape), self.skip, self.seen, self.box,
+            self.step, self.near, self.shift, self.terms, self.sample_limit)
+
     def pull(self) -> None:
         """Bring home what a fit on the device has changed."""
         if self.mirror is not None:

@@ -1,0 +1,1 @@
+"""The built-in demo flat: its rooms, light, walks and pictures."""

@@ -1,0 +1,1 @@
+"""Files written whole, compiled kernels, processes, and what this machine is."""

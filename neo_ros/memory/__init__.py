@@ -1,0 +1,1 @@
+"""What a robot keeps of a scene: drawing, pose search, alignment, fusion."""

@@ -4,53 +4,56 @@ Find a camera's pose from its image: direct photometric alignment with the scene
 Gauss-Newton on the difference of grey images, coarse to fine, in six degrees of freedom, with
 gain and bias free and Huber weights (Lucas and Kanade 1981; as in DSO, Engel et al. 2018).
 """
+from dataclasses import dataclass
 import math
-from typing import NamedTuple
 
 import cv2
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.geometry.camera_pose import rotation_from_vector
 from neo_ros.memory import alignment_kernels as kernels
+from neo_ros.memory.alignment_kernels import GuideLevel, PhotoLevel, Warp
+from neo_ros.memory.kernels import Pinhole
 from neo_ros.memory.rendering import GuideView, MemoryRenderer
-from neo_ros.pictures.exposure import exposure_gain, MOST_GAIN
+from neo_ros.pictures.exposure import exposure_gain, ExposureThresholds
 import numpy as np
 
-# Scales of the residuals' weights, grey levels in [0, 1]. Far from the pose Huber's pull from
-# everywhere; near it Geman and McClure's let somebody who stands in the image have no say.
-HUBER = 0.05
-GEMAN_MCCLURE = 0.08
-# A level's image is half as wide as the one before; the coarsest is at least so wide, pixels.
-COARSEST = 24
-FINEST = 128
-ITERATIONS = 12
-# A step that moves no pixel by more than this, pixels, is the last one of its level.
-STILL = 0.02
-DAMPING = 1e-4
-# Keyframes that the image is aligned with: fewer than are shown.
-ALIGNED_WITH = 2
-LEAST_OVERLAP = 0.3
-# A step that leaves less than this share of the guide's pixels in the image has lost it.
-LOST = 0.05
-# Share of an image that somebody may hide.
-OCCLUDED = 0.35
 
+@dataclass(frozen=True)
+class AlignmentThresholds:
+    """How an image is aligned, and when image and memory agree."""
 
-class PhotoLevel(NamedTuple):
-    """A camera image at one scale, grey float32 (h, w) in [0, 1], and its gradients."""
-
-    grey: np.ndarray
-    gradient_x: np.ndarray
-    gradient_y: np.ndarray
+    # Scales of the residuals' weights, grey levels in [0, 1]. Far from the pose Huber's pull from
+    # everywhere; near it Geman and McClure's let somebody who stands in the image have no say.
+    huber: float = 0.05
+    geman_mcclure: float = 0.08
+    # The finest level is at most so wide, pixels. A level is half as wide as the one before; the
+    # coarsest is at least so wide.
+    finest: int = 128
+    coarsest: int = 24
+    iterations: int = 12
+    # A step that moves no pixel by more than this, pixels, is the last one of its level.
+    still: float = 0.02
+    damping: float = 1e-4
+    # Keyframes that the image is aligned with: fewer than are shown.
+    aligned_with: int = 2
+    # Share of the image that the memory has to know.
+    least_overlap: float = 0.3
+    # A step that leaves less than this share of the guide's pixels in the image has lost it.
+    lost: float = 0.05
+    # Share of an image that somebody may hide.
+    occluded: float = 0.35
+    exposure: ExposureThresholds = ExposureThresholds()
 
 
 class Aligner:
     """Aligns images of one camera with one memory."""
 
-    def __init__(self, renderer: MemoryRenderer, source: Intrinsics) -> None:
-        self.renderer = renderer
-        finest = source.scaled(min(1.0, FINEST / source.width))
+    def __init__(self, renderer: MemoryRenderer, source: Intrinsics,
+                 thresholds: AlignmentThresholds = AlignmentThresholds()) -> None:
+        self.renderer, self.thresholds = renderer, thresholds
+        finest = source.scaled(min(1.0, thresholds.finest / source.width))
         self.levels = [finest]
-        while self.levels[-1].width >= 2 * COARSEST:
+        while self.levels[-1].width >= 2 * thresholds.coarsest:
             self.levels.append(finest.scaled(0.5 ** len(self.levels)))
         self._rays = [level.pixel_rays() for level in self.levels]
 
@@ -76,69 +79,68 @@ class Aligner:
         """
         pose, coarsest = start, len(self.levels) - 1
         for _ in range(rounds):
-            guide = self.renderer.render(pose, self.levels[0], ALIGNED_WITH)
+            guide = self.renderer.render(pose, self.levels[0], self.thresholds.aligned_with)
             greys = self._pyramid(guide.image)
-            # From the guide's camera to the photo's; then what maps the photo's grey to the
-            # guide's.
-            T, gain, bias = np.eye(4), self._first_gain(photo[-1], greys[-1], guide), 0.0
+            warp = Warp(np.eye(4), self._first_gain(photo[-1], greys[-1], guide), 0.0)
             for level in range(coarsest, -1, -1):
-                T, gain, bias = self._align_level(
-                    level, photo[level], greys[level], self._depth(guide, level), T, gain, bias,
-                    near)
-            pose = CameraPose.nearest(pose.T_world_cam @ np.linalg.inv(T))
+                shown = GuideLevel(greys[level], self._depth(guide, level), self._rays[level])
+                warp = self._align_level(level, photo[level], shown, warp, near)
+            pose = CameraPose.nearest(pose.T_world_cam @ np.linalg.inv(warp.T))
             coarsest = min(coarsest, 1)
         return pose
 
     def agreement(self, photo: list[PhotoLevel], pose: CameraPose) -> float:
         """Return the correlation of image and memory at a pose, in [-1, 1]."""
         level = min(1, len(self.levels) - 1)
-        guide = self.renderer.render(pose, self.levels[level], ALIGNED_WITH)
+        guide = self.renderer.render(pose, self.levels[level], self.thresholds.aligned_with)
         grey = cv2.cvtColor(guide.image / 255, cv2.COLOR_RGB2GRAY)
-        return agreement(photo[level].grey, grey, guide.depth > 0)[0]
+        return agreement(photo[level].grey, grey, guide.depth > 0, self.thresholds)[0]
 
     def _first_gain(self, photo: PhotoLevel, guide: np.ndarray, view: GuideView) -> float:
         """Return what takes the photo to the guide's exposure, if they show the same."""
         known = self._depth(view, -1) > 0
         if not known.any():
             return 1.0
-        return 1 / float(exposure_gain(255 * guide[known, None], 255 * photo.grey[known, None])[0])
+        return 1 / float(exposure_gain(255 * guide[known, None], 255 * photo.grey[known, None],
+                                       self.thresholds.exposure)[0])
 
     def _depth(self, guide: GuideView, level: int) -> np.ndarray:
         size = (self.levels[level].width, self.levels[level].height)
         return cv2.resize(guide.depth, size, interpolation=cv2.INTER_NEAREST)
 
-    def _align_level(self, level: int, photo: PhotoLevel, guide: np.ndarray, depth: np.ndarray,
-                     T: np.ndarray, gain: float, bias: float, near: bool
-                     ) -> tuple[np.ndarray, float, float]:
-        camera = self.levels[level]
+    def _align_level(self, level: int, photo: PhotoLevel, guide: GuideLevel, warp: Warp,
+                     near: bool) -> Warp:
+        view, depth, limits = self.levels[level], guide.depth, self.thresholds
+        most_gain = limits.exposure.most_gain
+        scale = limits.geman_mcclure if near else limits.huber
+        camera = Pinhole(view.fx, view.fy, view.cx, view.cy)
         away = max(float(np.median(depth[depth > 0])), 0.5) if (depth > 0).any() else 1.0
         H, g = np.empty((8, 8)), np.empty(8)
-        before, kept = np.inf, (T, gain, bias)
-        for iteration in range(ITERATIONS + 1):
+        before, kept = np.inf, warp
+        for iteration in range(limits.iterations + 1):
             error, overlap = kernels.normal_equations(
-                *photo, guide, depth, self._rays[level], camera.fx, camera.fy, camera.cx,
-                camera.cy, T, gain, bias, GEMAN_MCCLURE if near else HUBER, near, H, g)
+                photo, guide, camera, warp, scale, near, H, g)
             # Pixels that are lost must not look like an improvement.
-            cost = error / overlap if overlap >= LOST else np.inf
+            cost = error / overlap if overlap >= limits.lost else np.inf
             if cost > before:
-                T, gain, bias = kept
-                break
-            if iteration == ITERATIONS:
+                return kept
+            if iteration == limits.iterations:
                 break  # The last step, too, had to be an improvement.
-            kept, before = (T, gain, bias), cost
-            step = -np.linalg.solve(H + DAMPING * np.diag(np.diag(H) + 1e-6), g)
+            kept, before = warp, cost
+            step = -np.linalg.solve(H + limits.damping * np.diag(np.diag(H) + 1e-6), g)
             move = np.eye(4)
             move[:3, :3], move[:3, 3] = rotation_from_vector(step[3:6]), step[:3]
-            T = move @ T
-            gain = float(np.clip(gain + step[6], 0.8 / MOST_GAIN, 1.25 * MOST_GAIN))
-            bias += float(step[7])
+            warp = Warp(move @ warp.T, float(np.clip(
+                warp.gain + step[6], 0.8 / most_gain, 1.25 * most_gain)),
+                warp.bias + float(step[7]))
             moved = camera.fx * (np.linalg.norm(step[:3]) / away + np.linalg.norm(step[3:6]))
-            if moved < STILL:
+            if moved < limits.still:
                 break
-        return T, gain, bias
+        return warp
 
 
-def agreement(image: np.ndarray, guide: np.ndarray, known: np.ndarray) -> tuple[float, float]:
+def agreement(image: np.ndarray, guide: np.ndarray, known: np.ndarray,
+              thresholds: AlignmentThresholds = AlignmentThresholds()) -> tuple[float, float]:
     """
     Return the correlations in [-1, 1] of an image and a guide where the guide is known.
 
@@ -147,11 +149,11 @@ def agreement(image: np.ndarray, guide: np.ndarray, known: np.ndarray) -> tuple[
     lens is a gradient, too, and so is many a wall. image, guide: float (h, w); known: bool
     (h, w). Both are -1 where too little is known, and 0 if one of the images is of one colour.
     """
-    if known.mean() < LEAST_OVERLAP:
+    if known.mean() < thresholds.least_overlap:
         return -1.0, -1.0
     whole = detail_correlation(image, guide, known)
     a, b = image[known], guide[known]
-    fits, most = np.ones(len(a), bool), int((1 - OCCLUDED) * (len(a) - 1))
+    fits, most = np.ones(len(a), bool), int((1 - thresholds.occluded) * (len(a) - 1))
     for _ in range(3):
         slope, errors = kernels.line_errors(a, b, fits)
         fits = errors <= np.partition(errors, most)[most]

@@ -1,23 +1,60 @@
 """Compiled loops that compare a photo with what the scene memory shows."""
+from typing import NamedTuple
+
 from neo_ros.machine.compiled import njit
 from neo_ros.memory.kernels import CLOSEST, FAST
 import numpy as np
 
 
+class PhotoLevel(NamedTuple):
+    """A camera image at one scale, grey float32 (h, w) in [0, 1], and its gradients."""
+
+    grey: np.ndarray
+    gradient_x: np.ndarray
+    gradient_y: np.ndarray
+
+
+class GuideLevel(NamedTuple):
+    """
+    What the memory shows at one scale: grey float32 (h, w) in [0, 1].
+
+    depth float32 (h, w), z in metres, 0 = unknown; rays (h, w, 3) of its camera, z = 1.
+    """
+
+    grey: np.ndarray
+    depth: np.ndarray
+    rays: np.ndarray
+
+
+class Warp(NamedTuple):
+    """
+    What takes the guide to the photo.
+
+    T float64 (4, 4) from the guide's camera to the photo's; gain times the photo's grey plus bias
+    is the guide's.
+    """
+
+    T: np.ndarray
+    gain: float
+    bias: float
+
+
 @njit(**FAST)
-def normal_equations(photo, gradient_x, gradient_y, guide, depth, rays, fx, fy, cx, cy,
-                     T, gain, bias, scale, redescending, H, g):
+def normal_equations(level, guide_level, camera, warp, scale, redescending, H, g):
     """
     Sum up one Gauss-Newton step of the photometric alignment.
 
-    photo, its gradients, guide (h, w) float32 grey in [0, 1]; depth (h, w) z of the guide's
-    pixels in metres, 0 = unknown; rays (h, w, 3) of the guide's camera, z = 1; T (4, 4) from the
-    guide's camera to the photo's. Residual: gain photo(warped) + bias - guide, with Huber's or,
-    if `redescending`, Geman and McClure's weights of this scale.
+    level PhotoLevel, guide_level GuideLevel, camera Pinhole of both, warp Warp. Residual:
+    gain photo(warped) + bias - guide, with Huber's or, if `redescending`, Geman and McClure's
+    weights of this scale.
     H (8, 8) and g (8,) are filled for (translation, rotation, gain, bias).
     Returns the mean robust cost of the residuals and the share of the guide's known pixels that
     the photo sees.
     """
+    photo, gradient_x, gradient_y = level
+    guide, depth, rays = guide_level
+    fx, fy, cx, cy = camera
+    T, gain, bias = warp
     rows, columns = guide.shape
     H[:] = 0
     g[:] = 0

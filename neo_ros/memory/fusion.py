@@ -1,35 +1,54 @@
 """Join camera image, guide and the network's picture into one wide view."""
+from dataclasses import dataclass
+
 import cv2
 from neo_ros.geometry import ViewExpansion
-from neo_ros.memory.scene_guide import Guide
+from neo_ros.memory.sight import Guide
 import numpy as np
 
-# The difference between image and guide is smoothed over blocks of so many pixels, and carried
-# over the seam as far as this share of the image's width.
-BLOCK = 8
-REACH = 0.12
-# Grey levels of difference that are healed at most: beyond, somebody stands in the image.
-MOST_HEALED = 24.0
-# The expected error of a guided pixel, in grey levels: so much of the difference at the nearest
-# part of the seam, more of what that has beyond CONTRADICTION, where the camera contradicts the
-# memory; so much of the picture's slope there, in levels a pixel, as edges lie a little aside; and
-# more where colours are stretched over a gap. All but the second are fitted to photos of two rooms
-# and a kitchen that the memory was not made of.
-SEAM, CONTRADICTED, CONTRADICTION = 0.35, 0.65, 10.0
-SLOPE = 0.37
-STRETCHED = 4.4
-# Where the last images show the surface, instead of the seam: so much of what they differ there
-# (walks of a demo flat and a kitchen of their own: 0.3 to 0.9).
-SEEN_BEFORE = 0.5
-LEAST_ERROR = 1.0
 # Gaps are filled from their surroundings, over squares of these sides, pixels: the smallest first,
 # the largest for the gaps in the largest view that a model may have.
 GAPS = (9, 33, 129, 513, 2049)
-GAP_ERROR = 38.0
+
+
+@dataclass(frozen=True)
+class FusionThresholds:
+    """
+    How image and guide are joined, and what error that lets expect.
+
+    The expected error of a guided pixel, in grey levels, is the sum of `seam` (or `seen_before`),
+    `contradicted`, `slope` and `stretched`. All but `contradicted` are fitted to photos of two
+    rooms and a kitchen that the memory was not made of.
+    """
+
+    # The difference between image and guide is smoothed over blocks of so many pixels, and carried
+    # over the seam as far as this share of the image's width.
+    block: int = 8
+    reach: float = 0.12
+    # Grey levels of difference that are healed at most: beyond, somebody stands in the image.
+    most_healed: float = 24.0
+    # So much of the difference at the nearest part of the seam.
+    seam: float = 0.35
+    # More of what it has beyond so many levels, where the camera contradicts the memory.
+    contradicted: float = 0.65
+    contradiction: float = 10.0
+    # So much of the picture's slope, in levels a pixel: edges lie a little aside.
+    slope: float = 0.37
+    # More where colours are stretched over a gap.
+    stretched: float = 4.4
+    # Where the last images show the surface, instead of the seam: so much of what they differ
+    # there (walks of a demo flat and a kitchen of their own: 0.3 to 0.9).
+    seen_before: float = 0.5
+    least_error: float = 1.0
+    # Of a gap that is filled from around it.
+    gap_error: float = 38.0
+    # Share of the wide view that may be missing before the network is worth its time.
+    most_missing: float = 0.02
 
 
 def fuse(image: np.ndarray, guide: Guide, network_image: np.ndarray | None,
-         expansion: ViewExpansion) -> tuple[np.ndarray, np.ndarray]:
+         expansion: ViewExpansion, thresholds: FusionThresholds = FusionThresholds()
+         ) -> tuple[np.ndarray, np.ndarray]:
     """
     Return the wide image, uint8 RGB (H, W, 3), and the expected error of its pixels.
 
@@ -43,31 +62,34 @@ def fuse(image: np.ndarray, guide: Guide, network_image: np.ndarray | None,
     rows, columns = expansion.observed
     inside = guide.known[rows, columns]
     difference = cv2.subtract(image, guide.image[rows, columns], dtype=cv2.CV_32F)
-    correction, error = _carried_outward(difference, inside, expansion)
+    correction, error = _carried_outward(difference, inside, expansion, thresholds)
     if guide.seen_before is not None:
         seen, weight = guide.seen_before
         rest = 1 - weight
         correction = cv2.multiply(correction, cv2.merge([rest] * 3))
         cv2.add(correction, seen, dst=correction)
-        magnitude = cv2.transform(np.abs(seen), np.full((1, 3), SEEN_BEFORE / 3, np.float32))
-        error = cv2.scaleAdd(weight, LEAST_ERROR, cv2.add(cv2.multiply(error, rest), magnitude))
+        magnitude = cv2.transform(
+            np.abs(seen), np.full((1, 3), thresholds.seen_before / 3, np.float32))
+        error = cv2.scaleAdd(weight, thresholds.least_error,
+                             cv2.add(cv2.multiply(error, rest), magnitude))
     wide = cv2.add(guide.image, correction, dtype=cv2.CV_8U)
     unknown = ~guide.known
     if network_image is not None:
         wide[unknown] = network_image[unknown]
     elif unknown.any():
         wide = _filled(wide, guide.known)
-    error = np.maximum(cv2.scaleAdd(_slope(wide), SLOPE, error), np.float32(LEAST_ERROR))
-    error[guide.stretched] += STRETCHED
-    error[unknown] = np.nan if network_image is not None else GAP_ERROR
+    error = np.maximum(cv2.scaleAdd(_slope(wide), thresholds.slope, error),
+                       np.float32(thresholds.least_error))
+    error[guide.stretched] += thresholds.stretched
+    error[unknown] = np.nan if network_image is not None else thresholds.gap_error
     error /= 255
     wide[rows, columns] = image
     error[rows, columns] = 0
     return wide, error
 
 
-def _carried_outward(difference: np.ndarray, inside: np.ndarray, expansion: ViewExpansion
-                     ) -> tuple[np.ndarray, np.ndarray]:
+def _carried_outward(difference: np.ndarray, inside: np.ndarray, expansion: ViewExpansion,
+                     thresholds: FusionThresholds) -> tuple[np.ndarray, np.ndarray]:
     """
     Spread the differences float32 (h, w, 3) of the observed window smoothly over the wide view.
 
@@ -78,11 +100,11 @@ def _carried_outward(difference: np.ndarray, inside: np.ndarray, expansion: View
     """
     difference[~inside] = 0
     magnitude = cv2.transform(np.abs(difference), np.full((1, 3), 1 / 3, np.float32))
-    healed = np.clip(difference, -MOST_HEALED, MOST_HEALED)
-    coarse = np.dstack([_on_blocks(layer, expansion)
+    healed = np.clip(difference, -thresholds.most_healed, thresholds.most_healed)
+    coarse = np.dstack([_on_blocks(layer, expansion, thresholds.block)
                         for layer in (healed, magnitude, inside.astype(np.float32))])
     small = coarse.shape[1::-1]
-    spread = cv2.GaussianBlur(coarse, (0, 0), REACH * small[0] / 2)
+    spread = cv2.GaussianBlur(coarse, (0, 0), thresholds.reach * small[0] / 2)
     # A second, wide blur gives a value even where the first one gives none.
     everywhere = cv2.GaussianBlur(coarse, (0, 0), small[0] / 4) + coarse.mean((0, 1)) * 1e-3
     total = spread + 1e-3 * everywhere
@@ -90,28 +112,30 @@ def _carried_outward(difference: np.ndarray, inside: np.ndarray, expansion: View
     # Far from the seam nothing is known of the difference: the correction fades, the error stays.
     mean[..., :3] *= np.minimum(2 * spread[..., -1:], 1)
     seam = mean[..., 3]
-    expected = SEAM * seam + CONTRADICTED * np.maximum(seam - CONTRADICTION, 0)
-    return _from_blocks(mean[..., :3], expansion), _from_blocks(expected, expansion)
+    expected = thresholds.seam * seam + thresholds.contradicted * np.maximum(
+        seam - thresholds.contradiction, 0)
+    return (_from_blocks(mean[..., :3], expansion, thresholds.block),
+            _from_blocks(expected, expansion, thresholds.block))
 
 
-def _on_blocks(window: np.ndarray, expansion: ViewExpansion) -> np.ndarray:
+def _on_blocks(window: np.ndarray, expansion: ViewExpansion, block: int) -> np.ndarray:
     """Average float32 (h, w[, 3]) of the observed window over the wide view's blocks; else 0."""
     rows, columns = expansion.observed
     target, channels = expansion.target, window.shape[2:]
-    coarse = np.zeros((-(-target.height // BLOCK), -(-target.width // BLOCK), *channels),
+    coarse = np.zeros((-(-target.height // block), -(-target.width // block), *channels),
                       np.float32)
     # The window need not begin and end where blocks do.
-    padded = cv2.copyMakeBorder(window, rows.start % BLOCK, -rows.stop % BLOCK,
-                                columns.start % BLOCK, -columns.stop % BLOCK, cv2.BORDER_CONSTANT)
-    part = coarse[rows.start // BLOCK:-(-rows.stop // BLOCK),
-                  columns.start // BLOCK:-(-columns.stop // BLOCK)]
+    padded = cv2.copyMakeBorder(window, rows.start % block, -rows.stop % block,
+                                columns.start % block, -columns.stop % block, cv2.BORDER_CONSTANT)
+    part = coarse[rows.start // block:-(-rows.stop // block),
+                  columns.start // block:-(-columns.stop // block)]
     part[:] = cv2.resize(padded, part.shape[1::-1], interpolation=cv2.INTER_AREA)
     return coarse
 
 
-def _from_blocks(coarse: np.ndarray, expansion: ViewExpansion) -> np.ndarray:
+def _from_blocks(coarse: np.ndarray, expansion: ViewExpansion, block: int) -> np.ndarray:
     """Interpolate what `_on_blocks` is like in the wide view."""
-    size = (coarse.shape[1] * BLOCK, coarse.shape[0] * BLOCK)
+    size = (coarse.shape[1] * block, coarse.shape[0] * block)
     fine = cv2.resize(coarse, size, interpolation=cv2.INTER_LINEAR)
     return fine[:expansion.target.height, :expansion.target.width]
 

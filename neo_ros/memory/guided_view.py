@@ -2,20 +2,19 @@
 from pathlib import Path
 
 from neo_ros.geometry import ViewExpansion
-from neo_ros.memory.fusion import fuse
-from neo_ros.memory.scene_guide import Guide, SceneGuide
+from neo_ros.memory.fusion import fuse, FusionThresholds
+from neo_ros.memory.scene_guide import SceneGuide
 from neo_ros.memory.scene_memory import SceneMemory
+from neo_ros.memory.sight import Guide
 import numpy as np
-
-# Share of the wide view.
-MOST_MISSING = 0.02
 
 
 class GuidedView:
     """Follows one camera and fuses its images with what the memory shows around them."""
 
-    def __init__(self, guide: SceneGuide) -> None:
-        self._guide = guide
+    def __init__(self, guide: SceneGuide,
+                 thresholds: FusionThresholds = FusionThresholds()) -> None:
+        self._guide, self._thresholds = guide, thresholds
 
     @classmethod
     def load(cls, path: Path, sha256: str, expansion: ViewExpansion, threads: int
@@ -33,12 +32,12 @@ class GuidedView:
         """Tell whether the memory has gaps that are worth the time of the network."""
         missing = ~guide.known
         missing[self._guide.expansion.observed] = False  # The camera shows that.
-        return bool(missing.mean() > MOST_MISSING)
+        return bool(missing.mean() > self._thresholds.most_missing)
 
     def fuse(self, image: np.ndarray, guide: Guide, network_image: np.ndarray | None
              ) -> tuple[np.ndarray, np.ndarray]:
         """Return wide image and expected error: see `fusion.fuse`."""
-        return fuse(image, guide, network_image, self._guide.expansion)
+        return fuse(image, guide, network_image, self._guide.expansion, self._thresholds)
 
     def reset(self) -> None:
         """Forget the frames so far."""

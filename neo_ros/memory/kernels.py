@@ -5,7 +5,7 @@ The depths of a keyframe are the vertices of a mesh, joined by triangles: seen f
 nearby, the mesh with the keyframe's colours on it is the scene.
 """
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 from neo_ros.machine.compiled import njit
 from numba import prange
@@ -30,14 +30,61 @@ OUTSIDE, FLAT = np.float32(-1e-5), np.float32(1e-9)
 UNSEEN, WHOLE, TORN = 0, 1, 2
 
 
+# What kernels take is defined in files of kernels: code kept on disk refers to fields by their
+# place, and is made anew only where such a file has changed.
+class Pinhole(NamedTuple):
+    """Focal lengths and principal point of a camera, pixels."""
+
+    fx: float | np.float32
+    fy: float | np.float32
+    cx: float | np.float32
+    cy: float | np.float32
+
+
+class Mesh(NamedTuple):
+    """
+    A keyframe's mesh in a view; see `project_vertices` and `sort_quads`.
+
+    vertices float32 (3, h, w), kinds uint8 (h, w), spans float32 (h, 2, 2), texture uint8 RGB
+    (n h, n w, 3).
+    """
+
+    vertices: np.ndarray
+    kinds: np.ndarray
+    spans: np.ndarray
+    texture: np.ndarray
+
+
+class Canvas(NamedTuple):
+    """
+    What is drawn into.
+
+    image float32 RGB (H, W, 3); inverse float32 (H, W), 1 / z in 1 / metres, 0 = empty; rank int8
+    (H, W), the number of the keyframe that is seen, -1 = none.
+    """
+
+    image: np.ndarray
+    inverse: np.ndarray
+    rank: np.ndarray
+
+
+class Box(NamedTuple):
+    """Pixels from the first to the last, both included."""
+
+    left: int
+    right: int
+    top: int
+    bottom: int
+
+
 @njit(parallel=True, **FAST)
-def project_vertices(rays, depth, offset, rotation, fx, fy, cx, cy, vertices):
+def project_vertices(rays, depth, offset, rotation, camera, vertices):
     """
     Project a keyframe's vertices into a camera.
 
     rays (h, w, 3) unit directions in the world, depth (h, w) metres along them (0 = unknown),
-    offset (3,) keyframe minus camera position, rotation (3, 3) world to camera. vertices
-    (3, h, w): u, v in pixels and 1 / z in 1 / metres, 0 where unknown or behind the camera.
+    offset (3,) keyframe minus camera position, rotation (3, 3) world to camera, camera Pinhole.
+    vertices (3, h, w): u, v in pixels and 1 / z in 1 / metres, 0 where unknown or behind it.
     """
     for i in prange(rays.shape[0]):
         for j in range(rays.shape[1]):
@@ -53,8 +100,8 @@ def project_vertices(rays, depth, offset, rotation, fx, fy, cx, cy, vertices):
                 continue
             x = rotation[0, 0] * px + rotation[0, 1] * py + rotation[0, 2] * pz
             y = rotation[1, 0] * px + rotation[1, 1] * py + rotation[1, 2] * pz
-            vertices[0, i, j] = fx * x / z + cx
-            vertices[1, i, j] = fy * y / z + cy
+            vertices[0, i, j] = camera.fx * x / z + camera.cx
+            vertices[1, i, j] = camera.fy * y / z + camera.cy
             vertices[2, i, j] = 1 / z
 
 
@@ -98,14 +145,20 @@ def sort_quads(vertices, depth, wraps, reach, width, height, kinds, spans):
 
 
 @njit(**FAST)
-def _draw_quad(ax, ay, az, bx, by, bz, cx, cy, cz, dx, dy, dz, left, right, top, bottom,
-               row, column, texture, ratio, own, fill, image, inverse, rank):
+def _draw_quad(quad, box, row, column, texture, ratio, own, fill, canvas):
     """
     Draw the two triangles a, b, c and b, d, c of a quad into the pixels of its box.
 
-    a to d: u, v in pixels and 1 / z, row by row; those that are seen from behind are left out.
-    (row, column): the vertex a in the mesh.
+    quad: a to d, each (u, v, 1 / z), row by row; those that are seen from behind are left out.
+    (row, column): the vertex a in the mesh; ratio: texture pixels a quad.
     """
+    a, b, c, d = quad
+    ax, ay, az = a
+    bx, by, bz = b
+    cx, cy, cz = c
+    dx, dy, dz = d
+    left, right, top, bottom = box
+    image, inverse, rank = canvas
     upper = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
     lower = (dx - bx) * (cy - by) - (dy - by) * (cx - bx)
     over_upper = np.float32(1) / upper if upper > FLAT else np.float32(0)
@@ -173,33 +226,31 @@ def _any_empty(inverse, low, high):
 
 
 @njit(**FAST)
-def _is_hidden(left, right, top, bottom, nearest, own, fill, inverse, rank):
+def _is_hidden(box, nearest, own, fill, canvas):
     """Tell whether `_draw_quad` would change no pixel of a box; nearest: the largest 1 / z."""
-    for y in range(top, bottom + 1):
-        for x in range(left, right + 1):
-            seen = inverse[y, x]
-            if seen <= 0 or rank[y, x] == own or not (fill or nearest * NEARER <= seen):
+    for y in range(box.top, box.bottom + 1):
+        for x in range(box.left, box.right + 1):
+            seen = canvas.inverse[y, x]
+            if seen <= 0 or canvas.rank[y, x] == own or not (fill or nearest * NEARER <= seen):
                 return False
     return True
 
 
 @njit(parallel=True, **FAST)
-def draw_keyframe(vertices, kinds, spans, texture, own, fill, image, inverse, rank):
+def draw_keyframe(mesh, own, fill, canvas):
     """
-    Draw the mesh of one keyframe into a view.
+    Draw the Mesh of the keyframe with the number `own` into a Canvas.
 
-    vertices, kinds and spans as `project_vertices` and `sort_quads` left them; texture
-    (n h, n w, 3) uint8 of the keyframe. `fill` draws what is torn, into empty pixels; else the
-    rest is drawn. image (H, W, 3) float32, inverse (H, W) float32 1 / z, 0 = empty, and rank
-    (H, W) int8, the keyframe's number `own` of each pixel, are filled.
+    `fill` draws what is torn, into empty pixels; else the rest is drawn.
     """
+    vertices, kinds, spans, texture = mesh
     rows, columns = kinds.shape
-    height, width = inverse.shape
+    height, width = canvas.inverse.shape
     ratio = np.float32(texture.shape[0] / rows)
     wanted, torn = (TORN, 1) if fill else (WHOLE, 0)
     for band in prange(BANDS):
         low, high = band * height // BANDS, (band + 1) * height // BANDS
-        if fill and not _any_empty(inverse, low, high):
+        if fill and not _any_empty(canvas.inverse, low, high):
             continue
         for i in range(rows - 1):
             if spans[i, torn, 0] > high or spans[i, torn, 1] < low:
@@ -223,8 +274,8 @@ def draw_keyframe(vertices, kinds, spans, texture, own, fill, image, inverse, ra
                 az, bz = vertices[2, i, j], vertices[2, i, k]
                 cz, dz = vertices[2, i + 1, j], vertices[2, i + 1, k]
                 # A little more than the nearest vertex, for what rounding does.
-                if _is_hidden(left, right, top, bottom, max(az, bz, cz, dz) * np.float32(1.0001),
-                              own, fill, inverse, rank):
+                box = Box(left, right, top, bottom)
+                if _is_hidden(box, max(az, bz, cz, dz) * np.float32(1.0001), own, fill, canvas):
                     continue
-                _draw_quad(ax, ay, az, bx, by, bz, cx, cy, cz, dx, dy, dz, left, right, top,
-                           bottom, i, j, texture, ratio, own, fill, image, inverse, rank)
+                quad = ((ax, ay, az), (bx, by, bz), (cx, cy, cz), (dx, dy, dz))
+                _draw_quad(quad, box, i, j, texture, ratio, own, fill, canvas)

@@ -13,31 +13,40 @@ from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.memory.local_features import Features, find_features, match_features
 import numpy as np
 
-# Images are enlarged twice, or to so many pixels in width if that is less. With 256 poses are no
-# better (demo flat: 0.55 instead of 0.62 cm), and SIFT takes half as long again.
+# Images are enlarged twice, or to so many pixels in width if that is less; those that landmarks
+# are made of and those that are located alike. With 256 poses are no better (demo flat: 0.55
+# instead of 0.62 cm), and SIFT takes half as long again.
 WORKED_WIDTH = 192
-MOST_FEATURES = 500
-MOST_LANDMARKS = 20_000
-# Photos that have to show a landmark.
-LEAST_PHOTOS = 3
-# RootSIFT has length 1, and hardly a component above a half.
-STEPS = 512
-RATIO = 0.9
-INLIER_PIXELS = 2.0
-RANSAC_ROUNDS = 300
-# On 369 images of other scenes chance makes 6 at most; on held-out photos it is 24 and more.
-LEAST_INLIERS = 20
-# How far outside the image landmarks are tried, in widths of it.
-MARGIN = 0.25
-ALIKE_METRES, ALIKE_COSINE = 0.2, 0.99
-NEAREST = 0.1  # metres
-# How much more the landmarks may be off than at their own best pose, in variances: 6 would be
-# chance. More than so many landmarks are not believed more: they err together. Of the poses that
-# alignment finds for held-out photos, right ones have up to 60 (living_room, demo flat); those
-# half a degree off in a real kitchen have 80 and more.
-MOST_DOUBT, MOST_WITNESSES = 60.0, 90
-# Of the squared distance of a landmark from its pixel: features are not found more exactly.
-LEAST_VARIANCE = 0.1
+# Of a file: RootSIFT has length 1, and hardly a component above a half.
+MOST_LANDMARKS, STEPS = 20_000, 512
+NEAREST = 0.1  # metres that a point lies before the camera at least
+
+
+@dataclass(frozen=True)
+class LandmarkThresholds:
+    """Which landmarks are kept, when a pose follows from them, and which others they allow."""
+
+    # Photos that have to show a landmark.
+    least_photos: int = 3
+    most_features: int = 500
+    ratio: float = 0.9
+    inlier_pixels: float = 2.0
+    ransac_rounds: int = 300
+    # On 369 images of other scenes chance makes 6 at most; on held-out photos it is 24 and more.
+    least_inliers: int = 20
+    # How far outside the image landmarks are tried, in widths of it.
+    margin: float = 0.25
+    # Two poses that are nearer than this have nearly the same landmarks in view.
+    alike_metres: float = 0.2
+    alike_cosine: float = 0.99
+    # How much more the landmarks may be off than at their own best pose, in variances: 6 would be
+    # chance. Of the poses that alignment finds for held-out photos, right ones have up to 60
+    # (living_room, demo flat); those half a degree off in a real kitchen have 80 and more.
+    most_doubt: float = 60.0
+    # More than so many landmarks are not believed more: they err together.
+    most_witnesses: int = 90
+    # Of the squared distance of a landmark from its pixel: features are not found more exactly.
+    least_variance: float = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +58,9 @@ class Landmarks:
 
     @classmethod
     def from_observations(cls, points: np.ndarray, point_of: np.ndarray,
-                          descriptors: np.ndarray) -> 'Landmarks | None':
+                          descriptors: np.ndarray,
+                          least_photos: int = LandmarkThresholds.least_photos
+                          ) -> 'Landmarks | None':
         """
         Choose the points that most photos show, each with its mean descriptor; None without any.
 
@@ -59,7 +70,7 @@ class Landmarks:
         shown = point_of >= 0
         photos = np.bincount(point_of[shown], minlength=len(points))
         chosen = np.argsort(-photos, kind='stable')[:MOST_LANDMARKS]
-        chosen = np.sort(chosen[photos[chosen] >= LEAST_PHOTOS])
+        chosen = np.sort(chosen[photos[chosen] >= least_photos])
         if not len(chosen):
             return None
         sums = np.zeros((len(points), descriptors.shape[1]), np.float32)
@@ -75,23 +86,28 @@ class Location(NamedTuple):
     camera: Intrinsics
     points: np.ndarray
     pixels: np.ndarray
+    thresholds: LandmarkThresholds = LandmarkThresholds()
 
     def allows(self, pose: CameraPose) -> bool:
         """Tell whether another pose fits the landmarks as well, but for chance."""
         own, other = (self._squared_errors(one).mean() for one in (self.pose, pose))
-        witnesses = min(len(self.points), MOST_WITNESSES)
-        return bool(2 * witnesses * (other - own) < MOST_DOUBT * max(own, LEAST_VARIANCE))
+        limits = self.thresholds
+        witnesses = min(len(self.points), limits.most_witnesses)
+        return bool(2 * witnesses * (other - own)
+                    < limits.most_doubt * max(own, limits.least_variance))
 
     def _squared_errors(self, pose: CameraPose) -> np.ndarray:
         seen, off = _project(self.points, pose, self.camera)
         errors = ((off - self.pixels) ** 2).sum(1)
-        return np.minimum(np.where(seen, errors, np.inf), (2 * INLIER_PIXELS) ** 2)
+        return np.minimum(np.where(seen, errors, np.inf), (2 * self.thresholds.inlier_pixels) ** 2)
 
 
 class Locator:
     """Finds images of one camera by the landmarks of one scene."""
 
-    def __init__(self, landmarks: Landmarks, camera: Intrinsics) -> None:
+    def __init__(self, landmarks: Landmarks, camera: Intrinsics,
+                 thresholds: LandmarkThresholds = LandmarkThresholds()) -> None:
+        self.thresholds = thresholds
         # An image that is shrunk to find features knows them less exactly, by its own pixels: of
         # the shrunk one the limits are.
         self.camera = camera.scaled(min(1.0, WORKED_WIDTH / camera.width))
@@ -103,7 +119,7 @@ class Locator:
 
     def features(self, image: np.ndarray) -> Features:
         """Find in an image, uint8 RGB (h, w, 3), what `locate` looks at."""
-        found = find_features(image, self._magnify, MOST_FEATURES)
+        found = find_features(image, self._magnify, self.thresholds.most_features)
         return Features(found.points * self._shrunk, found.descriptors)
 
     def locate(self, features: Features, around: CameraPose | None = None) -> Location | None:
@@ -114,15 +130,16 @@ class Locator:
         else all. PnP after Gao et al. (2003) in RANSAC, then least squares.
         """
         found = self._match(features, around)
-        if found is not None and (around is None or not _alike(found.pose, around)):
+        if found is not None and (around is None or not self._alike(found.pose, around)):
             # Other landmarks are in view there, and of all of them many look alike.
             found = self._match(features, found.pose) or found
         return found
 
     def _match(self, features: Features, around: CameraPose | None) -> Location | None:
         tried = np.arange(len(self._points)) if around is None else self._visible(around)
-        matches = match_features(features.descriptors, self._descriptors[tried], RATIO)
-        if len(matches) < LEAST_INLIERS:
+        matches = match_features(features.descriptors, self._descriptors[tried],
+                                 self.thresholds.ratio)
+        if len(matches) < self.thresholds.least_inliers:
             return None
         return self._pose(self._points[tried[matches[:, 1]]],
                           features.points[matches[:, 0]])
@@ -131,19 +148,19 @@ class Locator:
         """Return the indices of the landmarks in view of a pose, or near to it."""
         seen, pixels = _project(self._points, pose, self.camera)
         size = np.array([self.camera.width, self.camera.height])
-        margin = MARGIN * self.camera.width
+        margin = self.thresholds.margin * self.camera.width
         return np.flatnonzero(seen & ((pixels > -margin) & (pixels < size + margin)).all(1))
 
     def _pose(self, points: np.ndarray, pixels: np.ndarray) -> Location | None:
-        matrix = self.camera.matrix
+        matrix, limits = self.camera.matrix, self.thresholds
         found, turn, shift, inliers = cv2.solvePnPRansac(
-            points, pixels, matrix, None, iterationsCount=RANSAC_ROUNDS,
-            reprojectionError=INLIER_PIXELS, confidence=0.9999, flags=cv2.SOLVEPNP_AP3P)
+            points, pixels, matrix, None, iterationsCount=limits.ransac_rounds,
+            reprojectionError=limits.inlier_pixels, confidence=0.9999, flags=cv2.SOLVEPNP_AP3P)
         if not found or inliers is None:
             return None
         fits = inliers[:, 0]
         for _ in range(2):
-            if len(fits) < LEAST_INLIERS:
+            if len(fits) < limits.least_inliers:
                 return None
             turn, shift = cv2.solvePnPRefineLM(points[fits], pixels[fits], matrix, None, turn,
                                                shift)
@@ -154,21 +171,21 @@ class Locator:
             pose = CameraPose.nearest(np.linalg.inv(T))
             seen, off = _project(points, pose, self.camera)
             fits = np.flatnonzero(
-                seen & (((off - pixels) ** 2).sum(1) < INLIER_PIXELS ** 2))
-        if len(fits) < LEAST_INLIERS:
+                seen & (((off - pixels) ** 2).sum(1) < limits.inlier_pixels ** 2))
+        if len(fits) < limits.least_inliers:
             return None
-        return Location(pose, self.camera, points[fits], pixels[fits])
+        return Location(pose, self.camera, points[fits], pixels[fits], limits)
+
+    def _alike(self, one: CameraPose, other: CameraPose) -> bool:
+        """Tell whether nearly the same landmarks are in view of two poses."""
+        return bool(
+            np.linalg.norm(one.position - other.position) < self.thresholds.alike_metres
+            and one.forward @ other.forward > self.thresholds.alike_cosine)
 
 
 def magnification(camera: Intrinsics) -> float:
     """Return how many times an image is enlarged before features are looked for."""
     return min(2.0, WORKED_WIDTH / camera.width)
-
-
-def _alike(one: CameraPose, other: CameraPose) -> bool:
-    """Tell whether nearly the same landmarks are in view of two poses."""
-    return bool(np.linalg.norm(one.position - other.position) < ALIKE_METRES
-                and one.forward @ other.forward > ALIKE_COSINE)
 
 
 def _project(points: np.ndarray, pose: CameraPose, camera: Intrinsics

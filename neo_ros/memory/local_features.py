@@ -26,13 +26,13 @@ class Features(NamedTuple):
 
 
 def find_features(image: np.ndarray, magnify: float = MAGNIFY,
-                  most: int = MOST_FEATURES) -> Features:
+                  most: int = MOST_FEATURES, contrast: float = CONTRAST) -> Features:
     """Find the `most` strongest features of an RGB uint8 image (H, W, 3), enlarged."""
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
     large = cv2.resize(grey, None, fx=magnify, fy=magnify, interpolation=(
         cv2.INTER_CUBIC if magnify > 1 else cv2.INTER_AREA))
     found, descriptors = cv2.SIFT.create(
-        most, contrastThreshold=CONTRAST, edgeThreshold=15).detectAndCompute(large, None)
+        most, contrastThreshold=contrast, edgeThreshold=15).detectAndCompute(large, None)
     if descriptors is None:
         return Features(np.zeros((0, 2), np.float32), np.zeros((0, 128), np.float32))
     # OpenCV counts from the centre of the first pixel.

@@ -1,24 +1,34 @@
 """What the camera has just seen, and looks past now: the last images correct the memory."""
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import cv2
 from neo_ros.geometry import CameraPose, ViewExpansion
-from neo_ros.memory.alignment import FINEST
-from neo_ros.memory.recent_kernels import bring_differences
+from neo_ros.memory.kernels import Pinhole
+from neo_ros.memory.recent_kernels import bring_differences, SeenImages
 import numpy as np
 
-# Images that are kept. A new one is kept beside the one before if surfaces have moved by this
-# share of its width; otherwise in its place.
-KEPT = 8
-MOVED = 0.1
-# Images after which what was seen is forgotten: nobody knows whether it is still there.
-FORGOTTEN = 150
-# Grey levels by which image and memory differ where the image is no longer trusted: there may be
-# somebody who moves. The mean over squares of so many pixels counts.
-UNTRUSTED, AROUND = 24.0, 9
-# Of an image whose Laplacian is this much weaker than the memory's only coarse differences count,
-# smoothed by so many pixels: what it does not show because it is blurred is still there.
-BLURRED, COARSE = 0.75, 2.0
+
+@dataclass(frozen=True)
+class RecentThresholds:
+    """Which images are kept, and how far each is trusted."""
+
+    # They are at most so wide, pixels: as those that are aligned.
+    widest: int = 128
+    # Images that are kept. A new one is kept beside the one before if surfaces have moved by this
+    # share of its width; otherwise in its place.
+    kept: int = 8
+    moved: float = 0.1
+    # Images after which what was seen is forgotten: nobody knows whether it is still there.
+    forgotten: int = 150
+    # Grey levels by which image and memory differ where the image is no longer trusted: there may
+    # be somebody who moves. The mean over squares of so many pixels counts.
+    untrusted: float = 24.0
+    around: int = 9
+    # Of an image whose Laplacian is this much weaker than the memory's only coarse differences
+    # count, smoothed by so many pixels: what a blurred image does not show is still there.
+    blurred: float = 0.75
+    coarse: float = 2.0
 
 
 class SeenBefore(NamedTuple):
@@ -34,10 +44,12 @@ class SeenBefore(NamedTuple):
 
 
 class RecentImages:
-    """The last images of one camera that follows a scene memory, at most `FINEST` pixels wide."""
+    """The last images of one camera that follows a scene memory, made small."""
 
-    def __init__(self, expansion: ViewExpansion) -> None:
-        scale = min(1.0, FINEST / expansion.source.width)
+    def __init__(self, expansion: ViewExpansion,
+                 thresholds: RecentThresholds = RecentThresholds()) -> None:
+        self.thresholds = thresholds
+        scale = min(1.0, thresholds.widest / expansion.source.width)
         self._source, self._target = expansion.source.scaled(scale), expansion.target.scaled(scale)
         self._observed = expansion.observed
         self._size = (expansion.target.width, expansion.target.height)
@@ -45,11 +57,11 @@ class RecentImages:
         self._ring = cv2.resize(expansion.extrapolated_mask.view(np.uint8),
                                 (self._target.width, self._target.height),
                                 interpolation=cv2.INTER_NEAREST_EXACT)
-        shape = (KEPT, self._source.height, self._source.width)
+        shape = (thresholds.kept, self._source.height, self._source.width)
         self._differences = np.zeros((*shape, 3), np.float32)
         self._depths, self._trusts = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-        self._poses = [CameraPose(np.eye(4))] * KEPT
-        self._numbers = [0] * KEPT
+        self._poses = [CameraPose(np.eye(4))] * thresholds.kept
+        self._numbers = [0] * thresholds.kept
         self.forget()
 
     def forget(self) -> None:
@@ -66,13 +78,14 @@ class RecentImages:
         shown, depth: what the memory shows in its wide view, float32 RGB (H, W, 3) in the image's
         exposure, which is the memory's times gain (3,), and float32 (H, W) metres, 0 = unknown.
         """
+        limits = self.thresholds
         self._number += 1
         if self._twins and len(self._order) > 1:
             slot = self._order.pop(0)
         else:
-            if len(self._order) == KEPT:
+            if len(self._order) == limits.kept:
                 self._order.pop()
-            slot = next(slot for slot in range(KEPT) if slot not in self._order)
+            slot = next(slot for slot in range(limits.kept) if slot not in self._order)
         self._order.insert(0, slot)
         size = (self._source.width, self._source.height)
         window = depth[self._observed]
@@ -83,14 +96,16 @@ class RecentImages:
         remembered = np.where(self._depths[slot][..., None] > 0, cv2.resize(
             shown[self._observed], size, interpolation=cv2.INTER_AREA), now)
         difference: np.ndarray = (now - remembered) / gain
-        if _sharpness(now) < BLURRED * _sharpness(remembered):
-            difference = cv2.GaussianBlur(difference, (0, 0), COARSE)
+        if _sharpness(now) < limits.blurred * _sharpness(remembered):
+            difference = cv2.GaussianBlur(difference, (0, 0), limits.coarse)
         self._differences[slot] = difference
         # A maximum along an axis of three takes NumPy seven times as long.
-        largest = cv2.blur(np.maximum.reduce(cv2.split(np.abs(difference))), (AROUND, AROUND))
-        self._trusts[slot] = np.clip(2 * (1 - largest / UNTRUSTED), 0, 1)
+        largest = np.maximum.reduce(cv2.split(np.abs(difference)))
+        largest = cv2.blur(largest, (limits.around, limits.around))
+        self._trusts[slot] = np.clip(2 * (1 - largest / limits.untrusted), 0, 1)
         self._poses[slot], self._numbers[slot] = pose, self._number
-        self._twins = len(self._order) > 1 and self._moved(*self._order[:2]) < MOVED
+        self._twins = len(self._order) > 1 and (
+            self._moved(*self._order[:2]) < limits.moved)
 
     def _moved(self, one: int, other: int) -> float:
         """Return by which share of the width surfaces move from one kept image to another."""
@@ -104,7 +119,7 @@ class RecentImages:
     def bring(self, depth: np.ndarray, pose: CameraPose, gain: np.ndarray) -> SeenBefore | None:
         """Show what they saw in the wide view from a pose; None: nothing. Arguments as `keep`."""
         self._order = [slot for slot in self._order
-                       if self._number - self._numbers[slot] < FORGOTTEN]
+                       if self._number - self._numbers[slot] < self.thresholds.forgotten]
         order = self._order
         if not order:
             return None
@@ -113,12 +128,11 @@ class RecentImages:
         T = np.stack([self._poses[slot].inverse() @ pose.T_world_cam for slot in order])
         brought = np.empty((*small.shape, 3), np.float32)
         weight = np.empty(small.shape, np.float32)
-        camera = self._source
-        bring_differences(
-            self._rays, small, np.array(order), self._twins, T[:, :3, :3].astype(np.float32),
-            T[:, :3, 3].astype(np.float32), gain, np.float32(camera.fx), np.float32(camera.fy),
-            np.float32(camera.cx), np.float32(camera.cy), self._differences, self._depths,
-            self._trusts, brought, weight)
+        source = self._source
+        camera = Pinhole(*map(np.float32, (source.fx, source.fy, source.cx, source.cy)))
+        seen = SeenImages(self._differences, self._depths, self._trusts, np.array(order),
+                          T[:, :3, :3].astype(np.float32), T[:, :3, 3].astype(np.float32))
+        bring_differences(self._rays, small, gain, seen, self._twins, camera, brought, weight)
         if not weight.any():
             return None
         if size == self._size:

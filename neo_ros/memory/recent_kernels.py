@@ -1,4 +1,6 @@
 """The compiled loop that brings what the last images showed into the present wide view."""
+from typing import NamedTuple
+
 from neo_ros.machine.compiled import njit
 from neo_ros.memory.kernels import CLOSEST, FAST
 from numba import prange
@@ -15,20 +17,36 @@ SHARE = np.float32(0.6)
 ENOUGH = np.float32(0.98)
 
 
+class SeenImages(NamedTuple):
+    """
+    N images of one camera, and where n of them were taken, the newest first.
+
+    differences float32 (N, h, w, 3), grey levels, exposed as the memory; depths float32 (N, h, w)
+    metres, 0 = unknown; trusts float32 (N, h, w) in [0, 1]; order int64 (n,): which of the N;
+    R float32 (n, 3, 3), t float32 (n, 3), from the camera of the view to them.
+    """
+
+    differences: np.ndarray
+    depths: np.ndarray
+    trusts: np.ndarray
+    order: np.ndarray
+    R: np.ndarray
+    t: np.ndarray
+
+
 @njit(parallel=True, **FAST)
-def bring_differences(rays, depth, order, twins, R, t, gain, fx, fy, cx, cy, differences, depths,
-                      trusts, brought, weight):
+def bring_differences(rays, depth, gain, seen, twins, camera, brought, weight):
     """
     Look up, for every pixel of a view, how images that saw its surface differed from the memory.
 
-    rays (H, W, 3) of the view, z = 1; depth (H, W) metres, 0 = not asked for. order (n,): which
-    of the N images, the newest first; `twins`: the first two are from one pose, or nearly so,
-    and cannot confirm each other; R (n, 3, 3), t (n, 3) from the view to them; gain (3,) from
-    the memory's exposure to the view's. fx to cy: their camera. differences (N, h, w, 3) grey
-    levels, exposed as the memory; depths (N, h, w) metres, 0 = unknown; trusts (N, h, w) in
-    [0, 1]. A difference that is not trusted counts where another image has the same.
+    rays (H, W, 3) of the view, z = 1; depth (H, W) metres, 0 = not asked for; gain (3,) from the
+    memory's exposure to the view's; seen SeenImages of the camera, a Pinhole of float32; `twins`:
+    the newest two are from one pose, or nearly so, and cannot confirm each other. A difference
+    that is not trusted counts where another image has the same.
     Fills weight (H, W) in [0, 1] and brought (H, W, 3), the mean difference times the weight.
     """
+    differences, depths, trusts, order, R, t = seen
+    fx, fy, cx, cy = camera
     images, height, width = len(order), depths.shape[1], depths.shape[2]
     zero, half, one = np.float32(0), np.float32(0.5), np.float32(1)
     for y in prange(depth.shape[0]):

@@ -39,9 +39,10 @@ class MemoryRenderer:
     def render(self, pose: CameraPose, view: Intrinsics, keyframes: int = 3) -> GuideView:
         """Draw the nearest keyframes; the nearer one wins where several show a surface."""
         height, width = view.height, view.width
-        image = np.zeros((height, width, 3), np.float32)
-        inverse = np.zeros((height, width), np.float32)
-        rank = np.full((height, width), -1, np.int8)
+        canvas = kernels.Canvas(np.zeros((height, width, 3), np.float32),
+                                np.zeros((height, width), np.float32),
+                                np.full((height, width), -1, np.int8))
+        camera = kernels.Pinhole(view.fx, view.fy, view.cx, view.cy)
         rotation = np.ascontiguousarray(pose.T_world_cam[:3, :3].T, np.float32)
         meshes = []
         for index in self.nearest(pose.position, keyframes):
@@ -52,15 +53,16 @@ class MemoryRenderer:
             vertices = np.empty((3, *keyframe.depth.shape), np.float32)
             kinds = np.empty(keyframe.depth.shape, np.uint8)
             spans = np.empty((len(keyframe.depth), 2, 2), np.float32)
-            kernels.project_vertices(self._rays, keyframe.depth, offset, rotation, view.fx,
-                                     view.fy, view.cx, view.cy, vertices)
+            kernels.project_vertices(self._rays, keyframe.depth, offset, rotation, camera,
+                                     vertices)
             kernels.sort_quads(
                 vertices, keyframe.depth, self.memory.band.wraps,
                 view.fx * float(np.linalg.norm(offset)), width, height, kinds, spans)
-            meshes.append((vertices, kinds, spans, keyframe.texture))
+            meshes.append(kernels.Mesh(vertices, kinds, spans, keyframe.texture))
         # What is whole comes first, what is torn fills the gaps.
         for fill in (False, True):
             for own, mesh in enumerate(meshes):
-                kernels.draw_keyframe(*mesh, own + STRETCHED * fill, fill, image, inverse, rank)
+                kernels.draw_keyframe(mesh, own + STRETCHED * fill, fill, canvas)
+        inverse = canvas.inverse
         depth = np.divide(1, inverse, out=np.zeros_like(inverse), where=inverse > 0)
-        return GuideView(image, depth, rank >= STRETCHED)
+        return GuideView(canvas.image, depth, canvas.rank >= STRETCHED)

@@ -1,84 +1,77 @@
 """`sensor_msgs/Image` to RGB arrays and back."""
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
-import cv2
 from neo_ros.errors import ImageRejected
+from neo_ros.messages.image_encodings import DEPTH, Encoding, ENCODINGS, MONO8, RGB8, to_8_bit
 from neo_ros.pictures.header import MAX_PIXELS
 import numpy as np
 
-RGB8 = 'rgb8'
-MONO8 = 'mono8'
-# OpenCV's demosaicing leaves images of fewer than 3 rows or columns black.
-MIN_BAYER_SIDE = 3
 
-
-class Encoding(NamedTuple):
-    """How one encoding lies in memory and becomes RGB."""
-
-    channels: int
-    to_rgb: Callable[[np.ndarray], np.ndarray]
-
-
-def _convert(code: int) -> Callable[[np.ndarray], np.ndarray]:
-    return lambda image: cv2.cvtColor(image, code)
-
-
-# ROS names a Bayer pattern by its first row pair from the top-left pixel. OpenCV's classic names
-# (BayerBG = rggb) start at the second row and column; its newer aliases spell the pattern as ROS.
-ENCODINGS = {
-    RGB8: Encoding(3, lambda image: image),
-    'bgr8': Encoding(3, _convert(cv2.COLOR_BGR2RGB)),
-    'rgba8': Encoding(4, _convert(cv2.COLOR_RGBA2RGB)),
-    'bgra8': Encoding(4, _convert(cv2.COLOR_BGRA2RGB)),
-    MONO8: Encoding(1, _convert(cv2.COLOR_GRAY2RGB)),
-    'bayer_rggb8': Encoding(1, _convert(cv2.COLOR_BayerRGGB2RGB)),
-    'bayer_bggr8': Encoding(1, _convert(cv2.COLOR_BayerBGGR2RGB)),
-    'bayer_gbrg8': Encoding(1, _convert(cv2.COLOR_BayerGBRG2RGB)),
-    'bayer_grbg8': Encoding(1, _convert(cv2.COLOR_BayerGRBG2RGB)),
-}
-
-
-def read_image(message: Any) -> np.ndarray:
+def read_image(message: Any, depth_as_grey: bool = False) -> np.ndarray:
     """
     Return the picture of a `sensor_msgs/Image` as RGB uint8 (H, W, 3), C-contiguous.
 
-    `message` is anything with the fields of the ROS message. An unpadded rgb8 image is returned
-    as a view of the message's data, without a copy: do not write to it. Padding at the row
-    ends (`step`) is dropped. `is_bigendian` says nothing about 8-bit samples and is ignored;
-    encodings of 16 bits are rejected by name.
+    `message` is anything with the fields of the ROS message, in one of ENCODINGS. An unpadded
+    rgb8 image is returned as a view of the message's data, without a copy: do not write to it.
+    Padding at the row ends (`step`) is dropped. Samples of 16 bits have the order of
+    `is_bigendian` and are scaled to 8 bits as `to_8_bit` does. 16UC1 is depth, and refused
+    unless `depth_as_grey`.
 
-    Raises ImageRejected with the reason 'encoding', 'size' (zero, above 64 megapixels, or a
-    Bayer image below 3x3), 'step' (rows shorter than the width), 'empty' (no data) or 'data'
-    (fewer bytes than step * height).
+    Raises ImageRejected with the reason 'encoding', 'size' (zero, above 64 megapixels, a Bayer
+    image below 3x3, or odd where two pixels share a colour), 'step' (rows shorter than the
+    width), 'empty' (no data) or 'data' (fewer bytes than step and height ask for).
     """
     name = message.encoding
     encoding = ENCODINGS.get(name) if isinstance(name, str) else None
+    if name == DEPTH and not depth_as_grey:
+        raise ImageRejected(
+            'encoding', f'encoding: expected a colour or grey image, got {DEPTH}, which is depth; '
+            'name another topic, or publish grey images as mono16')
     if encoding is None:
         raise ImageRejected(
             'encoding', f'encoding: expected one of {", ".join(ENCODINGS)}, got {name!r:.80}')
-    height, width, step = message.height, message.width, message.step
-    smallest = MIN_BAYER_SIDE if name.startswith('bayer') else 1
-    if min(height, width) < smallest or height * width > MAX_PIXELS:
+    rows = _rows(message, encoding)
+    samples = rows if encoding.sample == 1 else rows.view(
+        '>u2' if message.is_bigendian else '<u2').astype(np.uint16, copy=False)
+    shape = (len(rows), message.width) + ((encoding.channels,) if encoding.channels > 1 else ())
+    return to_8_bit(encoding.to_rgb(samples.reshape(shape)))
+
+
+def _rows(message: Any, encoding: Encoding) -> np.ndarray:
+    """Return the bytes of the rows without padding, (rows, bytes), C-contiguous."""
+    height, width, step, name = message.height, message.width, message.step, message.encoding
+    across, down = encoding.even
+    if min(height, width) < encoding.smallest or height * width > MAX_PIXELS:
         raise ImageRejected(
-            'size', f'size: expected {smallest}x{smallest} to {MAX_PIXELS} pixels for {name}, '
+            'size', f'size: expected {encoding.smallest}x{encoding.smallest} to {MAX_PIXELS} '
+            f'pixels for {name}, got {width}x{height}')
+    if width % across or height % down:
+        raise ImageRejected(
+            'size', f'size: expected multiples of {across}x{down} for {name}, '
             f'got {width}x{height}')
-    row_bytes = width * encoding.channels
+    row_bytes, row_count = width * encoding.channels * encoding.sample, (
+        height * encoding.planes // 2)
+    data = _as_bytes(message.data)
+    # Drivers disagree on the step of images in planes; nothing is padded where all just fits.
+    if encoding.planes > 2 and data.size == row_bytes * row_count:
+        step = row_bytes
     if step < row_bytes:
         raise ImageRejected(
             'step', f'step: expected at least {row_bytes} bytes for {width} pixels of {name}, '
             f'got {step}')
-    data = _as_bytes(message.data)
+    needed = step * row_count
     if data.size == 0:
-        raise ImageRejected('empty', f'data: expected {step * height} bytes, got none')
-    if data.size < step * height:
+        raise ImageRejected('empty', f'data: expected {needed} bytes, got none')
+    if data.size < needed:
         raise ImageRejected(
-            'data', f'data: expected step * height = {step * height} bytes, got {data.size}')
-    rows = data[:step * height].reshape(height, step)[:, :row_bytes]
+            'data', f'data: expected {needed} bytes for {row_count} rows of {step}, '
+            f'got {data.size}')
+    rows = data[:needed].reshape(row_count, step)
+    if encoding.planes == 6:  # A row of colours is two steps long.
+        below = rows[height:].reshape(height, 2 * step)[:, :2 * row_bytes]
+        return np.concatenate([rows[:height, :row_bytes], below.reshape(2 * height, row_bytes)])
     # OpenCV and the extrapolator want rows without gaps; without padding this copies nothing.
-    rows = np.ascontiguousarray(rows)
-    shape = (height, width) if encoding.channels == 1 else (height, width, encoding.channels)
-    return encoding.to_rgb(rows.reshape(shape))
+    return np.ascontiguousarray(rows[:, :row_bytes])
 
 
 def image_fields(image: np.ndarray) -> dict[str, Any]:

@@ -1,1 +1,1 @@
-"""The lifecycle node, its diagnostics, and bags on a real graph; the only room with rclpy."""
+"""The lifecycle node, its parameters and diagnostics, and bags on a real graph."""

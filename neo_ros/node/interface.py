@@ -15,11 +15,11 @@ class Endpoint(NamedTuple):
 
 
 IMAGE = Endpoint(
-    'image', Image, 'the camera, with `transport` raw: rgb8, bgr8, rgba8, bgra8, mono8 or Bayer '
-    '(8 bit)')
+    'image', Image, 'the camera, with `transport` raw, in any of the encodings of '
+    '[camera images](../guides/captures.md#camera-images)')
 COMPRESSED_IMAGE = Endpoint(
     'image/compressed', CompressedImage,
-    'the camera, with `transport` compressed: JPEG or PNG of 8 bits')
+    'the camera, with `transport` compressed: JPEG, PNG, WebP or TIFF')
 CAMERA_INFO = Endpoint(
     'camera_info', CameraInfo, 'its calibration; without one the image must have the size that '
     'the model takes')

@@ -1,19 +1,10 @@
-"""
-The tables of topics, parameters and services in docs/node.md, from the code.
-
-python -m neo_ros.node.interface_tables docs/node.md    writes them into the file
-"""
+"""The tables of topics, parameters and services in docs/reference/node.md, from the code."""
 from collections.abc import Iterable
-from pathlib import Path
-import re
-import sys
 from typing import Any
 
 from neo_ros.node.interface import DIAGNOSTICS, Endpoint, INPUTS, OUTPUTS, SERVICES
 from neo_ros.node.parameters import declare_parameters
 from rcl_interfaces.msg import ParameterDescriptor
-
-MARKER = '<!-- {}: written by neo_ros.node.interface_tables -->'
 
 
 class _ParameterRows:
@@ -32,7 +23,7 @@ class _ParameterRows:
 
 
 def interface_tables() -> dict[str, str]:
-    """Return the tables in Markdown, by the name of their place in the file."""
+    """Return the tables in Markdown, by their names."""
     parameters = _ParameterRows()
     declare_parameters(parameters)  # type: ignore[arg-type]
     topics = [*_rows('in, ', INPUTS), *_rows('out, ', OUTPUTS.values()),
@@ -40,14 +31,6 @@ def interface_tables() -> dict[str, str]:
     return {'topics': _table('| topic | type | |', topics),
             'parameters': _table('| parameter | default | |', parameters.rows),
             'services': _table('| service | type | |', _rows('', SERVICES))}
-
-
-def with_tables(text: str) -> str:
-    """Return the text of the file with its tables replaced by those of the code."""
-    for name, table in interface_tables().items():
-        marker = MARKER.format(name)
-        text = re.sub(rf'{re.escape(marker)}\n(\|.*\n)*', lambda _: marker + '\n' + table, text)
-    return text
 
 
 def _ranges(about: ParameterDescriptor) -> list[str]:
@@ -67,8 +50,3 @@ def _type_name(kind: type) -> str:
 
 def _table(head: str, rows: list[str]) -> str:
     return '\n'.join([head, '|---' * head.count(' |') + '|', *rows]) + '\n'
-
-
-if __name__ == '__main__':
-    path = Path(sys.argv[1])
-    path.write_text(with_tables(path.read_text()))

@@ -1,0 +1,1 @@
+"""Networks, losses, the stream of training pairs, fitting and the ONNX export."""

@@ -30,7 +30,8 @@ class OutpaintConfig:
 
     __pydantic_config__ = {'extra': 'forbid'}
     steps: int = 4000              # optimiser steps; not read where `minutes` is given
-    minutes: float | None = None  # of training time, rendering included, instead of steps
+    # Of training time, rendering included, instead of steps; depends on the speed of the machine.
+    minutes: float | None = None
     batch: int = 16                # wide views in a step, over all processes
     learning_rate: float = 2e-3    # peak; warmed up over 100 steps or 5 %, then a cosine to zero
     weight_decay: float = 0.01

@@ -2,7 +2,7 @@
 The two-dimensional real Fourier transform as matrix products, for sizes fixed beforehand.
 
 A product with a constant matrix trains, exports to ONNX and runs on every provider; the DFT
-operator does not (docs/decisions has the measurements).
+operator does not (measured in docs/decisions/0006).
 """
 import numpy as np
 import torch

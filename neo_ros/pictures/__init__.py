@@ -1,0 +1,1 @@
+"""Single pictures: headers, photos, exposure, sharpness, filling."""

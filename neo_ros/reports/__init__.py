@@ -1,0 +1,1 @@
+"""How HTML pages, strips of pictures, plots and plans look."""

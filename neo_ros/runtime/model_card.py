@@ -1,70 +1,102 @@
 """The model card: everything a user of a model file must know, inside the ONNX metadata."""
+from dataclasses import asdict, dataclass, field, fields
+from functools import partial
 import json
 from pathlib import Path
-from typing import Literal
+from typing import Any
 
-from neo_ros.errors import ModelError
-from neo_ros.geometry import ViewExpansion
+from neo_ros.errors import ModelError, NeoError
+from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.machine.files import whole_file
+from neo_ros.runtime.card_fields import (
+    check_number, check_part, check_same, check_text, check_whole, read_part)
 from neo_ros.runtime.onnx_file import OnnxFile, scan_onnx_file
 from neo_ros.runtime.scene_check import SceneReference
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 CARD_KEY = 'neo_ros.model_card'
 SCHEMA_VERSION = 1
+MASK_POLARITY = '255 = extrapolated, 0 = seen by the camera'
+_IN_NAME = r'[^/\\\x00-\x1f\x7f-\x9f]'  # No separators, no control characters.
 
 
-class _Part(BaseModel):
-    model_config = ConfigDict(extra='forbid', frozen=True)
+@dataclass(frozen=True, kw_only=True)
+class _Constant:
+    """A tensor of the graph, of which only the name may differ."""
+
+    name: str
+
+    def __post_init__(self) -> None:
+        check_text('name', self.name)
+        for constant in fields(self):
+            if constant.name != 'name':
+                check_same(constant.name, getattr(self, constant.name), constant.default)
 
 
-class InputTensor(_Part):
+@dataclass(frozen=True, kw_only=True)
+class InputTensor(_Constant):
     """The camera image, uint8 (1, h, w, 3)."""
 
     name: str = 'image'
-    dtype: Literal['uint8'] = 'uint8'
-    layout: Literal['NHWC'] = 'NHWC'
-    colour_order: Literal['RGB'] = 'RGB'
+    dtype: str = 'uint8'
+    layout: str = 'NHWC'
+    colour_order: str = 'RGB'
 
 
+@dataclass(frozen=True, kw_only=True)
 class WideTensor(InputTensor):
     """The wide image, uint8 (1, H, W, 3), with the camera's pixels pasted in."""
 
     name: str = 'wide'
 
 
-class ConfidenceTensor(_Part):
+@dataclass(frozen=True, kw_only=True)
+class ConfidenceTensor(_Constant):
     """How sure the model is of each pixel, uint8 (1, H, W); 255 = sure."""
 
     name: str = 'confidence'
-    dtype: Literal['uint8'] = 'uint8'
-    layout: Literal['NHW'] = 'NHW'
+    dtype: str = 'uint8'
+    layout: str = 'NHW'
 
 
-class OutputTensors(_Part):
+@dataclass(frozen=True, kw_only=True)
+class OutputTensors:
     """The two outputs of the graph."""
 
     wide: WideTensor = WideTensor()
     confidence: ConfidenceTensor = ConfidenceTensor()
 
+    def __post_init__(self) -> None:
+        check_part('wide', self.wide, WideTensor)
+        check_part('confidence', self.confidence, ConfidenceTensor)
 
-class Parity(_Part):
+
+@dataclass(frozen=True, kw_only=True)
+class Parity:
     """How far ONNX Runtime and the trained torch module are apart, in steps of 1/255."""
 
-    max_abs_error: int = Field(ge=0, le=255)
-    share_within_1: float = Field(ge=0, le=1)
+    max_abs_error: int
+    share_within_1: float
+
+    def __post_init__(self) -> None:
+        check_whole('max_abs_error', self.max_abs_error, 0, 255)
+        check_number('share_within_1', self.share_within_1, 0, 1)
 
 
-class MemoryFile(_Part):
+@dataclass(frozen=True, kw_only=True)
+class MemoryFile:
     """The scene memory that belongs to a model: a file beside it."""
 
-    # Any name of a file, never a folder: no separators, and at least one character is no dot.
-    file: str = Field(  # noqa: A003
-        pattern=r'^[^/\\\p{Cc}]*[^/\\.\p{Cc}][^/\\\p{Cc}]*$')
-    sha256: str = Field(pattern=r'^[0-9a-f]{64}$')
+    file: str  # noqa: A003
+    sha256: str
+
+    def __post_init__(self) -> None:
+        # Any name of a file, never a folder: no separators, and at least one character is no dot.
+        check_text('file', self.file, rf'\.*(?!\.){_IN_NAME}+')
+        check_text('sha256', self.sha256, '[0-9a-f]{64}')
 
 
-class ModelCard(_Part):
+@dataclass(frozen=True, kw_only=True)
+class ModelCard:
     """
     What a model file says of itself.
 
@@ -73,33 +105,51 @@ class ModelCard(_Part):
     out of the training; `config_hash` names the experiment;
     `gflop` is the arithmetic of one image, None in files that do not say; `scene_reference`
     tells images of other scenes apart, None: the model cannot. `memory` is None for a network
-    that works alone.
+    that works alone. Raises ModelError for fields of wrong types or out of range.
     """
 
-    schema_version: Literal[1] = 1
+    schema_version: int = SCHEMA_VERSION
     scene_id: str
     expansion: ViewExpansion
     input: InputTensor = InputTensor()  # noqa: A003
     outputs: OutputTensors = OutputTensors()
-    mask_polarity: Literal['255 = extrapolated, 0 = seen by the camera'] = (
-        '255 = extrapolated, 0 = seen by the camera')
+    mask_polarity: str = MASK_POLARITY
     network: str
     config_hash: str
-    scores: dict[str, FiniteFloat] = {}
+    scores: dict[str, float] = field(default_factory=dict)
     parity: Parity
-    trained_seconds: float = Field(ge=0)
-    gflop: FiniteFloat | None = None
+    trained_seconds: float
+    gflop: float | None = None
     neo_ros_version: str
     scene_reference: SceneReference | None = None
     memory: MemoryFile | None = None
+
+    def __post_init__(self) -> None:
+        check_same('schema_version', self.schema_version, SCHEMA_VERSION)
+        check_same('mask_polarity', self.mask_polarity, MASK_POLARITY)
+        for name in ('scene_id', 'network', 'config_hash', 'neo_ros_version'):
+            check_text(name, getattr(self, name))
+        for name, kind in (('expansion', ViewExpansion), ('input', InputTensor),
+                           ('outputs', OutputTensors), ('scores', dict), ('parity', Parity)):
+            check_part(name, getattr(self, name), kind)
+        for name, value in self.scores.items():
+            check_text('scores', name)
+            check_number(f'scores.{name}', value)
+        check_number('trained_seconds', self.trained_seconds, 0)
+        if self.gflop is not None:
+            check_number('gflop', self.gflop)
+        if self.scene_reference is not None:
+            check_part('scene_reference', self.scene_reference, SceneReference)
+        if self.memory is not None:
+            check_part('memory', self.memory, MemoryFile)
 
     @classmethod
     def from_json(cls, text: str) -> 'ModelCard':
         """Read a card; raises ModelError that names the field, also for newer schemas."""
         try:
-            fields = json.loads(text)
-            version = fields['schema_version']
-        except (ValueError, TypeError, KeyError):
+            found = json.loads(text)
+            version = found['schema_version']
+        except (ValueError, TypeError, KeyError, RecursionError):
             raise ModelError(
                 f'model card: expected a JSON object with schema_version, got {text[:80]!r}'
             ) from None
@@ -108,16 +158,25 @@ class ModelCard(_Part):
                 f'model card: schema_version {version} is newer than {SCHEMA_VERSION}, the '
                 'newest this neo_ros knows; install a newer neo_ros or export the model again')
         try:
-            return cls.model_validate(fields)
-        except ValidationError as error:
-            first = error.errors()[0]
-            place = '.'.join(str(part) for part in first['loc'])
-            raise ModelError(
-                f'model card: {place}: {first["msg"]}, got {first["input"]!r:.80}') from None
+            card: ModelCard = read_part(cls, found, **_READERS)
+        except NeoError as error:
+            raise ModelError(f'model card: {error}') from None
+        return card
 
     def to_json(self) -> str:
         """Return the card as it stands in the metadata of the model file."""
-        return self.model_dump_json(indent=1)
+        return json.dumps(asdict(self), indent=1, ensure_ascii=False, allow_nan=False)
+
+
+_READERS: dict[str, Any] = {
+    'expansion': partial(read_part, ViewExpansion, source=partial(read_part, Intrinsics)),
+    'input': partial(read_part, InputTensor),
+    'outputs': partial(read_part, OutputTensors, wide=partial(read_part, WideTensor),
+                       confidence=partial(read_part, ConfidenceTensor)),
+    'parity': partial(read_part, Parity),
+    'scene_reference': partial(read_part, SceneReference),
+    'memory': partial(read_part, MemoryFile),
+}
 
 
 def read_model_card(path: Path | str) -> ModelCard:

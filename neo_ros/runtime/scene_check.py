@@ -7,12 +7,14 @@ room, a covered lens, darkness and blur all are.
 """
 import base64
 from collections.abc import Callable
-from typing import Any
+from dataclasses import dataclass
+import sys
 
 import cv2
+from neo_ros.errors import ModelError
 from neo_ros.geometry import ViewExpansion
+from neo_ros.runtime.card_fields import check_number, check_text
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, field_validator, FiniteFloat
 
 # Steps per colour channel of the histogram: 4 x 4 x 4 colours.
 STEPS = 4
@@ -21,19 +23,28 @@ HISTOGRAM = STEPS ** 3
 MEASURES = HISTOGRAM + 5
 # Colours are counted on about so many pixels a side: more change little but the time.
 SMALL_SIDE = 96
-# Added to the covariance, as a share of its mean variance: colours that no photo has would
-# otherwise have no variance at all.
-SHRINKAGE = 0.1
-# One photo in five sets the threshold instead of the Gaussian, whose own photos flatter it.
-CALIBRATION_EVERY = 5
-# Photos at random poses also look at bare walls from close by, which tell little of the scene.
-USUAL_SHARE = 0.9
-STEEPNESS = 4.0
-MOST_GAIN = 1.25
-LEAST_PHOTOS = 20
 
 
-class SceneReference(BaseModel):
+@dataclass(frozen=True)
+class SceneCheckThresholds:
+    """How a reference is fitted, and how a score follows from how unusual an image is."""
+
+    # Added to the covariance, as a share of its mean variance: colours that no photo has would
+    # otherwise have no variance at all.
+    shrinkage: float = 0.1
+    # One photo in five sets the threshold instead of the Gaussian, whose own photos flatter it.
+    calibration_every: int = 5
+    # Photos at random poses also look at bare walls from close by, which tell little of the scene.
+    usual_share: float = 0.9
+    steepness: float = 4.0
+    # A camera's exposure is not always the one of the training photos.
+    most_gain: float = 1.25
+    # Fewer photos say too little.
+    least_photos: int = 20
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneReference:
     """
     What images of the trained scene look like; a part of the model card.
 
@@ -42,26 +53,30 @@ class SceneReference(BaseModel):
     image may be; most training photos lie below.
     """
 
-    model_config = ConfigDict(extra='forbid', frozen=True)
-
     mean: str
     whitening: str
-    threshold: FiniteFloat = Field(gt=0)
+    threshold: float
 
-    @field_validator('mean', 'whitening')
-    @classmethod
-    def _has_its_size(cls, text: str, info: Any) -> str:
-        count = MEASURES if info.field_name == 'mean' else MEASURES ** 2
-        values = _unpack(text)
-        if values.size != count or not np.isfinite(values).all():
-            raise ValueError(f'expected {count} finite float32 values in base64')
-        return text
+    def __post_init__(self) -> None:
+        for name, count in (('mean', MEASURES), ('whitening', MEASURES ** 2)):
+            text = getattr(self, name)
+            check_text(name, text)
+            try:
+                values = _unpack(text)
+            except ValueError:
+                values = np.empty(0)
+            if values.size != count or not np.isfinite(values).all():
+                raise ModelError(f'{name}: expected {count} finite float32 values in base64, '
+                                 f'got {text!r:.80}')
+        check_number('threshold', self.threshold, sys.float_info.min)
 
 
 class SceneCheck:
     """Scores images against the reference of one scene."""
 
-    def __init__(self, reference: SceneReference, expansion: ViewExpansion) -> None:
+    def __init__(self, reference: SceneReference, expansion: ViewExpansion,
+                 thresholds: SceneCheckThresholds = SceneCheckThresholds()) -> None:
+        self._steepness = thresholds.steepness
         self._expansion = expansion
         self._mean = _unpack(reference.mean)
         self._whitening = _unpack(reference.whitening).reshape(MEASURES, MEASURES)
@@ -77,42 +92,44 @@ class SceneCheck:
         """
         measures = measure_image(image, confidence, self._expansion)
         unusual = float(_unusual(measures, self._mean, self._whitening))
-        return 1 / (1 + (self._threshold / max(unusual, 1e-9)) ** STEEPNESS)
+        return 1 / (1 + (self._threshold / max(unusual, 1e-9)) ** self._steepness)
 
 
 def fit_scene_reference(photos: np.ndarray,
                         predict_confidence: Callable[[np.ndarray], np.ndarray],
-                        expansion: ViewExpansion) -> SceneReference | None:
+                        expansion: ViewExpansion,
+                        thresholds: SceneCheckThresholds = SceneCheckThresholds()
+                        ) -> SceneReference | None:
     """
     Learn what the scene looks like from its photos, as they are and a little brighter or darker.
 
     `photos`: uint8 RGB (N, h, w, 3). `predict_confidence` runs the network on one and returns
-    its confidence, uint8 (H, W). Returns None for fewer than 20 photos, which say too little.
+    its confidence, uint8 (H, W). Returns None for fewer than `thresholds.least_photos`.
     """
-    if len(photos) < LEAST_PHOTOS:
+    if len(photos) < thresholds.least_photos:
         return None
     random = np.random.default_rng(0)
     measures = []
     for index, photo in enumerate(photos):
-        # A camera's exposure is not always the one of the training photos.
-        gain = np.exp(random.uniform(-1, 1) * np.log(MOST_GAIN)) if index % 2 else 1.0
+        gain = np.exp(random.uniform(-1, 1) * np.log(thresholds.most_gain)) if index % 2 else 1.0
         image = np.minimum(np.rint(photo * gain), 255).astype(np.uint8)
         measures.append(measure_image(image, predict_confidence(image), expansion))
-    return _fit(np.stack(measures))
+    return _fit(np.stack(measures), thresholds)
 
 
-def _fit(measures: np.ndarray) -> SceneReference:
-    calibration = np.arange(len(measures)) % CALIBRATION_EVERY == CALIBRATION_EVERY // 2
+def _fit(measures: np.ndarray, thresholds: SceneCheckThresholds) -> SceneReference:
+    every = thresholds.calibration_every
+    calibration = np.arange(len(measures)) % every == every // 2
     fitted = measures[~calibration]
     mean, spread = fitted.mean(0), fitted.std(0) + 1e-3
     # All colours share one spread, or the rare ones would count as much as the common ones.
     spread[:HISTOGRAM] = fitted[:, :HISTOGRAM].std() + 1e-3
     covariance = np.cov(((fitted - mean) / spread).T)
-    covariance += SHRINKAGE * np.trace(covariance) / MEASURES * np.eye(MEASURES)
+    covariance += thresholds.shrinkage * np.trace(covariance) / MEASURES * np.eye(MEASURES)
     whitening = np.linalg.inv(np.linalg.cholesky(covariance)) / spread
     unusual = _unusual(measures[calibration], mean, whitening)
     return SceneReference(mean=_pack(mean), whitening=_pack(whitening),
-                          threshold=round(float(np.quantile(unusual, USUAL_SHARE)), 4))
+                          threshold=round(float(np.quantile(unusual, thresholds.usual_share)), 4))
 
 
 def measure_image(image: np.ndarray, confidence: np.ndarray,

@@ -1,0 +1,1 @@
+"""The scene folder, posed images, floor maps, and where poses are sampled."""

@@ -43,7 +43,7 @@ def measure_field(machine: Machine, effort: Effort, device: str = 'cpu',
     field = box_room(effort.voxels)
     trainer = trainer_in(field, effort)
     trainer.train_step()
-    samples = float(trainer.count.mean())
+    samples = float(trainer.slopes.counts.mean())
     if device != 'cpu':
         trainer = trainer_in(field, effort, device)
         field.device = device

@@ -5,6 +5,7 @@ So any size can be measured without a training: what counts for the time is how 
 how many pixels are drawn and aligned, not where their colours came from.
 """
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 import math
 from pathlib import Path
 import tempfile
@@ -15,7 +16,7 @@ from neo_ros.baking.keyframes import keyframe_glances, keyframe_size, mesh_depth
 from neo_ros.field.panorama import view_band
 from neo_ros.flat.demo_flat import build_demo_flat, DemoFlat
 from neo_ros.geometry import Band, CameraPose, Intrinsics, ViewExpansion
-from neo_ros.memory.landmarks import Landmarks, LEAST_PHOTOS, magnification
+from neo_ros.memory.landmarks import Landmarks, LandmarkThresholds, magnification
 from neo_ros.memory.local_features import find_features
 from neo_ros.memory.scene_memory import Keyframe, SceneMemory
 from neo_ros.runtime import FovExtrapolator, read_model_card
@@ -72,8 +73,8 @@ def write_guided_stand_in(folder: Path, view: ViewExpansion, poses: Sequence[Cam
     memory.landmarks = exact_landmarks(flat, view.source, looks)
     model = write_stand_in_model(folder / 'stand_in.onnx', view)
     file = MemoryFile(file='stand_in.memory', sha256=memory.write(folder / 'stand_in.memory'))
-    write_model_card(model, read_model_card(model).model_copy(
-        update={'memory': file, 'scene_id': 'demo_flat'}))
+    write_model_card(model, replace(
+        read_model_card(model), memory=file, scene_id='demo_flat'))
     return model
 
 
@@ -116,8 +117,8 @@ def exact_landmarks(flat: DemoFlat, camera: Intrinsics, poses: Sequence[CameraPo
         descriptors.append(features.descriptors)
     every = np.arange(sum(map(len, points)))
     return Landmarks.from_observations(
-        np.concatenate(points), np.tile(every, LEAST_PHOTOS),
-        np.tile(np.concatenate(descriptors), (LEAST_PHOTOS, 1)))
+        np.concatenate(points), np.tile(every, LandmarkThresholds.least_photos),
+        np.tile(np.concatenate(descriptors), (LandmarkThresholds.least_photos, 1)))
 
 
 def _follow(extrapolator: FovExtrapolator, images: Sequence[np.ndarray]

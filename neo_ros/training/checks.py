@@ -1,6 +1,6 @@
 """What can be found wrong with a training before any of its work is done."""
 
-from neo_ros.errors import ConfigError
+from neo_ros.errors import ConfigError, ModelError
 from neo_ros.field.device import chosen_device
 from neo_ros.outpaint.distributed import processes
 from neo_ros.outpaint.fitting import outpaint_device, share_of_batch
@@ -9,7 +9,6 @@ from neo_ros.outpaint.training_log import TrainingLog
 from neo_ros.runtime.model_card import MemoryFile
 from neo_ros.training.run import TrainingRun
 from neo_ros.training.views import make_sampler
-from pydantic import ValidationError
 
 
 def check_training(run: TrainingRun) -> None:
@@ -20,7 +19,7 @@ def check_training(run: TrainingRun) -> None:
     """
     try:
         MemoryFile(file=f'{run.scene.name}.memory', sha256='0' * 64)
-    except ValidationError:
+    except ModelError:
         raise ConfigError('scene: expected a folder whose name has no backslash or control '
                           f'character, got {run.scene.name!r}; rename it') from None
     rank, world = processes()

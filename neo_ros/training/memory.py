@@ -1,11 +1,12 @@
 """Beyond the paper: the scene memory that guides a run's network, with its landmarks."""
-from dataclasses import asdict
+from dataclasses import asdict, replace
 import glob
 import hashlib
 import json
 from pathlib import Path
 import shutil
 import time
+from typing import Any
 
 from neo_ros.baking.keyframes import bake_memory, MemoryConfig, Photos
 from neo_ros.baking.landmarks import find_landmarks
@@ -49,15 +50,15 @@ def memory_step(run: TrainingRun, field: RadianceField) -> None:
         shutil.rmtree(run.out / WORK, ignore_errors=True)
     run.seconds += seconds
     file = MemoryFile(file=path.name, sha256=hashlib.sha256(path.read_bytes()).hexdigest())
-    news = {'memory': file, 'trained_seconds': run.seconds}
-    write_model_card(run.model_path, read_model_card(run.model_path).model_copy(update=news))
+    news: dict[str, Any] = {'memory': file, 'trained_seconds': run.seconds}
+    write_model_card(run.model_path, replace(read_model_card(run.model_path), **news))
     # What `neo export` wrote beside the model is guided by the same memory.
     for model in run.out.glob(f'{glob.escape(run.model_path.stem)}.*.onnx'):
         try:
             card = read_model_card(model)
         except ModelError:
             continue  # An export that was broken off.
-        write_model_card(model, card.model_copy(update=news))
+        write_model_card(model, replace(card, **news))
 
 
 def memory_seconds(notes: Path, config: MemoryConfig) -> float | None:

@@ -1,6 +1,6 @@
 """A trained model in other number formats, with what each costs in size, time and quality."""
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 import statistics
 import time
@@ -70,7 +70,7 @@ def export_variants(run: TrainingRun, formats: Sequence[Format] = FORMATS,
     factor = calibration_factor(network, run.expansion, views)
     function = ExportedFunction(network, run.expansion, factor).eval()
     # What is measured here is of other frames than the scores of a card.
-    card = read_model_card(run.model_path).model_copy(update={'scores': {}})
+    card = replace(read_model_card(run.model_path), scores={})
     models = {'as trained': run.model_path}
     for number_format in formats:
         path = run.model_path.with_suffix(f'.{number_format}.onnx')
@@ -81,15 +81,15 @@ def export_variants(run: TrainingRun, formats: Sequence[Format] = FORMATS,
         worst, share = check_parity(function, model.expand, real_frames(run, PARITY_FRAMES))
         if number_format == 'fp32':  # The others round on purpose.
             require_parity(path, worst, share)
-        write_model_card(path, card.model_copy(update={
-            'parity': Parity(max_abs_error=worst, share_within_1=share)}))
+        write_model_card(path, replace(
+            card, parity=Parity(max_abs_error=worst, share_within_1=share)))
         models[number_format] = path
     variants = _measured(models, run, views, threads)
     best = max(variant.ring_psnr for variant in variants)
     for variant in variants[1:]:
-        write_model_card(variant.path, read_model_card(variant.path).model_copy(update={'scores': {
+        write_model_card(variant.path, replace(read_model_card(variant.path), scores={
             'held_out_ring_psnr': round(variant.ring_psnr, 4),
-            'held_out_ring_psnr_lost': round(best - variant.ring_psnr, 4)}}))
+            'held_out_ring_psnr_lost': round(best - variant.ring_psnr, 4)}))
     return variants
 
 

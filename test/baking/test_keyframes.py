@@ -4,7 +4,7 @@ from pathlib import Path
 from box_room import BAND, cast, EXPANSION, HEIGHT, planar, SOURCE, view
 import cv2
 from neo_ros.baking import keyframes
-from neo_ros.baking.kernels import colour_from_photos
+from neo_ros.baking.kernels import colour_from_photos, PanoramaPixels, PhotoArrays
 from neo_ros.baking.keyframes import bake_memory, keyframe_positions, MemoryConfig, Photos
 from neo_ros.errors import ConfigError, NeoError
 from neo_ros.field.rendering import Rendering
@@ -26,13 +26,14 @@ def bake(poses: list, coarse: np.ndarray, gain: float = 1.0, shift: float = 0.0)
     lengths = np.linalg.norm(SOURCE.pixel_rays(), axis=-1)
     out = np.empty((*depth.shape, 3), np.uint8)
     colour_from_photos(
-        POSITION.astype(np.float32), SMALL, (depth + shift).astype(np.float32), coarse,
-        np.stack([(image / gain).astype(np.uint8) for image, _ in views]),
-        np.stack([z * lengths for _, z in views]).astype(np.float32),
-        np.stack([pose.T_world_cam[:3, :3] for pose in poses]).astype(np.float32),
-        np.stack([pose.position for pose in poses]).astype(np.float32),
-        np.full((len(poses), 3), gain, np.float32),
-        SOURCE.fx, SOURCE.fy, SOURCE.cx, SOURCE.cy, out)
+        PanoramaPixels(POSITION.astype(np.float32), SMALL, (depth + shift).astype(np.float32),
+                       coarse),
+        PhotoArrays(np.stack([(image / gain).astype(np.uint8) for image, _ in views]),
+                    np.stack([z * lengths for _, z in views]).astype(np.float32),
+                    np.stack([pose.T_world_cam[:3, :3] for pose in poses]).astype(np.float32),
+                    np.stack([pose.position for pose in poses]).astype(np.float32),
+                    np.full((len(poses), 3), gain, np.float32),
+                    SOURCE.fx, SOURCE.fy, SOURCE.cx, SOURCE.cy), out)
     return out
 
 
@@ -62,11 +63,12 @@ def test_a_photo_is_not_blurred_when_it_is_read_between_its_pixels() -> None:
     photo_depth = depth * np.sqrt(1 + (pixels ** 2).sum(-1))
     out = np.empty((1, 64, 3), np.uint8)
     colour_from_photos(
-        np.zeros(3, np.float32), rays / lengths[..., None], (depth * lengths).astype(np.float32),
-        np.repeat(wave(wanted)[None, :, None], 3, 2).astype(np.uint8),
-        photo[None].astype(np.uint8), photo_depth[None].astype(np.float32),
-        np.eye(3, dtype=np.float32)[None], np.zeros((1, 3), np.float32),
-        np.ones((1, 3), np.float32), focal, focal, 16.0, 16.0, out)
+        PanoramaPixels(np.zeros(3, np.float32), rays / lengths[..., None],
+                       (depth * lengths).astype(np.float32),
+                       np.repeat(wave(wanted)[None, :, None], 3, 2).astype(np.uint8)),
+        PhotoArrays(photo[None].astype(np.uint8), photo_depth[None].astype(np.float32),
+                    np.eye(3, dtype=np.float32)[None], np.zeros((1, 3), np.float32),
+                    np.ones((1, 3), np.float32), focal, focal, 16.0, 16.0), out)
     # Linear interpolation is off by 12 here.
     assert np.abs(out[0, :, 0] - wave(wanted)).max() < 5
 

@@ -2,6 +2,7 @@
 from importlib.metadata import version
 from pathlib import Path
 import re
+from typing import Any
 
 import neo_ros
 from neo_ros.documents.pages import filled, pages, table
@@ -84,3 +85,29 @@ def test_every_link_leads_to_a_file(path: Path) -> None:
         if not target.exists() or anchor and anchor not in anchors(target):
             broken.append(link)
     assert broken == []
+
+
+# A line of its own, or code within a sentence.
+COMMAND = re.compile(
+    r'^    (?:.*-m neo_ros\.cli\.main|(?:\.venv/bin/)?neo) (.*)$|`neo ([^`]*)`', re.M)
+
+
+def commands_of(path: Path) -> list[str]:
+    """Return the `neo` commands of a page, without `neo` and what stands behind a #."""
+    text = path.read_text().replace('\\\n', ' ')
+    return [' '.join((line or code).split('  #')[0].split())
+            for line, code in COMMAND.findall(text)]
+
+
+@needs_checkout
+@pytest.mark.parametrize('path', [path for path in WRITTEN if commands_of(path)], ids=name_of)
+def test_commands_of_a_page_have_the_options_that_it_names(path: Path) -> None:
+    from neo_ros.cli.main import app
+    import typer
+    group: Any = typer.main.get_command(app)
+    known = {name: {option for parameter in command.params for option in parameter.opts}
+             for name, command in group.commands.items()}
+    known['COMMAND'] = {'--help'}
+    for line in commands_of(path):
+        assert line.split()[0] in known, line
+        assert set(re.findall(r'(?<!\S)--[a-z-]+', line)) <= known[line.split()[0]], line

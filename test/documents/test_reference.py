@@ -1,7 +1,7 @@
 """Tables of the reference: settings with the comments beside them, commands."""
 from pathlib import Path
 
-from neo_ros.documents.reference import commands, fields
+from neo_ros.documents.reference import commands, fields, rooms, words
 from neo_ros.errors import NeoError
 import pytest
 
@@ -32,6 +32,20 @@ def test_fields_have_their_comments(tmp_path: Path) -> None:
         '| `part.quiet` | int | `1` |  |']
     with pytest.raises(NeoError, match='expected the class Confg'):
         fields(tmp_path, 'x.py', 'Confg')
+    assert words(tmp_path, 'x.py', 'Config') == 'Words.'
+
+
+def test_rooms_have_what_the_law_says(tmp_path: Path) -> None:
+    for path, text in (
+            ('test/test_import_law.py',
+             "LAW: dict[str, set[str]] = {'cellar': {'numba'}, "
+             "'hall': {'cellar', 'plan', 'cv2'}}"),
+            ('neo_ros/cellar/__init__.py', ''), ('neo_ros/plan.py', ''),
+            ('neo_ros/hall/__init__.py', '"""Where all\nmeet.\n\nMore.\n"""')):
+        (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / path).write_text(text)
+    assert rooms(tmp_path).splitlines()[2:] == [
+        '| `cellar` |  |  | numba |', '| `hall` | Where all meet. | `cellar`, `plan` | cv2 |']
 
 
 def test_commands_have_their_options() -> None:

@@ -1,7 +1,8 @@
 """The gradients of the compiled loops, against autograd and against differences."""
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from neo_ros.field import fitting_kernels
+from neo_ros.field.fitting_kernels import (
+    adam_step, Batch, differentiate_rays, LossWeights, SampleSlopes, scatter_gradients)
 from neo_ros.field.voxel_field import RadianceField
 import numpy as np
 from plain_field import plain_samples, random_rays, room_field
@@ -9,17 +10,6 @@ import pytest
 import torch
 
 RAYS = 80
-
-
-class Batch(NamedTuple):
-    """What a step of the fit works on."""
-
-    rays_o: np.ndarray
-    rays_d: np.ndarray
-    jitter: np.ndarray
-    target: np.ndarray
-    gain: np.ndarray
-    background: np.ndarray
 
 
 class Gradients(NamedTuple):
@@ -48,27 +38,24 @@ def foggy_field(sh_degree: int) -> RadianceField:
 
 
 def differentiate(field: RadianceField, batch: Batch, distortion: float = 0,
-                  pointwise: float = 0, sparsity: float = 0) -> tuple[Gradients, Any]:
+                  pointwise: float = 0, sparsity: float = 0
+                  ) -> tuple[Gradients, SampleSlopes]:
     rays, limit = len(batch.rays_o), field.sample_limit
     cell, count = np.empty((rays, limit), np.int64), np.empty(rays, np.int64)
     frac, d_rgb = (np.empty((rays, limit, 3), np.float32) for _ in range(2))
     d_density = np.empty((rays, limit), np.float32)
     error, d_gain = np.empty(RAYS, np.float32), np.empty((RAYS, 3), np.float32)
-    fitting_kernels.differentiate_rays(
-        batch.rays_o, batch.rays_d, batch.target, batch.gain, batch.jitter,
-        batch.background, field.grid, field.row_of, np.array(field.shape), field.skip, field.box,
-        field.step, field.near, field.shift, field.terms, np.float32(distortion),
-        np.float32(pointwise), np.float32(sparsity), cell, frac, d_density, d_rgb, count, error,
-        d_gain)
-    samples = (batch.rays_d, cell, frac, d_density, d_rgb, count)
-    gradient, touched = scatter(field, samples, 2)
-    return Gradients(gradient, touched, error, d_gain), samples
+    slopes = SampleSlopes(cell, frac, d_density, d_rgb, count)
+    weights = LossWeights(np.float32(distortion), np.float32(pointwise), np.float32(sparsity))
+    differentiate_rays(batch, field.arrays, weights, slopes, error, d_gain)
+    gradient, touched = scatter(field, batch, slopes, 2)
+    return Gradients(gradient, touched, error, d_gain), slopes
 
 
-def scatter(field: RadianceField, samples: Any, threads: int) -> tuple[np.ndarray, np.ndarray]:
+def scatter(field: RadianceField, batch: Batch, slopes: SampleSlopes, threads: int
+            ) -> tuple[np.ndarray, np.ndarray]:
     gradient, touched = np.zeros_like(field.grid), np.zeros(len(field.grid), np.uint8)
-    fitting_kernels.scatter_gradients(
-        *samples, field.row_of, np.array(field.shape), field.terms, threads, gradient, touched)
+    scatter_gradients(batch.rays_d, slopes, field.arrays, threads, gradient, touched)
     return gradient, touched
 
 
@@ -155,11 +142,11 @@ def test_air_that_is_not_kept_gets_no_gradient_and_changes_none(batch: Batch) ->
 
 def test_the_number_of_threads_does_not_change_a_bit(batch: Batch) -> None:
     field = foggy_field(1)
-    _, samples = differentiate(field, batch, 0.3, 0.2, 0.1)
-    gradient, touched = scatter(field, samples, 1)
+    _, slopes = differentiate(field, batch, 0.3, 0.2, 0.1)
+    gradient, touched = scatter(field, batch, slopes, 1)
     assert touched.sum() > 300
     for threads in (2, 3, 8):
-        again, marks = scatter(field, samples, threads)
+        again, marks = scatter(field, batch, slopes, threads)
         np.testing.assert_array_equal(again, gradient)
         np.testing.assert_array_equal(marks, touched)
 
@@ -178,8 +165,7 @@ def test_adam_steps_touched_rows_as_torch_does() -> None:
         plain.grad = torch.from_numpy(gradient.copy())
         optimizer.step()
         gradient[:10] = 0
-        fitting_kernels.adam_step(
-            grid, gradient, first, second, touched, updates, np.float32(0.1))
+        adam_step(grid, gradient, first, second, touched, updates, np.float32(0.1))
         assert not gradient.any() and not touched.any()
     np.testing.assert_allclose(grid[10:], plain.detach()[10:], atol=1e-5)
     np.testing.assert_array_equal(grid[:10], frozen)

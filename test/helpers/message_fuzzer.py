@@ -15,10 +15,11 @@ import zlib
 
 from camera_messages import camera_info_message, image_message, noise_image
 import cv2
+from encoded_images import ALL, encoded_message
 from neo_ros.errors import ImageRejected
 from neo_ros.geometry import Intrinsics
 from neo_ros.messages import FrameProcessor, jpeg_fields
-from neo_ros.messages.image import ENCODINGS
+from neo_ros.messages.image_encodings import ENCODINGS
 from neo_ros.runtime import WideView
 import numpy as np
 from tiny_model import TINY_EXPANSION
@@ -29,7 +30,9 @@ NUMBERS = (0, 1, 2, 23, 24, 31, 32, 33, 96, 97, 255, 4096, 65_535, 2**31 - 1, 2*
 FLOATS = (0.0, -0.0, 1.0, -16.0, 1e-300, 1e300, math.nan, math.inf, -math.inf, 15.5, 5e-324)
 STRINGS = ('', ' ', 'rgb8', 'RGB8', 'mono16', '16UC1', 'yuv422', 'jpeg', 'png', 'x' * 5000, 'ü€',
            'rgb8; jpeg compressed bgr8', '16UC1; compressedDepth png', 'plumb_bob', 'equidistant',
-           'rational_polynomial', 'bgr8; png compressed bayer_rggb8', '; ;')
+           'rational_polynomial', 'bgr8; png compressed bayer_rggb8', '; ;', 'h264', 'webp',
+           'mono16; png compressed ', 'bayer_grbg8; png compressed ',
+           'bayer_rggb16; png compressed mono16')
 
 
 class Fuzzer:
@@ -40,7 +43,10 @@ class Fuzzer:
         image = noise_image(SOURCE, 0)
         self.jpeg = jpeg_fields(image, 80)['data'].tobytes()
         self.png = cv2.imencode('.png', image)[1].tobytes()
-        self.gray_png = cv2.imencode('.png', image[..., 0].astype(np.uint16))[1].tobytes()
+        wide = image.astype(np.uint16) * 257
+        self.others = [cv2.imencode(extension, pixels)[1].tobytes() for extension, pixels in (
+            ('.png', wide[..., 0]), ('.png', wide), ('.webp', image), ('.tiff', image),
+            ('.tiff', wide[..., 0]))]
 
     def any_of(self, values: Any) -> Any:
         """Choose one."""
@@ -48,7 +54,9 @@ class Fuzzer:
 
     def raw(self) -> SimpleNamespace:
         """Return an Image with up to four wrong fields."""
-        message = image_message(noise_image(SOURCE, int(self.random.integers(4))))
+        message = encoded_message(
+            noise_image(SOURCE, int(self.random.integers(4))), self.any_of(ALL),
+            2 * int(self.random.integers(3)), bool(self.random.integers(2)))
         message.data = message.data.tobytes()
         for _ in range(self.random.integers(0, 5)):
             field = self.any_of(('height', 'width', 'step', 'encoding', 'is_bigendian', 'data'))
@@ -58,13 +66,14 @@ class Fuzzer:
             elif field == 'is_bigendian':
                 value = int(self.random.integers(256))
             elif field == 'data':
-                value = self.random.bytes(int(self.any_of((0, 1, 767, 2303, 2304, 2305, 9216))))
+                value = self.random.bytes(int(self.any_of(
+                    (0, 1, 767, 2303, 2304, 2305, 3072, 4608, 9216))))
             setattr(message, field, value)
         return message
 
     def compressed(self) -> SimpleNamespace:
         """Return a CompressedImage, whole, cut, with wrong bytes, or a bomb."""
-        data = bytearray(self.any_of((self.jpeg, self.png, self.gray_png, self.bomb(), b'',
+        data = bytearray(self.any_of((self.jpeg, self.png, *self.others, self.bomb(), b'',
                                       self.random.bytes(200), self.jpeg_bomb())))
         kind = self.random.integers(5)
         if kind == 1:

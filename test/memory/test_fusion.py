@@ -3,10 +3,11 @@ from dataclasses import replace
 
 from box_room import box_memory, EXPANSION, planar, view
 from neo_ros.geometry import Intrinsics, ViewExpansion
-from neo_ros.memory.fusion import fuse, LEAST_ERROR, SEEN_BEFORE
+from neo_ros.memory.fusion import fuse, FusionThresholds
 from neo_ros.memory.guided_view import GuidedView
 from neo_ros.memory.recent_images import SeenBefore
-from neo_ros.memory.scene_guide import Guide, SceneGuide
+from neo_ros.memory.scene_guide import SceneGuide
+from neo_ros.memory.sight import Guide
 import numpy as np
 import pytest
 
@@ -26,7 +27,7 @@ def guide_of(image: np.ndarray, known: np.ndarray | None = None) -> Guide:
 def test_a_perfect_guide_stays_as_it_is() -> None:
     wide, error = fuse(NARROW, guide_of(WIDE), NETWORK, EXPANSION)
     assert np.abs(wide.astype(int) - WIDE).max() <= 1
-    assert np.all(error[RING] >= LEAST_ERROR / 255) and np.all(error[~RING] == 0)
+    assert np.all(error[RING] >= FusionThresholds.least_error / 255) and np.all(error[~RING] == 0)
     # It is sure of all but the edges.
     steep = np.abs(np.gradient(WIDE.astype(float).mean(-1))).max(0) > 8
     assert np.median(error[RING & ~steep]) < 2 / 255 < np.median(error[RING & steep]) / 2
@@ -109,5 +110,6 @@ def test_what_was_just_seen_corrects_the_guide_and_its_error() -> None:
                        replace(guide_of(grey), seen_before=seen), NETWORK, EXPANSION)
     assert np.all(wide[8:24, 8:24] == 120) and np.all(wide[101:, 101:] == 110)
     assert np.all(wide[30:60, :20] == 100)
-    assert error[12:20, 12:20] * 255 == pytest.approx(SEEN_BEFORE * 20 + LEAST_ERROR)
-    assert error[40, 10] * 255 == pytest.approx(LEAST_ERROR)
+    assert error[12:20, 12:20] * 255 == pytest.approx(
+        FusionThresholds.seen_before * 20 + FusionThresholds.least_error)
+    assert error[40, 10] * 255 == pytest.approx(FusionThresholds.least_error)

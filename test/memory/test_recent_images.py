@@ -5,11 +5,11 @@ from box_room import box_memory, EXPANSION, planar, view
 import cv2
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
 from neo_ros.machine.compiled import ALL_THREADS
-from neo_ros.memory import recent_images, scene_guide
 from neo_ros.memory.guided_view import GuidedView
-from neo_ros.memory.recent_images import RecentImages, SeenBefore
+from neo_ros.memory.recent_images import RecentImages, RecentThresholds, SeenBefore
 from neo_ros.memory.recent_kernels import bring_differences
 from neo_ros.memory.scene_guide import SceneGuide
+from neo_ros.memory.sight import GuideThresholds
 import numpy as np
 import pytest
 
@@ -157,14 +157,14 @@ def test_a_standing_camera_keeps_its_first_and_its_last_image() -> None:
         6 * 0.6 / 0.84, abs=1e-3)
 
 
-def test_only_so_many_images_are_kept_and_none_for_long(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_so_many_images_are_kept_and_none_for_long() -> None:
     recent = RecentImages(EXPANSION)
-    for step in range(3 * recent_images.KEPT):
+    for step in range(3 * RecentThresholds.kept):
         keep(recent, planar(1.9, 1.7, 35 + 15 * step), 5)
-    assert len(recent._order) == recent_images.KEPT
+    assert len(recent._order) == RecentThresholds.kept
     recent.forget()
     assert recent.bring(depth_at(NOW), NOW, ONE) is None
-    monkeypatch.setattr(recent_images, 'FORGOTTEN', 3)
+    recent = RecentImages(EXPANSION, RecentThresholds(forgotten=3))
     keep(recent, BEFORE, 5)
     keep(recent, NOW, 5)
     assert brought(recent).weight.any()
@@ -173,10 +173,8 @@ def test_only_so_many_images_are_kept_and_none_for_long(monkeypatch: pytest.Monk
     assert recent.bring(depth_at(NOW), NOW, ONE) is None  # NOW alone, which is no ring.
 
 
-def test_a_camera_that_stood_for_long_keeps_images_as_ever(monkeypatch: pytest.MonkeyPatch
-                                                           ) -> None:
-    monkeypatch.setattr(recent_images, 'FORGOTTEN', 4)
-    recent = RecentImages(EXPANSION)
+def test_a_camera_that_stood_for_long_keeps_images_as_ever() -> None:
+    recent = RecentImages(EXPANSION, RecentThresholds(forgotten=4))
     for step in range(20):
         yaw = 35 + 15 * max(0, step - 12) - 15 * max(0, 4 - step)  # Comes, stands, goes.
         pose = planar(1.9, 1.7, yaw)
@@ -234,7 +232,7 @@ def test_a_camera_that_was_lost_begins_anew() -> None:
     assert seen[2] is not None and seen[2].seen_before is not None
     noise = np.random.default_rng(0).integers(0, 256, images[0].shape).astype(np.uint8)
     assert guide.guide(noise) is None
-    found = [guide.guide(images[2]) for _ in range(scene_guide.SEARCH_EVERY)]
+    found = [guide.guide(images[2]) for _ in range(GuideThresholds.search_every)]
     first = next(one for one in found if one is not None)
     assert first.seen_before is None
 

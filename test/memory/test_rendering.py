@@ -1,17 +1,10 @@
 """Drawing the scene memory from new poses, against exact views of a box room."""
-import errno
-import importlib.util
-from pathlib import Path
-import sys
-
 from box_room import BAND, box_memory, EXPANSION, keyframe, planar, view
 from neo_ros.geometry import CameraPose
 from neo_ros.machine import compiled
-from neo_ros.memory import kernels
 from neo_ros.memory.rendering import MemoryRenderer
 from neo_ros.memory.scene_memory import Glances, Keyframe, SceneMemory
-from numba import config, get_num_threads, set_num_threads
-from numba.core.caching import CacheImpl, IndexDataCacheFile
+from numba import get_num_threads, set_num_threads
 import numpy as np
 import pytest
 
@@ -93,59 +86,3 @@ def test_the_number_of_threads_changes_no_bit(renderer: MemoryRenderer) -> None:
         set_num_threads(before)
     assert np.array_equal(views[0].image, views[1].image)
     assert np.array_equal(views[0].depth, views[1].depth)
-
-
-def is_empty_by_fresh_kernels() -> bool:
-    """Import the kernels once more, as a new process does, and run the quickest one."""
-    specification = importlib.util.spec_from_file_location('fresh_kernels', kernels.__file__)
-    assert specification and specification.loader
-    fresh = importlib.util.module_from_spec(specification)
-    specification.loader.exec_module(fresh)
-    return not fresh._is_hidden(0, 3, 0, 3, 1.0, 0, False, np.zeros((4, 4), np.float32),
-                                np.zeros((4, 4), np.int8))
-
-
-def full_disk(*arguments: object) -> None:
-    raise OSError(errno.ENOSPC, 'No space left on device')
-
-
-@pytest.mark.parametrize('owner, name, replacement, reason', [
-    (CacheImpl, '_locator_classes', [], 'can be written'),
-    (IndexDataCacheFile, '_save_data', full_disk, 'No space left'),
-], ids=['read-only', 'full'])
-def test_a_disk_that_keeps_no_compiled_code_costs_time_only(
-        monkeypatch, tmp_path: Path, owner, name, replacement, reason) -> None:
-    monkeypatch.setattr(config, 'CACHE_DIR', str(tmp_path))
-    monkeypatch.setattr(owner, name, replacement)
-    compiled._warn.cache_clear()
-    with pytest.warns(RuntimeWarning, match=f'{reason}.*NUMBA_CACHE_DIR') as warned:
-        assert is_empty_by_fresh_kernels()
-    assert len(warned) == 1
-
-
-@pytest.mark.parametrize('pattern', ['*.nbi', '*.nbc'])
-def test_compiled_code_that_a_power_cut_broke_is_made_again(
-        monkeypatch, tmp_path: Path, pattern: str) -> None:
-    monkeypatch.setattr(config, 'CACHE_DIR', str(tmp_path))
-    assert is_empty_by_fresh_kernels()
-    broken, = tmp_path.rglob(pattern)
-    whole = broken.stat().st_size
-    broken.write_bytes(b'')
-    assert is_empty_by_fresh_kernels()
-    assert broken.stat().st_size == whole
-
-
-def test_kernels_are_compiled_anew_when_what_they_call_has_changed(
-        monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(config, 'CACHE_DIR', str(tmp_path / 'cache'))
-    monkeypatch.syspath_prepend(str(tmp_path))
-    head = 'from neo_ros.machine.compiled import njit\n\n\n@njit()\n'
-    called = tmp_path / 'called_kernels.py'
-    (tmp_path / 'calling_kernels.py').write_text(
-        'from called_kernels import grow\n' + head + 'def four(x):\n    return 2 * grow(x)\n')
-    for factor, expected in ((2, 4), (30, 60)):
-        called.write_text(head + f'def grow(x):\n    return {factor} * x\n')
-        for name in ('called_kernels', 'calling_kernels'):
-            sys.modules.pop(name, None)
-        importlib.invalidate_caches()
-        assert importlib.import_module('calling_kernels').four(1) == expected

@@ -8,10 +8,12 @@ from neo_ros.geometry import CameraPose
 from neo_ros.geometry.camera_pose import rotation_from_vector
 from neo_ros.machine.compiled import ALL_THREADS
 from neo_ros.machine.files import share_dir
-from neo_ros.memory import alignment, scene_guide
-from neo_ros.memory.alignment import agreement, Aligner
+from neo_ros.memory import scene_guide
+from neo_ros.memory.alignment import agreement, Aligner, AlignmentThresholds
+from neo_ros.memory.alignment_kernels import GuideLevel, Warp
 from neo_ros.memory.rendering import GuideView, MemoryRenderer
-from neo_ros.memory.scene_guide import better, SceneGuide, Sight
+from neo_ros.memory.scene_guide import SceneGuide
+from neo_ros.memory.sight import better, GuideThresholds, Sight
 from neo_ros.runtime import FovExtrapolator
 from numba import get_num_threads
 import numpy as np
@@ -65,17 +67,15 @@ def test_agreement_tells_a_wrong_pose() -> None:
 
 
 @pytest.mark.parametrize('iterations', [12, 1], ids=['some', 'the last one'])
-def test_a_step_that_loses_the_image_is_taken_back(
-        monkeypatch: pytest.MonkeyPatch, iterations: int) -> None:
-    monkeypatch.setattr(alignment, 'ITERATIONS', iterations)
-    aligner = Aligner(MemoryRenderer(MEMORY), SOURCE)
+def test_a_step_that_loses_the_image_is_taken_back(iterations: int) -> None:
+    aligner = Aligner(MemoryRenderer(MEMORY), SOURCE, AlignmentThresholds(iterations=iterations))
     across = np.broadcast_to(np.linspace(-1, 1, SOURCE.width), (SOURCE.height, SOURCE.width))
     # Grey that rises so little that only a turn by half a circle would make a bow of it.
     photo = aligner.photo(np.repeat(255 * (0.5 + 0.06 * across)[..., None], 3, axis=2))
     bow = (0.5 + 0.2 * across ** 2).astype(np.float32)
-    T, gain, bias = aligner._align_level(
-        0, photo[0], bow, np.full(bow.shape, 2, np.float32), np.eye(4), 1.0, 0.0, False)
-    assert np.array_equal(T, np.eye(4)) and (gain, bias) == (1.0, 0.0)
+    shown = GuideLevel(bow, np.full(bow.shape, 2, np.float32), aligner.levels[0].pixel_rays())
+    found = aligner._align_level(0, photo[0], shown, Warp(np.eye(4), 1.0, 0.0), False)
+    assert np.array_equal(found.T, np.eye(4)) and (found.gain, found.bias) == (1.0, 0.0)
 
 
 @pytest.mark.parametrize(('image', 'guide', 'known', 'expected'), [
@@ -196,6 +196,13 @@ def test_a_pose_that_was_searched_for_has_to_agree_more(monkeypatch: pytest.Monk
         assert (guide.guide(photo_at(TRUE_POSE)) is not None) == searched
         guide._last = TRUE_POSE
         assert (guide.guide(photo_at(TRUE_POSE)) is not None) == (max(whole, partial) > 0.85)
+
+
+def test_a_guide_asks_for_as_much_agreement_as_it_is_told() -> None:
+    for least, guided in ((0.95, True), (1.01, False)):
+        guide = SceneGuide(MEMORY, EXPANSION, thresholds=GuideThresholds(
+            least_agreement=least, least_partial=least))
+        assert (guide.guide(photo_at(TRUE_POSE)) is not None) == guided
 
 
 @pytest.mark.parametrize('colour', [(60, 40, 50), (240, 230, 235)], ids=['dark', 'light'])

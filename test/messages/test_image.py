@@ -2,15 +2,15 @@
 import array
 from types import SimpleNamespace
 
+from encoded_images import (
+    ALL, BAYER, COLOURS_16, COLOURS_8, encoded_message, flat_quarters, GREYS, seen_as, YUV)
 from hypothesis import given, strategies as st
 from neo_ros.errors import ImageRejected
 from neo_ros.messages import image_fields, read_image
-from neo_ros.messages.image import ENCODINGS
+from neo_ros.messages.image_encodings import ENCODINGS
 import numpy as np
 import pytest
 
-FLAT = np.array([200, 100, 30], np.uint8)  # R, G, B
-BAYER = [name for name in ENCODINGS if name.startswith('bayer')]
 DATA_TYPES = {
     'bytes': bytes,
     'array': lambda data: array.array('B', data),
@@ -18,50 +18,76 @@ DATA_TYPES = {
 }
 
 
-def message(image, encoding, padding=0, as_data=bytes, **changes):
-    """Lay out (H, W) or (H, W, C) as a message with `padding` bytes of 255 per row."""
-    rows = image.reshape(image.shape[0], -1)
-    padded = np.pad(rows, ((0, 0), (0, padding)), constant_values=255)
-    fields = {
-        'height': image.shape[0], 'width': image.shape[1], 'encoding': encoding,
-        'is_bigendian': 0, 'step': padded.shape[1], 'data': as_data(padded.tobytes())}
-    return SimpleNamespace(**(fields | changes))
-
-
-def encoded(rgb, encoding):
-    """Write an RGB image the way an encoding lays it out (not Bayer)."""
-    alpha = np.full(rgb.shape[:2] + (1,), 77, np.uint8)
-    return {
-        'rgb8': rgb,
-        'bgr8': rgb[..., ::-1],
-        'rgba8': np.concatenate([rgb, alpha], axis=2),
-        'bgra8': np.concatenate([rgb[..., ::-1], alpha], axis=2),
-        'mono8': rgb[..., 0],
-    }[encoding]
+def message(image, encoding, as_data=bytes, **changes):
+    """Return a good message of this encoding, with some fields changed."""
+    sent = encoded_message(image, encoding)
+    return SimpleNamespace(**(vars(sent) | {'data': as_data(sent.data.tobytes())} | changes))
 
 
 @given(st.integers(1, 9), st.integers(1, 9), st.integers(0, 7), st.integers(0, 2**32 - 1),
-       st.sampled_from(['rgb8', 'bgr8', 'rgba8', 'bgra8', 'mono8']),
+       st.sampled_from([*COLOURS_8, *COLOURS_16, *GREYS]), st.booleans(),
        st.sampled_from(sorted(DATA_TYPES)))
 def test_every_encoding_comes_back_also_with_padding(
-        height, width, padding, seed, encoding, data_type):
+        height, width, padding, seed, encoding, big_endian, data_type):
     rgb = np.random.default_rng(seed).integers(0, 256, (height, width, 3), np.uint8)
-    if encoding == 'mono8':
-        rgb = np.repeat(rgb[..., :1], 3, axis=2)
-    result = read_image(message(encoded(rgb, encoding), encoding, padding, DATA_TYPES[data_type]))
+    padding -= padding % 2 if '16' in encoding else 0
+    sent = encoded_message(rgb, encoding, padding, big_endian)
+    sent.data = DATA_TYPES[data_type](sent.data.tobytes())
+    result = read_image(sent, depth_as_grey=True)
     assert result.dtype == np.uint8 and result.flags.c_contiguous
-    np.testing.assert_array_equal(result, rgb)
+    np.testing.assert_array_equal(result, seen_as(rgb, encoding))
 
 
-@pytest.mark.parametrize('encoding', BAYER)
+def test_the_table_and_its_test_know_the_same_encodings():
+    assert set(ENCODINGS) == set(ALL)
+
+
+@pytest.mark.parametrize('bits', [8, 16])
+@pytest.mark.parametrize('name', BAYER)
 @pytest.mark.parametrize('size', [(4, 6), (5, 7)], ids=['even', 'odd'])
-@pytest.mark.parametrize('padding', [0, 3])
-def test_flat_colour_survives_its_bayer_mosaic(encoding, size, padding):
-    pattern = encoding[len('bayer_'):-1]  # colours of pixels (0,0), (0,1), (1,0), (1,1)
-    rows, columns = np.indices(size)
-    channel = np.array(['rgb'.index(colour) for colour in pattern])[rows % 2 * 2 + columns % 2]
-    result = read_image(message(FLAT[channel], encoding, padding))
-    np.testing.assert_array_equal(result, np.broadcast_to(FLAT, size + (3,)))
+@pytest.mark.parametrize('padding, big_endian', [(0, False), (4, True)], ids=['', 'padded'])
+def test_flat_colour_survives_its_bayer_mosaic(name, bits, size, padding, big_endian):
+    flat = np.broadcast_to(np.array([200, 100, 30], np.uint8), size + (3,))
+    result = read_image(encoded_message(flat, f'{name}{bits}', padding, big_endian))
+    np.testing.assert_array_equal(result, flat)
+
+
+@pytest.mark.parametrize('encoding', YUV)
+@pytest.mark.parametrize('padding', [0, 6])
+def test_luminance_and_colour_become_rgb(encoding, padding):
+    rgb = flat_quarters(8, 12)
+    result = read_image(encoded_message(rgb, encoding, padding))
+    assert result.flags.c_contiguous
+    # Both are rounded to 8 bits on the way.
+    assert np.abs(result.astype(int) - rgb).max() <= 3
+
+
+@pytest.mark.parametrize('encoding, step', [('nv12', 18), ('nv21', 24), ('nv24', 36)])
+def test_planes_that_just_fit_have_no_padding_whatever_their_step_says(encoding, step):
+    sent = encoded_message(flat_quarters(8, 12), encoding)
+    right = read_image(sent)
+    sent.step = step
+    np.testing.assert_array_equal(read_image(sent), right)
+
+
+@pytest.mark.parametrize('value, expected', [
+    (65535, 255), (0, 0), (257, 1), (128, 0), (129, 1), (32768, 128), (4095, 16)])
+def test_16_bits_keep_their_full_scale_and_are_rounded(value, expected):
+    samples = np.full((3, 4), value, '<u2')
+    for encoding in ('mono16', 'bayer_rggb16'):
+        found = read_image(SimpleNamespace(
+            height=3, width=4, step=8, encoding=encoding, is_bigendian=0, data=samples.tobytes()))
+        assert (found == expected).all()
+
+
+def test_depth_is_grey_only_where_that_is_asked():
+    sent = encoded_message(flat_quarters(4, 4), '16UC1')
+    with pytest.raises(ImageRejected, match='16UC1, which is depth') as refusal:
+        read_image(sent)
+    assert refusal.value.reason == 'encoding'
+    np.testing.assert_array_equal(
+        read_image(sent, depth_as_grey=True), read_image(encoded_message(
+            flat_quarters(4, 4), 'mono16')))
 
 
 def test_unpadded_rgb_is_a_view_of_the_message():
@@ -76,7 +102,11 @@ def test_big_endian_flag_does_not_touch_8_bit_samples():
 
 
 @pytest.mark.parametrize('changes, reason', [
-    ({'encoding': 'mono16'}, 'encoding'),
+    ({'encoding': '32FC1'}, 'encoding'),
+    ({'encoding': 'rgb16'}, 'step'),
+    ({'encoding': 'yuyv', 'width': 5}, 'size'),
+    ({'encoding': 'nv12', 'height': 5}, 'size'),
+    ({'encoding': 'nv24', 'step': 6, 'height': 5}, 'data'),
     ({'encoding': '16UC1', 'is_bigendian': 1}, 'encoding'),
     ({'encoding': ''}, 'encoding'),
     ({'encoding': 'RGB8'}, 'encoding'),
@@ -94,7 +124,7 @@ def test_bad_images_are_refused_with_a_stable_reason(changes, reason):
     good = np.zeros((4, 6, 3), np.uint8)
     read_image(message(good, 'rgb8'))
     with pytest.raises(ImageRejected) as refusal:
-        read_image(message(good, **({'encoding': 'rgb8'} | changes)))
+        read_image(SimpleNamespace(**(vars(message(good, 'rgb8')) | changes)))
     assert refusal.value.reason == reason
 
 
@@ -107,7 +137,7 @@ def test_any_fields_give_an_image_or_a_refusal(height, width, step, encoding, da
     sent = SimpleNamespace(height=height, width=width, step=step, encoding=encoding,
                            data=data, is_bigendian=endian)
     try:
-        image = read_image(sent)
+        image = read_image(sent, depth_as_grey=endian > 9)
     except ImageRejected as refusal:
         assert refusal.reason in {'encoding', 'size', 'step', 'empty', 'data'}
     else:

@@ -1,5 +1,9 @@
 """The one line that tells an operator what is wrong."""
+from pathlib import Path
+import re
+
 from diagnostic_msgs.msg import DiagnosticStatus
+import neo_ros
 from neo_ros.messages import SceneWatch
 from neo_ros.node.diagnostics import build_status, Health, judge
 from neo_ros.node.frame_statistics import Snapshot, Spread
@@ -84,3 +88,16 @@ def test_verdict_on_the_scene_does_not_flicker():
     scores = [None, 0.1, 0.45, 0.6, 0.45, None, 0.4, 0.3, 0.45, 0.51]
     assert [watch.update(score) for score in scores] == [
         False, False, False, True, True, False, True, False, False, True]
+
+
+def test_the_reference_names_every_key():
+    page = Path(neo_ros.__file__).parent.parent / 'docs/reference/node.md'
+    if not page.is_file():
+        pytest.skip('not a source checkout')
+    table = page.read_text().split('## Diagnostics')[1].split('| reject |')[0]
+    cells = re.findall(r'^\| (`.*?`) \|', table, re.M)
+    documented = {key for cell in cells for key in re.findall('`(.*?)`', cell)}
+    counts = snapshot(rejected={'REASON': 1}, latency_ms={'STAGE': Spread(1.0, 2.0, 3.0)})
+    model = {key.removeprefix('model '): '' for key in documented if key.startswith('model ')}
+    status = build_status('/node', health(counts), model)
+    assert {pair.key for pair in status.values} == documented

@@ -16,7 +16,6 @@ from neo_ros.machine.files import share_dir
 from neo_ros.node.extrapolator_node import ExtrapolatorNode
 from neo_ros.node.fastdds_profile import use_large_image_profile, VARIABLE
 from neo_ros.node.interface import INPUTS, OUTPUTS, SERVICES
-from neo_ros.node.interface_tables import interface_tables, with_tables
 from neo_ros.node.parameters import declare_parameters
 import pytest
 from rclpy.parameter import Parameter
@@ -86,17 +85,6 @@ def test_profile_is_used_unless_the_user_has_one():
         environment = {name: 'mine.xml'}
         assert use_large_image_profile(environment) is False
         assert environment == {name: 'mine.xml'}
-
-
-def test_tables_of_the_manual_are_those_of_the_code():
-    manual = Path(neo_ros.__file__).parent.parent / 'docs' / 'node.md'
-    if not manual.is_file():
-        pytest.skip('not a source checkout')
-    text = manual.read_text()
-    for name, table in interface_tables().items():
-        assert table in text, f'{name}: python -m neo_ros.node.interface_tables docs/node.md'
-    assert with_tables(text) == text
-    assert with_tables(text.replace('| `max_fps` |', '| `fps` |')) == text
 
 
 def test_security_policy_grants_what_the_node_needs_and_nothing_more(tmp_path):

@@ -5,6 +5,7 @@ from pathlib import Path
 from neo_ros.errors import ModelError
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.runtime import ModelCard, read_model_card, write_model_card
+from neo_ros.runtime.model_card import MemoryFile
 from neo_ros.runtime.onnx_file import scan_onnx_file
 import onnx
 from onnx import helper, TensorProto
@@ -58,9 +59,15 @@ def _card_with(**changes: object) -> str:
     (_card_with(parity={'max_abs_error': 1, 'share_within_1': 1.5}), 'parity.share_within_1'),
     (_card_with(scores={'psnr': float('nan')}), 'scores.psnr'),
     (_card_with(nickname='x'), 'nickname'),
+    (_card_with(scores={'psnr': 10 ** 400}), 'scores.psnr'),
+    (_card_with(trained_seconds=True), 'trained_seconds'),
+    (_card_with(scene_id='\ud800'), 'scene_id'),
+    (_card_with(parity=7), 'parity: expected an object'),
+    (_card_with(parity={'max_abs_error': '1', 'share_within_1': 1}), 'parity.max_abs_error'),
+    ('[' * 100_000, 'expected a JSON object'),
 ], ids=['empty', 'cut', 'list', 'no version', 'newer', 'version as text', 'no scene',
         'wrong type', 'no source', 'polarity', 'layout', 'colour order', 'parity range', 'nan',
-        'unknown key'])
+        'unknown key', 'huge', 'bool', 'surrogate', 'no object', 'number as text', 'deep'])
 def test_wrong_card_is_refused_by_name(text: str, message: str) -> None:
     with pytest.raises(ModelError, match=message):
         ModelCard.from_json(text)
@@ -68,7 +75,7 @@ def test_wrong_card_is_refused_by_name(text: str, message: str) -> None:
 
 @pytest.mark.parametrize('name', ['room.memory', 'my room.memory', 'Küche (2).v1.memory', '...a'])
 def test_a_memory_may_have_any_name_of_a_file_as_scene_folders_have(name: str) -> None:
-    card = tiny_card(memory={'file': name, 'sha256': '0' * 64})
+    card = tiny_card(memory=MemoryFile(file=name, sha256='0' * 64))
     assert ModelCard.from_json(card.to_json()).memory == card.memory
     assert Path('models', 'room.onnx').with_name(name).parent == Path('models')
 

@@ -5,7 +5,8 @@ import cv2
 from neo_ros.errors import ModelError
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.runtime import FovExtrapolator, ModelCard, read_model_card, write_model_card
-from neo_ros.runtime.scene_check import fit_scene_reference, LEAST_PHOTOS, MEASURES, SceneCheck
+from neo_ros.runtime.scene_check import (fit_scene_reference, MEASURES, SceneCheck,
+                                         SceneCheckThresholds)
 import numpy as np
 import pytest
 from tiny_model import tiny_card, TINY_EXPANSION, write_tiny_model
@@ -67,8 +68,11 @@ def test_an_unsure_network_raises_the_score_and_a_sure_one_does_not() -> None:
 
 
 def test_too_few_photos_say_nothing() -> None:
-    assert fit_scene_reference(PHOTOS[:LEAST_PHOTOS - 1], confidence, VIEW) is None
-    assert fit_scene_reference(PHOTOS[:LEAST_PHOTOS], confidence, VIEW) is not None
+    least = SceneCheckThresholds.least_photos
+    assert fit_scene_reference(PHOTOS[:least - 1], confidence, VIEW) is None
+    assert fit_scene_reference(PHOTOS[:least], confidence, VIEW) is not None
+    assert fit_scene_reference(PHOTOS[:least], confidence, VIEW,
+                               SceneCheckThresholds(least_photos=least + 1)) is None
 
 
 def test_reference_survives_the_card_and_old_cards_do_without(tmp_path) -> None:

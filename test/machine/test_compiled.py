@@ -1,0 +1,120 @@
+"""Compiled kernels are kept on disk, whatever the disk and numba do."""
+from collections.abc import Iterator
+import errno
+import importlib
+from pathlib import Path
+import sys
+import warnings
+
+from neo_ros.machine import compiled
+import numba
+from numba import config
+from numba.core import caching
+from numba.core.caching import CacheImpl, IndexDataCacheFile
+import pytest
+
+HEAD = 'from neo_ros.machine.compiled import njit\n\n\n@njit()\n'
+
+
+@pytest.fixture(autouse=True)
+def cache_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    (tmp_path / 'doubling_kernels.py').write_text(HEAD + 'def double(x):\n    return 2 * x\n')
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setattr(config, 'CACHE_DIR', str(tmp_path / 'cache'))
+    compiled._warn.cache_clear()
+    compiled._cache_class.cache_clear()
+    yield tmp_path / 'cache'
+    compiled._cache_class.cache_clear()
+
+
+def doubled_by_fresh_kernels() -> int:
+    """Import the kernels once more, as a new process does, and run them."""
+    sys.modules.pop('doubling_kernels', None)
+    importlib.invalidate_caches()
+    return importlib.import_module('doubling_kernels').double(21)
+
+
+def full_disk(*arguments: object) -> None:
+    raise OSError(errno.ENOSPC, 'No space left on device')
+
+
+@pytest.mark.parametrize('owner, name, replacement, reason', [
+    (CacheImpl, '_locator_classes', [], 'can be written'),
+    (IndexDataCacheFile, '_save_data', full_disk, 'No space left'),
+], ids=['read-only', 'full'])
+def test_a_disk_that_keeps_no_compiled_code_costs_time_only(
+        monkeypatch: pytest.MonkeyPatch, owner: object, name: str, replacement: object,
+        reason: str) -> None:
+    monkeypatch.setattr(owner, name, replacement)
+    with pytest.warns(RuntimeWarning, match=f'{reason}.*NUMBA_CACHE_DIR') as warned:
+        assert doubled_by_fresh_kernels() == 42
+    assert len(warned) == 1
+
+
+@pytest.mark.parametrize('pattern', ['*.nbi', '*.nbc'])
+def test_compiled_code_that_a_power_cut_broke_is_made_again(
+        cache_folder: Path, pattern: str) -> None:
+    assert doubled_by_fresh_kernels() == 42
+    broken, = cache_folder.rglob(pattern)
+    whole = broken.stat().st_size
+    broken.write_bytes(b'')
+    assert doubled_by_fresh_kernels() == 42
+    assert broken.stat().st_size == whole
+
+
+def test_kernels_are_compiled_anew_when_what_they_call_has_changed(tmp_path: Path) -> None:
+    called = tmp_path / 'called_kernels.py'
+    (tmp_path / 'calling_kernels.py').write_text(
+        'from called_kernels import grow\n' + HEAD + 'def four(x):\n    return 2 * grow(x)\n')
+    for factor, expected in ((2, 4), (30, 60)):
+        called.write_text(HEAD + f'def grow(x):\n    return {factor} * x\n')
+        for name in ('called_kernels', 'calling_kernels'):
+            sys.modules.pop(name, None)
+        importlib.invalidate_caches()
+        assert importlib.import_module('calling_kernels').four(1) == expected
+
+
+def test_numba_has_every_private_part_that_is_used() -> None:
+    def double(x: int) -> int:
+        return 2 * x
+
+    try:
+        compiled.kept_on_disk(numba.njit(double), double)
+    except (ImportError, AttributeError) as error:
+        pytest.fail(f'numba {numba.__version__} lacks a private part that machine/compiled.py '
+                    f'uses: {error}; mend kept_on_disk, or bound numba in setup.py below it')
+
+
+def test_what_is_kept_is_found_again() -> None:
+    assert doubled_by_fresh_kernels() == 42
+    assert doubled_by_fresh_kernels() == 42
+    double = sys.modules['doubling_kernels'].double
+    assert sum(double.stats.cache_hits.values()) == 1
+    assert not double.stats.cache_misses
+
+
+@pytest.mark.parametrize('owner, name', [
+    (caching, 'FunctionCache'), (caching.Cache, 'flush'), (caching.Cache, 'save_overload')],
+    ids=['class', 'flush', 'save'])
+def test_another_numba_costs_time_only_and_the_warning_names_what_is_gone(
+        monkeypatch: pytest.MonkeyPatch, owner: object, name: str) -> None:
+    monkeypatch.delattr(owner, name)
+    if owner is caching.Cache:  # Its abstract base has one of the name, too.
+        monkeypatch.delattr(caching._Cache, name)
+    with pytest.warns(RuntimeWarning, match=f'numba {numba.__version__} lacks.*{name}'):
+        assert doubled_by_fresh_kernels() == 42
+
+
+def test_an_attribute_that_is_gone_is_not_made_up() -> None:
+    class Elsewhere:
+        """As a dispatcher whose cache has moved."""
+
+    with pytest.raises(AttributeError, match='_cache'):
+        compiled._replace(Elsewhere(), '_cache', None)
+
+
+def test_without_compilation_there_is_nothing_to_keep(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(config, 'DISABLE_JIT', 1)
+    with warnings.catch_warnings():
+        warnings.simplefilter('error')
+        assert doubled_by_fresh_kernels() == 42
