@@ -10,7 +10,7 @@ ROBOT = [
     'jinja2',
     'lz4',
     'matplotlib',
-    'mcap',
+    'mcap>=1.6',
     # machine/compiled.py uses private parts; test/machine/test_compiled.py names what broke.
     'numba<0.69',
     'numpy',
