@@ -134,3 +134,11 @@ def test_every_key_of_an_experiment_has_its_meaning() -> None:
     rows = [line.split(' | ') for line in page.splitlines() if line.startswith('| `')]
     assert len(rows) > 50
     assert [cells[0] for cells in rows if not cells[-1].strip(' |')] == []
+
+
+@needs_checkout
+@pytest.mark.parametrize('path', WRITTEN, ids=name_of)
+def test_modules_that_a_page_names_are_there(path: Path) -> None:
+    named = re.findall(r'`((?:[a-z_0-9]+/)*[a-z_0-9]+\.py)`', path.read_text())
+    assert [name for name in named
+            if not any((ROOT / start / name).is_file() for start in ('', 'neo_ros'))] == []
