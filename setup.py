@@ -10,7 +10,7 @@ ROBOT = [
     'jinja2',
     'lz4',
     'matplotlib',
-    'mcap',
+    'mcap>=1.6',
     # machine/compiled.py uses private parts; test/machine/test_compiled.py names what broke.
     'numba<0.69',
     'numpy',
@@ -18,7 +18,8 @@ ROBOT = [
     'opencv-python-headless',
     'pyyaml',
     'rich',
-    'rosbags>=0.11',
+    # bags/qos.py uses more of it than its documented interface.
+    'rosbags>=0.11,<0.12',
     'typer',
     'zstandard',
 ]
@@ -29,6 +30,8 @@ if 'ROS_DISTRO' not in os.environ and 'AMENT_PREFIX_PATH' not in os.environ:
 TEST = ['hypothesis', 'pytest', 'pytest-timeout']
 EXTRAS = {
     'train': ['onnx', 'onnxscript', 'pycolmap', 'pydantic>=2', 'scipy', 'tensorboard', 'torch'],
+    # Foxglove's own images, calibrations and transforms in protobuf.
+    'foxglove': ['mcap-protobuf-support'],
     # The page of `neo view`.
     'viewer': ['aiohttp'],
     # The video of `neo replay --side-by-side`.

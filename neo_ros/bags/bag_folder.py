@@ -26,12 +26,14 @@ class BagFolder:
     counts          messages by file name, as metadata.yaml says
     missing         files that metadata.yaml lists and that are not there, with their messages
     topics          the entries of metadata.yaml by topic: QoS, hash of the type
+    custom_data     the words that its recorder put into metadata.yaml
     """
 
     files: tuple[Path, ...]
     counts: dict[str, int]
     missing: dict[str, int | None]
     topics: dict[str, dict[str, Any]]
+    custom_data: dict[str, str]
 
 
 def read_bag_folder(path: Path) -> BagFolder:
@@ -57,7 +59,10 @@ def read_bag_folder(path: Path) -> BagFolder:
     topics = {str(entry.get('name')): entry for entry in _dicts([
         item.get('topic_metadata') for item in _dicts(
             metadata.get('topics_with_message_count'))])}
-    return BagFolder(tuple(files), counts, missing, topics)
+    custom = metadata.get('custom_data')
+    words = {str(key): str(value) for key, value in custom.items()} if isinstance(
+        custom, dict) else {}
+    return BagFolder(tuple(files), counts, missing, topics, words)
 
 
 def _read_metadata(path: Path) -> dict[str, Any]:
@@ -83,7 +88,10 @@ def _storage_files(path: Path) -> list[Path]:
     suffixes = (MCAP, SQLITE, MCAP + PACKED, SQLITE + PACKED)
     if path.is_file():
         if not path.name.endswith(suffixes):
-            raise BagError(f'{path}: expected a bag folder, a {MCAP} or a {SQLITE} file')
+            advice = ('; a ROS 1 bag is read after rosbags-convert' if path.suffix == '.bag'
+                      else '')
+            raise BagError(
+                f'{path}: expected a bag folder, a {MCAP} or a {SQLITE} file{advice}')
         return [path]
     for kind in (MCAP, SQLITE):
         # A recorder that was killed leaves packed files, and one that is not packed yet, or

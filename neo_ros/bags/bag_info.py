@@ -7,8 +7,9 @@ from typing import Any
 
 from neo_ros.bags.camera_topics import (
     CAMERA_INFO, COMPRESSED, find_info_topic, IMAGE, image_topics, read_lens)
-from neo_ros.bags.reading import BagReader, BagTopic
+from neo_ros.bags.reading import BagReader
 from neo_ros.bags.recorded_poses import foreign_tf, missing_way, POSE_TYPES, TF, TF_STATIC
+from neo_ros.bags.topic import BagTopic
 from neo_ros.bags.transforms import frame_name, TransformTree
 from neo_ros.errors import BagError, ImageRejected, SceneError
 from neo_ros.geometry import ViewExpansion
@@ -105,7 +106,8 @@ class _Scan:
 
     def __init__(self, reader: BagReader) -> None:
         self._reader = reader
-        self.infos = {topic: TopicInfo(topic.name, topic.msgtype) for topic in reader.topics}
+        self.infos = {topic: TopicInfo(topic.name, topic.recorded_type, content=topic.unread)
+                      for topic in reader.topics}
         self.cameras = {topic: _Camera(topic) for topic in image_topics(reader, None)}
         self._calibrations = {
             info: camera for camera in self.cameras.values()

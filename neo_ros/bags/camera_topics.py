@@ -3,7 +3,8 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
-from neo_ros.bags.reading import BagReader, BagTopic, describe_topics
+from neo_ros.bags.reading import BagReader
+from neo_ros.bags.topic import BagTopic, describe_topics
 from neo_ros.errors import BagError, ImageRejected
 from neo_ros.geometry import Intrinsics
 from neo_ros.geometry.lens import Lens

@@ -4,7 +4,8 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from neo_ros.bags.writing import BagWriter, LATCHED
+from neo_ros.bags.qos import LATCHED
+from neo_ros.bags.writing import BagWriter
 from neo_ros.errors import BagError
 from neo_ros.geometry import CameraPose, ViewExpansion
 from neo_ros.geometry.camera_pose import (

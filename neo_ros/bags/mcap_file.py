@@ -7,13 +7,13 @@ from io import BytesIO
 import os
 from pathlib import Path
 import struct
-from typing import Any
+from typing import Any, NamedTuple
 from zlib import crc32
 
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Schema, Statistics
+from mcap.records import Attachment, Channel, Metadata, Schema, Statistics
 from neo_ros.bags.damage import Damage
 from neo_ros.bags.mcap_records import (
     Damaged, HOLE, MAGIC, MAX_CHUNK_BYTES, MESSAGE_HEAD, Read, read_chunk_head, read_index, Record,
@@ -25,8 +25,18 @@ _FOREVER_NS = 1 << 64
 # Messages outside of chunks are taken together in stretches of this size.
 _STRETCH_BYTES = 1 << 20
 _UNREADABLE = (McapError, struct.error, UnicodeDecodeError, ValueError, IndexError)
-# Log time in ns, place of the part and of the message in it, channel id, CDR.
-Message = tuple[int, int, int, int, bytes]
+
+
+class McapMessage(NamedTuple):
+    """One message; `offset` and `place` say where the part lies, and the message in it."""
+
+    stamp_ns: int
+    offset: int
+    place: int
+    channel: int
+    sequence: int
+    publish_ns: int
+    data: bytes
 
 
 @dataclass
@@ -78,6 +88,7 @@ class McapFile:
         self.channels: dict[int, Channel] = {}
         self._parts: list[_Part] = []
         self._holes: list[int] = []
+        self._others: list[Record] = []  # attachments and metadata
         self._orphans = 0  # messages that an index tells of, but whose chunk is not there
         self._expected = expected
         self._descriptor = os.open(path, os.O_RDONLY)
@@ -136,26 +147,40 @@ class McapFile:
         return Damage(self.path.name, found, lost, f'byte {min(places)}' if places else '')
 
     def messages(self, channels: Collection[int], start_ns: int = 0,
-                 stop_ns: int = _FOREVER_NS) -> Iterator[tuple[int, int, bytes]]:
-        """Yield (channel id, log time in ns, CDR) of these channels in [start_ns, stop_ns)."""
-        waiting: list[Message] = []
+                 stop_ns: int = _FOREVER_NS) -> Iterator[McapMessage]:
+        """Yield the messages of these channels with a log time in [start_ns, stop_ns)."""
+        waiting: list[McapMessage] = []
         held = 0
         for part in sorted(self._parts, key=lambda part: part.first_ns):
             if part.last_ns < start_ns or part.first_ns >= stop_ns or not (
                     part.may_hold(channels, self.channels)):
                 continue
             # Chunks may overlap in time, but not so many that memory runs out.
-            while waiting and (waiting[0][0] < part.first_ns or held > MAX_CHUNK_BYTES):
-                stamp_ns, _, _, channel, cdr = heapq.heappop(waiting)
-                held -= len(cdr)
-                yield channel, stamp_ns, cdr
+            while waiting and (waiting[0].stamp_ns < part.first_ns or held > MAX_CHUNK_BYTES):
+                message = heapq.heappop(waiting)
+                held -= len(message.data)
+                yield message
             for message in self._load(part):
-                if message[3] in channels and start_ns <= message[0] < stop_ns:
+                if message.channel in channels and start_ns <= message.stamp_ns < stop_ns:
                     heapq.heappush(waiting, message)
-                    held += len(message[4])
+                    held += len(message.data)
         while waiting:
-            stamp_ns, _, _, channel, cdr = heapq.heappop(waiting)
-            yield channel, stamp_ns, cdr
+            yield heapq.heappop(waiting)
+
+    def attachments(self) -> Iterator[Attachment]:
+        """Yield the files that lie beside the messages; damaged ones are left out."""
+        yield from self._beside(Opcode.ATTACHMENT, Attachment)
+
+    def metadata(self) -> Iterator[Metadata]:
+        """Yield the named tables of words that lie beside the messages."""
+        yield from self._beside(Opcode.METADATA, Metadata)
+
+    def _beside(self, opcode: Opcode, kind: Any) -> Iterator[Any]:
+        for record in self._others:
+            if record.opcode == opcode:
+                found = _parse(kind, self._read(record.body, record.end - record.body))
+                if found is not None:
+                    yield found
 
     def _read(self, offset: int, count: int) -> bytes:
         try:
@@ -225,6 +250,8 @@ class McapFile:
                 self._holes.append(record.offset)
                 if self._read(record.offset, 1) == b'\x06':  # What there is of a chunk.
                     self._add_chunk(record.offset, record.end)
+            elif record.opcode in (Opcode.ATTACHMENT, Opcode.METADATA):
+                self._others.append(record)
             else:
                 self._define(self._read, record)
         if not complete and not self._holes:
@@ -267,9 +294,9 @@ class McapFile:
         if count:
             chunk.claimed[channel] += count
 
-    def _load(self, part: _Part) -> list[Message]:
+    def _load(self, part: _Part) -> list[McapMessage]:
         """Return the messages of a part and note how many they are."""
-        messages: list[Message] = []
+        messages: list[McapMessage] = []
         part.found = Counter()
         body = self._read(part.start, part.end - part.start)
         if part.is_chunk:
@@ -286,11 +313,12 @@ class McapFile:
             if record.opcode != Opcode.MESSAGE:
                 self._define(read, record)
                 continue
-            channel, _, stamp_ns, _ = MESSAGE_HEAD.unpack_from(body, record.body)
+            channel, sequence, stamp_ns, publish_ns = MESSAGE_HEAD.unpack_from(body, record.body)
             if channel in self.channels:
                 part.found[channel] += 1
-                messages.append((stamp_ns, part.offset, record.offset, channel,
-                                 body[record.body + MESSAGE_HEAD.size:record.end]))
+                messages.append(McapMessage(
+                    stamp_ns, part.offset, record.offset, channel, sequence, publish_ns,
+                    body[record.body + MESSAGE_HEAD.size:record.end]))
         return messages
 
     def _is_defined(self, channel: int) -> bool:

@@ -1,68 +1,89 @@
 """Read rosbag2 bags (MCAP or sqlite3), also those that were cut off or damaged."""
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from mcap.records import Attachment, Metadata
 from neo_ros.bags.bag_folder import BagFolder, MCAP, plain_name, read_bag_folder, unpacked
 from neo_ros.bags.damage import Damage
+from neo_ros.bags.foxglove import reader_of
 from neo_ros.bags.mcap_file import McapFile
 from neo_ros.bags.mcap_records import MAX_CHUNK_BYTES
 from neo_ros.bags.sqlite_file import SqliteFile
+from neo_ros.bags.topic import (
+    BagTopic, CDR, Channel, describe_topics, topic_of_channel, topic_of_row)
 from neo_ros.errors import BagError
-from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat, Qos, QosDurability
-from rosbags.rosbag2.metadata import parse_qos
-from rosbags.typesys import get_types_from_msg, get_typestore, Stores
+from rosbags.interfaces import MessageDefinitionFormat
+from rosbags.typesys import get_types_from_idl, get_types_from_msg, get_typestore, Stores
 from rosbags.typesys.store import Typestore
 import zstandard
 
 FOREVER_NS = 1 << 64
-_MSG_FORMATS = {'ros2msg': MessageDefinitionFormat.MSG, 'ros2idl': MessageDefinitionFormat.IDL,
-                'omgidl': MessageDefinitionFormat.IDL}
-
-
-@dataclass(frozen=True)
-class BagTopic:
-    """A topic of one type in a bag, with all that is needed to copy it into another bag."""
-
-    name: str
-    msgtype: str
-    count: int = field(default=0, compare=False)
-    msgdef: MessageDefinition = field(
-        default=MessageDefinition(MessageDefinitionFormat.NONE, ''), compare=False, repr=False)
-    digest: str = field(default='', compare=False, repr=False)
-    qos: tuple[Qos, ...] = field(default=(), compare=False, repr=False)
-
-    @property
-    def latched(self) -> bool:
-        """Whether late subscribers get what was sent before."""
-        return self.name == '/tf_static' or any(
-            qos.durability is QosDurability.TRANSIENT_LOCAL for qos in self.qos)
+# The record in which rosbag2 keeps a copy of metadata.yaml.
+ROSBAG2_METADATA = 'rosbag2'
 
 
 @dataclass(frozen=True)
 class BagMessage:
-    """One message: its topic, its log time in ns and its bytes; decoded only when asked."""
+    """
+    One message; decoded only when asked.
+
+    cdr         its bytes as they were recorded, in the encoding of the topic
+    publish_ns  when it was sent; the log time where the bag does not tell
+    sequence    its number by its publisher; 0 where the bag does not tell
+    """
 
     topic: BagTopic
     stamp_ns: int
     cdr: bytes
-    typestore: Typestore = field(repr=False)
+    decoder: '_Decoder' = field(repr=False)
+    publish_ns: int = 0
+    sequence: int = 0
 
     def read(self) -> Any:
-        """Decode the message; raises BagError when the bytes do not fit the type."""
+        """
+        Decode the message; Foxglove's get the fields of the ROS message.
+
+        Raises BagError when the bytes do not fit the type, or the type is not read.
+        """
         topic = self.topic
+        if topic.unread:
+            raise BagError(f'{describe_topics([topic])}: {topic.unread}')
         try:
-            if topic.msgtype not in self.typestore.types:
-                self.typestore.register(get_types_from_msg(topic.msgdef.data, topic.msgtype))
-            return self.typestore.deserialize_cdr(self.cdr, topic.msgtype)
-        except Exception as error:  # rosbags raises whatever numpy or struct do.
+            return self.decoder.read(topic, self.cdr)
+        except Exception as error:  # The decoders raise whatever numpy or struct do.
             raise BagError(
-                f'{topic.name}: the message at {self.stamp_ns} ns is no {topic.msgtype}: '
+                f'{topic.name}: the message at {self.stamp_ns} ns is no {topic.recorded_type}: '
                 f'{error}') from error
+
+
+class _Decoder:
+    """Decodes the messages of one bag; what it learned of a type is kept."""
+
+    def __init__(self) -> None:
+        self._typestore: Typestore = get_typestore(Stores.ROS2_JAZZY)
+        self._foxglove: dict[BagTopic, Callable[[bytes], Any]] = {}
+
+    def read(self, topic: BagTopic, data: bytes) -> Any:
+        if topic.encoding != CDR:
+            return self._read_foxglove(topic, data)
+        if topic.msgtype not in self._typestore.types:
+            idl = topic.msgdef.format is MessageDefinitionFormat.IDL
+            self._typestore.register(
+                get_types_from_idl(topic.msgdef.data) if idl
+                else get_types_from_msg(topic.msgdef.data, topic.msgtype))
+        return self._typestore.deserialize_cdr(data, topic.msgtype)
+
+    def _read_foxglove(self, topic: BagTopic, data: bytes) -> Any:
+        assert topic.channel is not None
+        read = self._foxglove.get(topic)
+        if read is None:
+            read = self._foxglove[topic] = reader_of(topic.encoding, topic.channel)
+        return read(data)
 
 
 class BagReader:
@@ -77,11 +98,12 @@ class BagReader:
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
-        self._typestore = get_typestore(Stores.ROS2_JAZZY)
+        self._decoder = _Decoder()
         self._stack = ExitStack()
         self._files: list[tuple[McapFile | SqliteFile, dict[int, BagTopic]]] = []
         # File, topic and stamp of messages that cannot be unpacked.
         self._packed: set[tuple[str, int, int]] = set()
+        self._first: dict[BagTopic, Any] = {}
         try:
             self._open()
         except BaseException:
@@ -136,20 +158,49 @@ class BagReader:
         for file, all_topics in self._files:
             topics = {key: topic for key, topic in all_topics.items()
                       if names is None or topic.name in names}
-            for key, stamp_ns, cdr in file.messages(
-                    topics.keys(), start_ns, stop_ns) if topics else ():
+            for key, stamp_ns, cdr, publish_ns, sequence in _entries(
+                    file, topics.keys(), start_ns, stop_ns) if topics else ():
                 # Of rosbag2's bags with compressed messages only metadata.yaml says that they are;
                 # CDR begins with another byte.
-                if cdr[:4] == zstandard.FRAME_HEADER:
+                if cdr[:4] == zstandard.FRAME_HEADER and topics[key].encoding == CDR:
                     try:
                         cdr = _unpack_message(cdr)
                     except ValueError:
                         self._packed.add((file.path.name, key, stamp_ns))
                         continue
-                yield BagMessage(topics[key], stamp_ns, cdr, self._typestore)
+                yield BagMessage(topics[key], stamp_ns, cdr, self._decoder, publish_ns, sequence)
+
+    def attachments(self) -> Iterator[Attachment]:
+        """Yield the files that MCAP files carry beside the messages."""
+        for file, _ in self._files:
+            if isinstance(file, McapFile):
+                yield from file.attachments()
+
+    def metadata(self) -> Iterator[Metadata]:
+        """Yield the metadata records of MCAP files, without the one that rosbag2 makes itself."""
+        for file, _ in self._files:
+            if isinstance(file, McapFile):
+                yield from (record for record in file.metadata()
+                            if record.name != ROSBAG2_METADATA)
+
+    def first(self, topic: BagTopic) -> Any:
+        """Return the first message of a topic that can be decoded; None where none can."""
+        if topic not in self._first:
+            self._first[topic] = self._find_first(topic)
+        return self._first[topic]
+
+    def _find_first(self, topic: BagTopic) -> Any:
+        for message in self.messages([topic.name]):
+            if message.topic == topic:
+                try:
+                    return message.read()
+                except BagError:
+                    continue
+        return None
 
     def _open(self) -> None:
         folder = read_bag_folder(self.path)
+        self.custom_data = folder.custom_data
         self._lost = [Damage(f'{name} (missing)', 0, count, '')
                       for name, count in folder.missing.items()]
         for path in folder.files:
@@ -182,46 +233,36 @@ class BagReader:
         self._files.append((file, _topics_of(file, folder)))
 
 
-def describe_topics(topics: Iterable[BagTopic]) -> str:
-    """List topics with their types for an error message."""
-    return ', '.join(f'{topic.name} ({topic.msgtype})' for topic in topics) or 'no topics'
+def _entries(file: McapFile | SqliteFile, keys: Collection[int], start_ns: int,
+             stop_ns: int) -> Iterator[tuple[int, int, bytes, int, int]]:
+    """Yield (channel or row id, log time, bytes, publish time, sequence) of a file's messages."""
+    if isinstance(file, McapFile):
+        for message in file.messages(keys, start_ns, stop_ns):
+            yield (message.channel, message.stamp_ns, message.data, message.publish_ns,
+                   message.sequence)
+    else:
+        for key, stamp_ns, cdr in file.messages(keys, start_ns, stop_ns):
+            yield key, stamp_ns, cdr, stamp_ns, 0
 
 
 def _topics_of(file: McapFile | SqliteFile, folder: BagFolder) -> dict[int, BagTopic]:
     """Return the topics by channel or row id."""
+    if isinstance(file, SqliteFile):
+        return {key: topic_of_row(row, file.counts[key], file.definitions.get(row['type'], {}),
+                                  folder.topics.get(row['name'], {}))
+                for key, row in file.topics.items()}
     topics: dict[int, BagTopic] = {}
-    if isinstance(file, McapFile):
-        for channel in file.channels.values():
-            schema = file.schemas.get(channel.schema_id)
-            if schema is not None and channel.message_encoding == 'cdr':
-                topics[channel.id] = _topic(
-                    channel.topic, schema.name, file.counts[channel.id], schema.encoding,
-                    schema.data.decode(errors='replace'), channel.metadata, folder)
-        return topics
-    for key, row in file.topics.items():
-        if row['serialization_format'] == 'cdr':
-            definition = file.definitions.get(row['type'], {})
-            topics[key] = _topic(
-                row['name'], row['type'], file.counts[key], definition.get('encoding', ''),
-                definition.get('encoded_message_definition', ''), row, folder)
+    for found in file.channels.values():
+        schema = file.schemas.get(found.schema_id)
+        # Channels without a schema have the id 0; what is lost by damage tells no type.
+        if schema is None and found.schema_id:
+            continue
+        channel = Channel('', '', b'', found.metadata) if schema is None else Channel(
+            schema.name, schema.encoding, schema.data, found.metadata)
+        topics[found.id] = topic_of_channel(
+            found.topic, found.message_encoding, channel, file.counts[found.id],
+            folder.topics.get(found.topic, {}))
     return topics
-
-
-def _topic(name: str, msgtype: str, count: int, encoding: str, definition: str,
-           about: dict[str, Any], folder: BagFolder) -> BagTopic:
-    """Put a topic together; `about` and metadata.yaml name QoS and hash alike."""
-    listed = folder.topics.get(name, {})
-    qos = about.get('offered_qos_profiles') or listed.get('offered_qos_profiles') or ''
-    digest = (about.get('topic_type_hash') or about.get('type_description_hash')
-              or listed.get('type_description_hash') or '')
-    kind = _MSG_FORMATS.get(encoding, MessageDefinitionFormat.NONE)
-    try:
-        profiles = tuple(parse_qos(qos))
-    except Exception:  # A damaged YAML text; rosbags raises whatever YAML and its enums do.
-        profiles = ()
-    return BagTopic(name, msgtype, count, MessageDefinition(
-        kind, definition if kind is not MessageDefinitionFormat.NONE else ''),
-        str(digest), profiles)
 
 
 def _unpack_message(data: bytes) -> bytes:

@@ -5,7 +5,8 @@ import logging
 from pathlib import Path
 from typing import Any
 
-from neo_ros.bags.reading import BagReader, BagTopic, describe_topics
+from neo_ros.bags.reading import BagReader
+from neo_ros.bags.topic import BagTopic, describe_topics
 from neo_ros.bags.transforms import (
     frame_name, PoseSource, PoseTrack, read_transform, TransformTree)
 from neo_ros.errors import BagError

@@ -10,7 +10,8 @@ from neo_ros.bags.background import read_ahead, WriteBehind
 from neo_ros.bags.camera_topics import (
     as_raw_image, CAMERA_INFO, CameraTopics, find_camera, IMAGE, image_topics)
 from neo_ros.bags.damage import Damage
-from neo_ros.bags.reading import BagMessage, BagReader, BagTopic, FOREVER_NS
+from neo_ros.bags.reading import BagMessage, BagReader, FOREVER_NS
+from neo_ros.bags.topic import BagTopic
 from neo_ros.bags.writing import BagWriter
 from neo_ros.errors import BagError, ImageRejected
 from neo_ros.geometry import ViewExpansion
@@ -121,13 +122,16 @@ def replay(bag: Path | str, extrapolator: FovExtrapolator, out: Path | str,
         truth = None if truth_topic is None else image_topics(reader, truth_topic)[0]
         result = ReplayResult(camera.image.name)
         start_ns, stop_ns, share = section.stamps(reader)
-        with BagWriter(out) as writer, WriteBehind() as behind:
+        custom_data = reader.custom_data if copy else None
+        with BagWriter(out, custom_data=custom_data) as writer, WriteBehind() as behind:
             run = _Replay(writer, behind, FrameProcessor(extrapolator, rectify),
                           extrapolator.expansion, camera, truth, result)
             run.every, run.on_frame, run.on_pair = section.every, on_frame, on_pair
             copied = [topic for topic in reader.topics if topic.name not in run.outputs]
             for topic in copied if copy else ():
                 writer.copy_topic(topic)
+            if copy:
+                _copy_beside(reader, writer)
             total = round(reader.message_count * share)
             messages = _messages(reader, camera, truth, start_ns, stop_ns)
             for done, entry in enumerate(read_ahead(messages), 1):
@@ -135,8 +139,7 @@ def replay(bag: Path | str, extrapolator: FovExtrapolator, out: Path | str,
                 late = message.stamp_ns >= start_ns
                 if copy and message.topic.name not in run.outputs and (
                         late or message.topic.latched):
-                    behind.submit(writer.write_cdr, message.topic,
-                                  max(message.stamp_ns, start_ns), message.cdr)
+                    behind.submit(writer.copy, message, max(message.stamp_ns, start_ns))
                 run.take(entry)
                 if on_progress is not None:
                     on_progress(done if section.is_all else min(done, total - 1), total)
@@ -145,6 +148,14 @@ def replay(bag: Path | str, extrapolator: FovExtrapolator, out: Path | str,
         result.damages = reader.damages
     result.wall_seconds = time.perf_counter() - started
     return result
+
+
+def _copy_beside(reader: BagReader, writer: BagWriter) -> None:
+    """Copy what lies beside the messages of MCAP files."""
+    for attachment in reader.attachments():
+        writer.add_attachment(attachment)
+    for record in reader.metadata():
+        writer.add_metadata(record)
 
 
 def _messages(reader: BagReader, camera: CameraTopics, truth: BagTopic | None, start_ns: int,

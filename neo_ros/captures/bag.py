@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from neo_ros.bags.camera_topics import COMPRESSED, find_image_topic, find_info_topic, read_lens
-from neo_ros.bags.reading import BagReader, BagTopic, describe_topics
+from neo_ros.bags.reading import BagReader
 from neo_ros.bags.recorded_poses import (
     find_pose_source, find_pose_topics, foreign_tf, RecordedPoses, TF, TF_STATIC)
+from neo_ros.bags.topic import BagTopic, describe_topics
 from neo_ros.bags.transforms import frame_name, PoseSource
 from neo_ros.captures.capture import Capture, CapturedFrame, ImageStream, origin_of
 from neo_ros.errors import BagError, ImageRejected

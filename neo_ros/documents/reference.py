@@ -25,8 +25,11 @@ def commands(root: Path) -> str:
 def fields(root: Path, file: str, name: str, prefix: str = '') -> str:
     """Return the fields of a class: its source says name, type, default and a comment beside."""
     found, lines = _class(root / file, name)
+    constants = {ast.unparse(node.targets[0]): node.value
+                 for node in ast.parse((root / file).read_text()).body
+                 if isinstance(node, ast.Assign) and isinstance(node.value, ast.Constant)}
     rows = [[f'`{prefix}{ast.unparse(node.target)}`', _cell(ast.unparse(node.annotation)),
-             _value(node.value), _line(_comment(lines, node))]
+             _value(node.value, constants), _line(_comment(lines, node))]
             for node in found.body if isinstance(node, ast.AnnAssign)]
     return table(['key', 'type', 'default', ''], rows)
 
@@ -90,9 +93,10 @@ def _comment(lines: list[str], node: ast.AnnAssign) -> str:
     return ' '.join(above)
 
 
-def _value(value: ast.expr | None) -> str:
+def _value(value: ast.expr | None, constants: dict[str, ast.Constant]) -> str:
     if value is None:
         return 'required'
+    value = constants.get(ast.unparse(value), value)
     # A group of settings has defaults of its own.
     text = ast.unparse(value)
     return '' if isinstance(value, ast.Call) else f'`{text}`'

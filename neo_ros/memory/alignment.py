@@ -55,7 +55,7 @@ class Aligner:
         self.levels = [finest]
         while self.levels[-1].width >= 2 * thresholds.coarsest:
             self.levels.append(finest.scaled(0.5 ** len(self.levels)))
-        self._rays = [level.pixel_rays() for level in self.levels]
+        self.rays = [level.pixel_rays() for level in self.levels]
 
     def photo(self, image: np.ndarray) -> list[PhotoLevel]:
         """Prepare a camera image, RGB uint8 (h, w, 3), for `align` and `agreement`."""
@@ -83,7 +83,7 @@ class Aligner:
             greys = self._pyramid(guide.image)
             warp = Warp(np.eye(4), self._first_gain(photo[-1], greys[-1], guide), 0.0)
             for level in range(coarsest, -1, -1):
-                shown = GuideLevel(greys[level], self._depth(guide, level), self._rays[level])
+                shown = GuideLevel(greys[level], self._depth(guide, level), self.rays[level])
                 warp = self._align_level(level, photo[level], shown, warp, near)
             pose = CameraPose.nearest(pose.T_world_cam @ np.linalg.inv(warp.T))
             coarsest = min(coarsest, 1)

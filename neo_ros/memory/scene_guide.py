@@ -1,18 +1,21 @@
 """Where is the camera, and what does the memory show around its image: frame after frame."""
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 import threading
 
 import cv2
 from neo_ros.geometry import CameraPose, ViewExpansion
 from neo_ros.machine.compiled import ALL_THREADS
 from neo_ros.memory.alignment import agreement, Aligner
+from neo_ros.memory.alignment_kernels import GuideLevel, PhotoLevel
 from neo_ros.memory.landmarks import Location, Locator
 from neo_ros.memory.local_features import Features
+from neo_ros.memory.pose_covariance import aligned_covariance, in_world, located_covariance
 from neo_ros.memory.recent_images import RecentImages
-from neo_ros.memory.rendering import MemoryRenderer
+from neo_ros.memory.rendering import GuideView, MemoryRenderer
 from neo_ros.memory.scene_memory import SceneMemory
-from neo_ros.memory.sight import (better, CameraImage, Guide, GuideThresholds, located,
+from neo_ros.memory.sight import (better, CameraImage, Found, Guide, GuideThresholds, located,
                                   Sight)
 from neo_ros.pictures.exposure import exposure_gain
 from numba import get_num_threads, set_num_threads
@@ -87,7 +90,9 @@ class SceneGuide:
         solid = np.where(view.stretched, 0, view.depth)
         seen_before = self._recent.bring(solid, best.pose, gain)
         self._recent.keep(image.pixels, view.image, solid, best.pose, gain)
-        return Guide(view.image, known, view.stretched, best.pose, best.agreement, seen_before)
+        return Guide(view.image, known, view.stretched, best.pose, best.agreement, seen_before,
+                     best.found, len(best.location.points) if best.location else 0, view.depth,
+                     partial(self._covariance, best, image.photo[0]))
 
     def _search_is_due(self, best: Sight | None) -> bool:
         if best is None:
@@ -117,7 +122,8 @@ class SceneGuide:
             self._led -= 1
             location = self._locate(image, expected)
             if location is not None:
-                return self._located(self._look(image, location.pose, location.pose))
+                return self._located(self._look(image, location.pose, location.pose), location,
+                                     'landmarks')
         # A camera in steady motion would be there now.
         tracked = self._look(image, self.aligner.align(image.photo, expected, 1, near=True),
                              expected)
@@ -127,7 +133,8 @@ class SceneGuide:
             self._since_landmarks = 0
             location = self._locate(image, tracked.pose)
             if location is not None:
-                tracked = (self._located(tracked) if location.allows(tracked.pose)
+                tracked = (self._located(tracked, location, 'tracked')
+                           if location.allows(tracked.pose)
                            else self._look_from(location, image))
         if tracked.believed:
             return tracked
@@ -138,8 +145,8 @@ class SceneGuide:
     def _locate(self, image: CameraImage, around: CameraPose | None) -> Location | None:
         return self._locator.locate(image.features, around) if self._locator else None
 
-    def _located(self, sight: Sight) -> Sight:
-        return located(sight, self.thresholds.least_located)
+    def _located(self, sight: Sight, location: Location, found: Found) -> Sight:
+        return located(sight, self.thresholds.least_located, location, found)
 
     def _look_from(self, location: Location, image: CameraImage) -> Sight:
         """Look from where landmarks say, aligned with the image if they allow that."""
@@ -148,28 +155,44 @@ class SceneGuide:
             pose, self._led = location.pose, self.thresholds.landmarks_every
         # What is tracked next may be off, too.
         self._since_landmarks = self.thresholds.landmarks_every
-        return self._located(self._look(image, pose, pose))
+        return self._located(self._look(image, pose, pose), location, 'landmarks')
 
     def _look(self, image: CameraImage, pose: CameraPose,
               expected: CameraPose | None = None, searched: bool = False) -> Sight:
         """Draw the wide view from a pose and compare the image with its part of it."""
         limits, photo = self.thresholds, image.photo
         view = self.renderer.render(pose, self.expansion.target, limits.shown)
-        rows, columns = self.expansion.observed
-        size = photo[0].grey.shape[::-1]
-        grey = cv2.cvtColor(view.image[rows, columns] / 255, cv2.COLOR_RGB2GRAY)
-        known = view.depth[rows, columns]
-        if size != grey.shape[::-1]:
-            grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
-            known = cv2.resize(known, size, interpolation=cv2.INTER_NEAREST)
-        whole, partial = agreement(photo[0].grey, grey, known > 0, limits.alignment)
+        grey, depth = self._observed(view)
+        whole, part = agreement(photo[0].grey, grey, depth > 0, limits.alignment)
         there = expected is not None and (
             np.linalg.norm(pose.position - expected.position) < limits.expected_metres
             and pose.forward @ expected.forward > limits.expected_cosine)
         believed = whole >= limits.least_agreement and (
-            not searched or whole >= limits.least_found or partial >= limits.least_found_partial)
-        believed = believed or bool(there and partial >= limits.least_partial)
-        return Sight(pose, view, whole, believed)
+            not searched or whole >= limits.least_found or part >= limits.least_found_partial)
+        believed = believed or bool(there and part >= limits.least_partial)
+        return Sight(pose, view, whole, believed, found='searched' if searched else 'tracked')
+
+    def _observed(self, view: GuideView) -> tuple[np.ndarray, np.ndarray]:
+        """Return grey in [0, 1] and depth of what the camera sees of a view, float32 (h, w)."""
+        rows, columns = self.expansion.observed
+        finest = self.aligner.levels[0]
+        size = (finest.width, finest.height)
+        grey = cv2.cvtColor(view.image[rows, columns] / 255, cv2.COLOR_RGB2GRAY)
+        depth = view.depth[rows, columns]
+        if size != grey.shape[::-1]:
+            grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+            depth = cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST)
+        return grey, depth
+
+    def _covariance(self, sight: Sight, photo: PhotoLevel) -> np.ndarray:
+        """Return how exactly a sight's pose is known; its view has the photo's exposure."""
+        limits, location = self.thresholds, sight.location
+        if location is not None and sight.pose is location.pose:  # Alignment had no say.
+            return in_world(located_covariance(location, limits.covariance), sight.pose)
+        camera = self.aligner.levels[0]
+        shown = GuideLevel(*self._observed(sight.view), self.aligner.rays[0])
+        return in_world(aligned_covariance(photo, shown, camera, limits.alignment.geman_mcclure,
+                                           limits.covariance), sight.pose)
 
     def _search(self, image: CameraImage) -> Sight | None:
         """

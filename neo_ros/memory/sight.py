@@ -2,15 +2,19 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Literal
 
 from neo_ros.geometry import CameraPose
 from neo_ros.memory.alignment import AlignmentThresholds
 from neo_ros.memory.alignment_kernels import PhotoLevel
-from neo_ros.memory.landmarks import LandmarkThresholds
+from neo_ros.memory.landmarks import LandmarkThresholds, Location
 from neo_ros.memory.local_features import Features
+from neo_ros.memory.pose_covariance import CovarianceThresholds
 from neo_ros.memory.recent_images import RecentThresholds, SeenBefore
 from neo_ros.memory.rendering import GuideView
 import numpy as np
+
+Found = Literal['tracked', 'searched', 'landmarks']
 
 
 @dataclass(frozen=True)
@@ -54,6 +58,7 @@ class GuideThresholds:
     alignment: AlignmentThresholds = AlignmentThresholds()
     landmarks: LandmarkThresholds = LandmarkThresholds()
     recent: RecentThresholds = RecentThresholds()
+    covariance: CovarianceThresholds = CovarianceThresholds()
 
 
 class CameraImage:
@@ -83,6 +88,8 @@ class Guide:
     image float32 RGB (H, W, 3) in 0 ... 255, in the exposure of the image; known, stretched bool
     (H, W), see GuideView; pose of the camera; agreement of memory and image in [-1, 1];
     seen_before: by how much the last images differ from it, None if none shows any of it.
+    found: what the pose comes from; landmarks: how many of them were matched with this image,
+    which are looked for now and then.
     """
 
     image: np.ndarray
@@ -91,6 +98,31 @@ class Guide:
     pose: CameraPose
     agreement: float
     seen_before: SeenBefore | None = None
+    found: Found = 'tracked'
+    landmarks: int = 0
+    remembered_depth: np.ndarray | None = None
+    find_covariance: Callable[[], np.ndarray] | None = None
+
+    @cached_property
+    def covariance(self) -> np.ndarray:
+        """
+        Return how exactly the pose is known, float64 (6, 6); computed when first asked for.
+
+        In REP-103's order: x, y, z in metres, then rotations about x, y, z in radians; all along
+        and about the axes of the world, through the camera's centre.
+        """
+        assert self.find_covariance is not None
+        return self.find_covariance()
+
+    def depth(self) -> np.ndarray:
+        """
+        Return what the memory knows of the wide view's depth, float32 (H, W).
+
+        Metres along the optical axis; NaN where nothing is known, or only what is on both sides
+        of a gap.
+        """
+        assert self.remembered_depth is not None
+        return np.where(self.known & ~self.stretched, self.remembered_depth, np.float32(np.nan))
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +130,8 @@ class Sight:
     """
     A pose, what the memory shows from it, and how well that agrees with the image.
 
-    believed: good enough to be shown; located: landmarks speak for the pose.
+    believed: good enough to be shown; located: landmarks speak for the pose; location: what they
+    say; found: what the pose comes from.
     """
 
     pose: CameraPose
@@ -106,16 +139,19 @@ class Sight:
     agreement: float
     believed: bool
     located: bool = False
+    location: Location | None = None
+    found: Found = 'tracked'
 
     def rank(self) -> tuple[bool, bool, float]:
         """Return what tells the better of two sights."""
         return self.believed, self.located, self.agreement
 
 
-def located(sight: Sight, least_agreement: float) -> Sight:
+def located(sight: Sight, least_agreement: float, location: Location,
+            found: Found) -> Sight:
     """Return what is seen from a pose that landmarks speak for: believed, unless all differs."""
     return replace(sight, believed=sight.believed or sight.agreement >= least_agreement,
-                   located=True)
+                   located=True, location=location, found=found)
 
 
 def better(one: Sight | None, other: Sight | None) -> Sight | None:

@@ -5,6 +5,7 @@ import threading
 import time
 
 from neo_ros.bags import BagReader, BagTopic
+from neo_ros.bags.topic import CDR, describe_topics
 from neo_ros.errors import BagError
 from neo_ros.node.message_types import find_message_class
 from rclpy.duration import Duration
@@ -48,6 +49,9 @@ class BagPlayer:
         self._publishers: dict[BagTopic, Publisher] = {}
         for topic in bag.topics:
             if (names is not None and topic.name not in names) or (clock and topic.name == CLOCK):
+                continue
+            if topic.encoding != CDR:
+                report(f'{describe_topics([topic])} is left out: expected ROS 2 messages (cdr)')
                 continue
             message_class = find_message_class(topic.msgtype)
             if message_class is None:

@@ -7,7 +7,7 @@ import time
 from typing import Any
 
 from neo_ros.bags import BagTopic, BagWriter
-from neo_ros.bags.writing import LATCHED
+from neo_ros.bags.qos import LATCHED
 from neo_ros.errors import BagError
 from neo_ros.node.message_types import find_message_class
 from rclpy.executors import SingleThreadedExecutor

@@ -15,6 +15,7 @@ import onnxruntime
 
 if TYPE_CHECKING:
     from neo_ros.memory.guided_view import GuidedView
+    from neo_ros.memory.sight import Guide
 
 
 @dataclass(frozen=True)
@@ -26,12 +27,15 @@ class WideView:
     confidence: uint8 (H, W), 255 = sure, see `runtime/confidence.py`.
     Both are contiguous and belong to the caller.
     guided: the scene memory knew where the camera is, and shows the scene; else the network
-    alone made it up.
+    alone made it up. guide: then what the memory knows, with the camera's `pose` in the scene
+    and its `covariance`, `agreement`, `landmarks`, how it was `found`, and `depth()`; what is not
+    asked for is not computed. It keeps the images it comes from.
     """
 
     wide_image: np.ndarray
     confidence: np.ndarray
     guided: bool = False
+    guide: 'Guide | None' = None
 
 
 class FovExtrapolator:
@@ -115,7 +119,7 @@ class FovExtrapolator:
         confidence = confidence_of(error)
         if network is not None:
             confidence = np.where(np.isnan(error), network[1], confidence)
-        return WideView(wide, confidence.astype(np.uint8), guided=True)
+        return WideView(wide, confidence.astype(np.uint8), guided=True, guide=guide)
 
     def _run_network(self, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the wide image and the confidence that the network alone gives."""

@@ -74,8 +74,8 @@ class OutputTensors:
 class Parity:
     """How far ONNX Runtime and the trained torch module are apart, in steps of 1/255."""
 
-    max_abs_error: int
-    share_within_1: float
+    max_abs_error: int      # largest difference of a value
+    share_within_1: float   # share of the values that differ by 1 at most
 
     def __post_init__(self) -> None:
         check_whole('max_abs_error', self.max_abs_error, 0, 255)
@@ -86,8 +86,9 @@ class Parity:
 class MemoryFile:
     """The scene memory that belongs to a model: a file beside it."""
 
+    # Name of a file beside the model, never a folder.
     file: str  # noqa: A003
-    sha256: str
+    sha256: str     # of its bytes
 
     def __post_init__(self) -> None:
         # Any name of a file, never a folder: no separators, and at least one character is no dot.
@@ -100,29 +101,29 @@ class ModelCard:
     """
     What a model file says of itself.
 
-    `expansion` holds the source intrinsics (pixels, corner at (0, 0)) and the growth at each
-    side; `scores` are means over the test views, or, of what `neo export` wrote, over photos held
-    out of the training; `config_hash` names the experiment;
-    `gflop` is the arithmetic of one image, None in files that do not say; `scene_reference`
-    tells images of other scenes apart, None: the model cannot. `memory` is None for a network
-    that works alone. Raises ModelError for fields of wrong types or out of range.
+    Raises ModelError for fields of wrong types or out of range.
     """
 
     schema_version: int = SCHEMA_VERSION
-    scene_id: str
+    scene_id: str               # name of the scene folder
+    # Source intrinsics (pixels, the image's corner at (0, 0)), and pixels added at each side.
     expansion: ViewExpansion
+    # The camera image, uint8 RGB (1, h, w, 3).
     input: InputTensor = InputTensor()  # noqa: A003
+    # The wide image, uint8 RGB (1, H, W, 3), and the confidence, uint8 (1, H, W).
     outputs: OutputTensors = OutputTensors()
     mask_polarity: str = MASK_POLARITY
-    network: str
-    config_hash: str
+    network: str                # neo_fast, mat or lama
+    config_hash: str            # of all settings of the experiment
+    # Means over the test frames, or, of what `neo export` wrote, over held-out photos.
     scores: dict[str, float] = field(default_factory=dict)
-    parity: Parity
+    parity: Parity              # how far ONNX Runtime and torch are apart
     trained_seconds: float
-    gflop: float | None = None
+    gflop: float | None = None  # arithmetic of one image; None in files that do not say
     neo_ros_version: str
+    # What images of the scene look like; None: the model cannot tell other scenes apart.
     scene_reference: SceneReference | None = None
-    memory: MemoryFile | None = None
+    memory: MemoryFile | None = None    # the scene memory; None: the network works alone
 
     def __post_init__(self) -> None:
         check_same('schema_version', self.schema_version, SCHEMA_VERSION)

@@ -6,7 +6,7 @@ from bag_files import (
     START_NS, STORE, STRING, string_cdr, texts, write_sqlite_bag, write_text_bag)
 from neo_ros.bags import BagReader, BagTopic, BagWriter
 from neo_ros.bags.bag_folder import read_bag_folder
-from neo_ros.bags.writing import LATCHED
+from neo_ros.bags.qos import LATCHED
 from neo_ros.errors import BagError
 import pytest
 from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat

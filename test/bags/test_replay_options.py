@@ -11,7 +11,7 @@ from camera_bags import CameraBag
 from neo_ros.bags import BagReader, replay, Section
 from neo_ros.bags.camera_topics import CAMERA_INFO, find_camera, find_truth_topic
 from neo_ros.bags.demo_bag import write_demo_bag
-from neo_ros.bags.writing import LATCHED
+from neo_ros.bags.qos import LATCHED
 from neo_ros.cli.main import app
 from neo_ros.errors import BagError, NeoError
 from neo_ros.geometry import Intrinsics, ViewExpansion

@@ -5,7 +5,7 @@ from pathlib import Path
 from bag_files import START_NS, STRING, string_cdr, write_text_bag
 from mcap.reader import make_reader
 from neo_ros.bags import BagReader, BagTopic, BagWriter
-from neo_ros.bags.writing import LATCHED
+from neo_ros.bags.qos import LATCHED, qos_entries, qos_text, read_qos
 from neo_ros.errors import BagError
 import pytest
 from ruamel.yaml import YAML
@@ -94,8 +94,15 @@ def test_a_full_disk_is_a_bag_error(tmp_path: Path) -> None:
     with pytest.raises(BagError, match='No space left on device'):
         with BagWriter(tmp_path / 'bag') as writer:
             topic = writer.add_topic('/text', STRING)
-            storage = writer._writer.storage
-            assert storage is not None
-            storage.bio = open('/dev/full', 'wb')  # type: ignore[attr-defined]
+            os.dup2(os.open('/dev/full', os.O_WRONLY), writer._file.fileno())
             for i in range(100):
                 writer.write_cdr(topic, START_NS + i, bytes(100_000))
+
+
+def test_rosbags_still_has_what_qos_profiles_are_read_and_written_with() -> None:
+    entry, = qos_entries([LATCHED])
+    assert set(entry) >= {'history', 'depth', 'reliability', 'durability'}, (
+        'rosbags.rosbag2.metadata.dump_qos_v9 changed: mend neo_ros/bags/qos.py')
+    assert read_qos(qos_text([LATCHED])) == read_qos([entry]) == (LATCHED,), (
+        'rosbags.rosbag2.metadata.parse_qos changed: mend neo_ros/bags/qos.py')
+    assert read_qos('no: [') == ()

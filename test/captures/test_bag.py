@@ -385,7 +385,7 @@ def strange_lens(bag: CameraBag) -> None:
 
 def sixteen_bits(bag: CameraBag) -> None:
     bag.send(RAW, 'sensor_msgs/msg/Image', START, header=bag.header(START, 'optical'),
-             height=24, width=32, encoding='mono16', is_bigendian=0, step=64,
+             height=24, width=32, encoding='16SC1', is_bigendian=0, step=64,
              data=np.zeros(24 * 64, np.uint8))
 
 
@@ -418,7 +418,7 @@ def no_image(bag: CameraBag) -> None:
     (no_info, {}, 'expected a camera_info beside /cam/image_raw.*/other/camera_info'),
     (no_info_at_all, {}, 'expected a camera_info beside .*; the bag has no CameraInfo topic'),
     (strange_lens, {}, "/cam/camera_info: .*coefficients of plumb_bob.*'mystery'.*rectify"),
-    (sixteen_bits, {}, '/cam/image_raw: .*mono16.*record another topic of this camera'),
+    (sixteen_bits, {}, '/cam/image_raw: .*16SC1.*record another topic of this camera'),
     (no_image, {}, 'expected a topic of type sensor_msgs/msg/Image.*/tf'),
 ], ids=lambda value: value.__name__ if callable(value) else '')
 def test_what_is_missing_or_ambiguous_is_named(

@@ -6,11 +6,15 @@ from neo_ros.errors import NeoError
 import pytest
 
 SOURCE = """
+MOST = 7
+
+
 class Config:
     '''Words.'''
 
     plain: int = 3  # beside it
     bare: str
+    named: int = MOST
     # above it,
     # in two lines
     above: float | None = None
@@ -26,6 +30,7 @@ def test_fields_have_their_comments(tmp_path: Path) -> None:
     assert fields(tmp_path, 'x.py', 'Config', 'part.').splitlines()[2:] == [
         '| `part.plain` | int | `3` | beside it |',
         '| `part.bare` | str | required |  |',
+        '| `part.named` | int | `7` |  |',
         r'| `part.above` | float \| None | `None` | above it, in two lines |',
         "| `part.other` | str | `'a'` |  |",
         r'| `part.group` | Part |  | a \| b |',
