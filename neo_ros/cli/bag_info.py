@@ -1,13 +1,13 @@
 """`neo bag-info`: what is in a bag, and what to do with it."""
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Optional
 
 import typer
 
 
 def bag_info(
     bag: Annotated[Path, typer.Argument(help='Bag folder (MCAP or sqlite3), .mcap or .db3.')],
-    model: Annotated[Path | None, typer.Option(
+    model: Annotated[Optional[Path], typer.Option(
         help='Model file (.onnx) that the bag shall be replayed with.')] = None,
     as_json: Annotated[bool, typer.Option('--json', help='Print JSON.')] = False,
 ) -> None:

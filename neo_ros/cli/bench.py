@@ -1,6 +1,6 @@
 """`neo bench`: how fast every part is on this machine."""
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Optional
 
 import typer
 
@@ -8,10 +8,10 @@ import typer
 def bench(
     out: Annotated[Path, typer.Option(help='JSON file of the results.')] = Path(
         'results/bench.json'),
-    only: Annotated[list[str] | None, typer.Option(
+    only: Annotated[Optional[list[str]], typer.Option(
         help='expand, messages, guided, replay, field, gpu, networks or node; may be repeated. '
         'Default: all.')] = None,
-    model: Annotated[Path | None, typer.Option(
+    model: Annotated[Optional[Path], typer.Option(
         help='Model file (.onnx); default: the shipped demo_flat.onnx.')] = None,
     quick: Annotated[bool, typer.Option(
         '--quick', help='Only see that it runs: too short for figures to be quoted.')] = False,

@@ -1,43 +1,43 @@
 """`neo benchmark`: the paper's tables on any scene, rivals and bounds included."""
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Optional
 
 import typer
 
 
 def benchmark(
-    suite: Annotated[str | None, typer.Option(
+    suite: Annotated[Optional[str], typer.Option(
         help='Run a whole suite of config/benchmark, for instance quarter.')] = None,
-    scene: Annotated[Path | None, typer.Option(
+    scene: Annotated[Optional[Path], typer.Option(
         help='Benchmark one scene folder, with wide truth in transforms_test.json.')] = None,
-    test_scene: Annotated[Path | None, typer.Option(
+    test_scene: Annotated[Optional[Path], typer.Option(
         help='Scene folder whose photos are the wide truth, where SCENE has no test frames.',
     )] = None,
-    protocol: Annotated[str | None, typer.Option(
+    protocol: Annotated[Optional[str], typer.Option(
         help='square: photos are the view, grown to twice their size. horizontal: the middle '
         'half of the columns, grown to the photo. Default: square.')] = None,
-    scale: Annotated[str | None, typer.Option(
+    scale: Annotated[Optional[str], typer.Option(
         help='full, half or quarter of the resolution of the photos. Default: quarter.')] = None,
-    config: Annotated[Path | None, typer.Option(
+    config: Annotated[Optional[Path], typer.Option(
         help='Experiment file (YAML) with the settings for SCENE. Its view, scale, steps and '
         "minutes, and the network's name, patch and depth, are not read: they follow from "
         'protocol, scale, methods and budget.')] = None,
-    methods: Annotated[str | None, typer.Option(
+    methods: Annotated[Optional[str], typer.Option(
         help='Names, separated by commas. Default: all of the suite, or of quarter.')] = None,
-    budget_minutes: Annotated[float | None, typer.Option(
+    budget_minutes: Annotated[Optional[float], typer.Option(
         help='Training time of field and network; naive may take what the network takes. '
         'Default: 18.', min=0.01)] = None,
-    frames: Annotated[int | None, typer.Option(
+    frames: Annotated[Optional[int], typer.Option(
         min=1, help='Score only so many test frames, spread evenly; default: all.')] = None,
-    scenes: Annotated[list[Path] | None, typer.Option(
+    scenes: Annotated[Optional[list[Path]], typer.Option(
         help='Folder that holds the scene folders of a suite; may be given several times.',
     )] = None,
-    out: Annotated[Path | None, typer.Option(
+    out: Annotated[Optional[Path], typer.Option(
         help='File for the rows; default: results/NAME.json, where NAME is the suite or the '
         'scene; of a suite that was run in part, WORK/NAME.json.')] = None,
     work: Annotated[Path, typer.Option(
         help='Folder for fields, models, scores and the report.')] = Path('out/benchmark'),
-    bundle: Annotated[Path | None, typer.Option(
+    bundle: Annotated[Optional[Path], typer.Option(
         help='Also leave rows, tables, page and models in this folder, as one archive in files '
         'below 16 MB, also of a run that was broken off: for a borrowed machine.')] = None,
 ) -> None:

@@ -1,6 +1,6 @@
 """`neo compare`: train several experiments on one scene and put them side by side."""
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Optional
 
 import typer
 
@@ -10,10 +10,10 @@ def compare(
     configs: Annotated[list[Path], typer.Argument(
         help='Experiment files (YAML), for example config/experiments/networks/*.yaml.')],
     out: Annotated[Path, typer.Option(help='Folder: one run in it for each experiment.')],
-    minutes: Annotated[list[float] | None, typer.Option(
+    minutes: Annotated[Optional[list[float]], typer.Option(
         help='Train every outpainter for so many minutes, instead of what its file says; may be '
         'repeated, to see what more time brings.')] = None,
-    steps: Annotated[int | None, typer.Option(
+    steps: Annotated[Optional[int], typer.Option(
         min=1, help='Train every outpainter for so many steps; not with --minutes.')] = None,
 ) -> None:
     """

@@ -1,6 +1,6 @@
 """`neo demo`: see it work, on a real ROS graph, in the built-in flat."""
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Optional
 
 import typer
 
@@ -8,11 +8,11 @@ import typer
 def demo(
     out: Annotated[Path, typer.Option(
         help='Folder for the bags, the report and the pictures.')] = Path('out/demo'),
-    model: Annotated[Path | None, typer.Option(
+    model: Annotated[Optional[Path], typer.Option(
         help='A model of the demo flat; default: the one that comes with the package.')] = None,
     frames: Annotated[int, typer.Option(help='Length of the walk.', min=2)] = 100,
     rate: Annotated[float, typer.Option(help='Frames per second.', min=0.1)] = 10.0,
-    watch: Annotated[bool | None, typer.Option(
+    watch: Annotated[Optional[bool], typer.Option(
         help='Show the stream in a browser and play on until Ctrl-C; default: on a terminal.',
     )] = None,
 ) -> None:

@@ -1,7 +1,7 @@
 """`neo evaluate`: score a model on the wide test frames of a scene, beside the floors."""
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Optional
 
 import typer
 
@@ -10,9 +10,9 @@ def evaluate(
     scene: Annotated[Path, typer.Argument(
         help='Scene folder with transforms_test.json: wide frames that training never saw.')],
     model: Annotated[Path, typer.Option(help='Model file (.onnx) that neo train exported.')],
-    out: Annotated[Path | None, typer.Option(
+    out: Annotated[Optional[Path], typer.Option(
         help='Folder for scores.json and report.html; default: evaluation_<scene>.')] = None,
-    frames: Annotated[int | None, typer.Option(
+    frames: Annotated[Optional[int], typer.Option(
         min=1, help='Score only so many frames, spread evenly; default: all.')] = None,
 ) -> None:
     """

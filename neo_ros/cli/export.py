@@ -1,6 +1,6 @@
 """`neo export`: a trained model as fp32, fp16 and int8 files, and what each of them costs."""
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Optional
 
 from neo_ros.machine.progress import no_stage_progress
 import typer
@@ -9,7 +9,7 @@ import typer
 def export(
     scene: Annotated[Path, typer.Argument(help='Scene folder that the model was trained on.')],
     out: Annotated[Path, typer.Option(help='Folder of the finished neo train.')],
-    config: Annotated[Path | None, typer.Option(
+    config: Annotated[Optional[Path], typer.Option(
         help='Experiment file (YAML) of that training; default: the default settings.')] = None,
     threads: Annotated[int, typer.Option(min=0, help='Threads to time on; 0 = all.')] = 0,
 ) -> None:

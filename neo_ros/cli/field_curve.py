@@ -1,6 +1,6 @@
 """`neo field-curve`: how good the field is after how many minutes."""
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Optional
 
 import typer
 
@@ -8,9 +8,9 @@ import typer
 def field_curve(
     scene: Annotated[Path, typer.Argument(help='Scene folder with wide test frames.')],
     scale: Annotated[str, typer.Option(help='full, half or quarter of the photos.')] = 'quarter',
-    minutes: Annotated[list[float] | None, typer.Option(
+    minutes: Annotated[Optional[list[float]], typer.Option(
         help='Training time; may be repeated. Default: 1 and 5.', min=0.01)] = None,
-    config: Annotated[Path | None, typer.Option(
+    config: Annotated[Optional[Path], typer.Option(
         help='Experiment file (YAML) with the settings of the field.')] = None,
     views: Annotated[int, typer.Option(
         min=1, help='Test frames, and held-out photos, to look at, evenly spread.')] = 25,

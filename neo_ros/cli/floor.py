@@ -1,6 +1,6 @@
 """`neo floor`: say where the robot can be, by a floor map."""
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Optional
 
 import typer
 
@@ -10,11 +10,11 @@ def floor(
     floor_map: Annotated[Path, typer.Argument(
         metavar='MAP', help='YAML file of a map_server map, or an image whose bright pixels are '
                             'free floor.')],
-    camera_height: Annotated[float | None, typer.Option(
+    camera_height: Annotated[Optional[float], typer.Option(
         help="z of the robot's camera, metres; default: the photos' median.")] = None,
-    resolution: Annotated[float | None, typer.Option(
+    resolution: Annotated[Optional[float], typer.Option(
         help='Images only: metres per pixel.')] = None,
-    origin: Annotated[tuple[float, float, float] | None, typer.Option(
+    origin: Annotated[Optional[tuple[float, float, float]], typer.Option(
         help='Images only: x, y (metres) and yaw (radians) of the lower left corner; default: '
              '0 0 0.')] = None,
 ) -> None:

@@ -1,6 +1,6 @@
 """`neo import`: bring a capture into a scene folder."""
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Optional
 
 from neo_ros.errors import ConfigError
 import typer
@@ -14,29 +14,29 @@ def import_scene(
              '7-Scenes, images with traj.txt, a ROS 2 bag, photos or a video without poses; or '
              'the word "demo" for the built-in flat.')],
     scene: Annotated[Path, typer.Argument(help='Scene folder to write.')],
-    format_name: Annotated[str | None, typer.Option(
+    format_name: Annotated[Optional[str], typer.Option(
         '--format', help=f'{FORMATS}; by default told from the files.')] = None,
-    image_topic: Annotated[str | None, typer.Option(
+    image_topic: Annotated[Optional[str], typer.Option(
         help='Bags: the camera, where there are several.')] = None,
-    pose_topic: Annotated[str | None, typer.Option(
+    pose_topic: Annotated[Optional[str], typer.Option(
         help='Bags: /tf, a topic of PoseStamped, PoseWithCovarianceStamped or Odometry, or none.',
     )] = None,
-    keyframe_distance: Annotated[float | None, typer.Option(
+    keyframe_distance: Annotated[Optional[float], typer.Option(
         help='Keep the sharpest frame of every so many metres.')] = None,
-    keyframe_angle: Annotated[float | None, typer.Option(
+    keyframe_angle: Annotated[Optional[float], typer.Option(
         help='Keep the sharpest frame of every so many degrees.')] = None,
     test_runs: Annotated[int, typer.Option(
         help='Hold a tenth of the photos back as test frames, in so many runs, to measure how '
              'good a model of this capture is.', min=0)] = 0,
     level: Annotated[bool, typer.Option(
         '--level', help='Turn the world so that z points up, as the photos were held.')] = False,
-    scale: Annotated[float | None, typer.Option(
+    scale: Annotated[Optional[float], typer.Option(
         help='Multiply all lengths by this factor; for models that are not in metres.')] = None,
-    fisheye_view: Annotated[float | None, typer.Option(
+    fisheye_view: Annotated[Optional[float], typer.Option(
         help='Degrees of the widest view that is cut out of a fisheye; default: 120.')] = None,
-    size: Annotated[int | None, typer.Option(
+    size: Annotated[Optional[int], typer.Option(
         help='Demo only: edge of the training photos in pixels; default: 128.', min=16)] = None,
-    photos: Annotated[int | None, typer.Option(
+    photos: Annotated[Optional[int], typer.Option(
         help='Demo only: number of photos; default: 1000.', min=1)] = None,
 ) -> None:
     """

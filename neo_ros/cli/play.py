@@ -1,6 +1,6 @@
 """`neo play`: publish a bag on a real ROS graph."""
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Optional
 
 import typer
 
@@ -11,7 +11,7 @@ def play(
         help='How many times as fast as recorded.', min=0.001)] = 1.0,
     loop: Annotated[bool, typer.Option('--loop', help='Start again at the end.')] = False,
     clock: Annotated[bool, typer.Option(help='Publish the recorded time on /clock.')] = True,
-    topics: Annotated[list[str] | None, typer.Option(
+    topics: Annotated[Optional[list[str]], typer.Option(
         help='Play this topic only; may be given several times.')] = None,
     wait_for_subscribers: Annotated[int, typer.Option(
         help='Wait until the topics have so many subscriptions in total.', min=0)] = 0,

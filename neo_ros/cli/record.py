@@ -1,6 +1,6 @@
 """`neo record`: write topics of a real ROS graph to a bag."""
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Optional
 
 import typer
 
@@ -8,11 +8,11 @@ import typer
 def record(
     topics: Annotated[list[str], typer.Argument(help='Topics to record.')],
     out: Annotated[Path, typer.Option(help='Bag folder to make.')],
-    seconds: Annotated[float | None, typer.Option(
+    seconds: Annotated[Optional[float], typer.Option(
         '--for', help='Stop after so many seconds.', min=0)] = None,
-    frames: Annotated[int | None, typer.Option(
+    frames: Annotated[Optional[int], typer.Option(
         help='Stop when every topic has so many messages.', min=1)] = None,
-    idle_timeout: Annotated[float | None, typer.Option(
+    idle_timeout: Annotated[Optional[float], typer.Option(
         help='Stop when nothing came for so many seconds after the first message.',
         min=0)] = None,
 ) -> None:

@@ -1,7 +1,7 @@
 """`neo replay`: widen the camera of a bag without a ROS graph."""
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Optional
 
 import typer
 
@@ -9,25 +9,25 @@ import typer
 def replay(
     bag: Annotated[Path, typer.Argument(help='Bag folder (MCAP or sqlite3), .mcap or .db3.')],
     out: Annotated[Path, typer.Option(help='Folder of the new bag; must not exist yet.')],
-    model: Annotated[Path | None, typer.Option(
+    model: Annotated[Optional[Path], typer.Option(
         help='Model file (.onnx); default: the shipped demo_flat.onnx.')] = None,
-    image_topic: Annotated[str | None, typer.Option(
+    image_topic: Annotated[Optional[str], typer.Option(
         help='Camera image, raw or compressed; default: the only one of the size the model '
              'takes.')] = None,
     start: Annotated[float, typer.Option(
         help='Begin so many seconds after the first message.', min=0)] = 0.0,
-    end: Annotated[float | None, typer.Option(
+    end: Annotated[Optional[float], typer.Option(
         help='Stop so many seconds after the first message.')] = None,
     every: Annotated[int, typer.Option(
         help='Widen only every so many-th image.', min=1)] = 1,
     rectify: Annotated[bool, typer.Option(
         '--rectify', help='Take the distortion out of the images first.')] = False,
-    side_by_side: Annotated[Path | None, typer.Option(
+    side_by_side: Annotated[Optional[Path], typer.Option(
         help='Also write a video (.mp4): camera and widened view.')] = None,
     score: Annotated[bool, typer.Option(
         '--score', help='Score: against the wide images of the bag, or, if it has none, '
                         "against the camera's own border.")] = False,
-    truth_topic: Annotated[str | None, typer.Option(
+    truth_topic: Annotated[Optional[str], typer.Option(
         help='Wide images to score against; default: the only ones of that size.')] = None,
     copy: Annotated[bool, typer.Option(
         help='Copy the other topics of the bag into the new one.')] = True,

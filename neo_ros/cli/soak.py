@@ -1,6 +1,6 @@
 """`neo soak`: the node under load for a long time."""
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Optional
 
 import typer
 
@@ -10,7 +10,7 @@ def soak(
     hogs: Annotated[int, typer.Option(
         help='Processes beside it that burn a core each.', min=0)] = 0,
     rate: Annotated[float, typer.Option(help='Images per second.', min=0.1)] = 30.0,
-    model: Annotated[Path | None, typer.Option(
+    model: Annotated[Optional[Path], typer.Option(
         help='Model file (.onnx); default: the shipped demo_flat.onnx.')] = None,
     out: Annotated[Path, typer.Option(help='JSON file of the results.')] = Path(
         'results/soak.json'),

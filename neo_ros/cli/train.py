@@ -1,6 +1,6 @@
 """`neo train`: from a scene folder to a model file."""
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Optional
 
 import typer
 
@@ -10,14 +10,14 @@ def train(
         help='Scene folder with transforms_train.json, made by neo import.')],
     out: Annotated[Path, typer.Option(
         help='Folder for the model, the report and what a later run resumes from.')],
-    config: Annotated[Path | None, typer.Option(
+    config: Annotated[Optional[Path], typer.Option(
         help='Experiment file (YAML), see config/experiments; default: the default settings.',
     )] = None,
     cache_gb: Annotated[float, typer.Option(
         help='Keep up to so many GB of panoramas in files of OUT instead of in memory; a training '
         'that was broken off reads them back. Several processes keep so many each.', min=0,
     )] = 0.0,
-    field_of: Annotated[Path | None, typer.Option(
+    field_of: Annotated[Optional[Path], typer.Option(
         help='Output folder of another run of the same photos, with the same settings of field, '
         'scale and seed: its field is taken instead of fitting one anew.')] = None,
 ) -> None:

@@ -1,29 +1,29 @@
 """`neo view`: the wide stream in a browser."""
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Optional
 
 import typer
 
 
 def view(
-    topic: Annotated[str | None, typer.Option(
+    topic: Annotated[Optional[str], typer.Option(
         help='Wide image topic; default: /camera/wide/image, or the one of the bag.')] = None,
-    bag: Annotated[Path | None, typer.Option(
+    bag: Annotated[Optional[Path], typer.Option(
         help='Show this bag instead of a ROS graph.')] = None,
-    model: Annotated[Path | None, typer.Option(
+    model: Annotated[Optional[Path], typer.Option(
         help='Model that widens a bag without wide images; default: demo_flat.onnx.')] = None,
-    rate: Annotated[float | None, typer.Option(
+    rate: Annotated[Optional[float], typer.Option(
         help='How many times as fast as the bag was recorded; default: 1.', min=0.001)] = None,
     sim_time: Annotated[bool, typer.Option(
         '--sim-time', help='Take the time from /clock, as for a bag that is played.')] = False,
     host: Annotated[str, typer.Option(
         help='Address to listen on; other than loopback, viewers need a token.')] = '127.0.0.1',
     port: Annotated[int, typer.Option(help='Port, 0 = any free one.')] = 8600,
-    token_file: Annotated[Path | None, typer.Option(
+    token_file: Annotated[Optional[Path], typer.Option(
         help='File with the token; default: the variable NEO_VIEWER_TOKEN, or a fresh one.',
     )] = None,
-    cert: Annotated[Path | None, typer.Option(help='Certificate for TLS (PEM).')] = None,
-    key: Annotated[Path | None, typer.Option(help='Its key (PEM).')] = None,
+    cert: Annotated[Optional[Path], typer.Option(help='Certificate for TLS (PEM).')] = None,
+    key: Annotated[Optional[Path], typer.Option(help='Its key (PEM).')] = None,
     max_viewers: Annotated[int, typer.Option(help='How many may watch at a time.')] = 20,
     max_mbit: Annotated[float, typer.Option(
         help='Most megabit per second for each viewer, 0 = no limit.')] = 20.0,

@@ -1,9 +1,11 @@
 """The command line: its help, its errors, and the way from a scene to a replayed bag."""
 import json
 from pathlib import Path
+import re
 import subprocess
 import sys
 
+import neo_ros
 from neo_ros.cli.main import app, main
 from neo_ros.training.run import TrainingRun
 import pytest
@@ -174,3 +176,9 @@ def test_bags_need_test_frames_and_a_free_place(
             (tiny_run.out.parent / 'scene', tmp_path, 'the output exists already')):
         code = run_main(monkeypatch, 'bag', scene, '--model', tiny_run.model_path, '--out', out)
         assert code == 2 and message in capsys.readouterr().err
+
+
+def test_options_are_written_as_old_versions_of_typer_read_them() -> None:
+    """Ubuntu 24.04 has typer 0.9, which knows Optional[X] and not X | None."""
+    for file in (Path(neo_ros.__file__).parent / 'cli').glob('*.py'):
+        assert not re.search(r'Annotated\[[^,]*\| None', file.read_text()), file.name
