@@ -13,8 +13,9 @@ import neo_ros
 from neo_ros.evaluation.baselines import EdgeReplication, MeanImage, Method, NeoModel
 from neo_ros.evaluation.evaluate import evaluate, TruthFrames
 from neo_ros.experiment import Experiment
-from neo_ros.field.device import chosen_device, field_trainer
-from neo_ros.field.voxel_field import RadianceField
+from neo_ros.field.device import chosen_device, field_trainer, on_device
+from neo_ros.field.radiance_field import RadianceField
+from neo_ros.field.voxel_field import VoxelField
 from neo_ros.machine.files import make_output_folder
 from neo_ros.machine.progress import no_stage_progress, StageProgress
 from neo_ros.outpaint.distributed import process_group, wait_for_all
@@ -88,7 +89,7 @@ def fit_field_step(run: TrainingRun, rank: int = 0) -> RadianceField:
     if rank == 0:
         (run.out / 'field.ckpt').unlink(missing_ok=True)
     run.seconds, run.log['field'] = read_notes(run.out / 'field.json', 'field.npz')
-    return RadianceField.load(path, device)
+    return on_device(VoxelField.load(path), device)
 
 
 def _fit_field(run: TrainingRun, path: Path, writes: bool) -> None:

@@ -141,18 +141,6 @@ def test_no_ablation_is_forgotten() -> None:
     assert files == {*ABLATIONS, *(reference for reference, _ in ABLATIONS.values())}
 
 
-@pytest.mark.parametrize('name', [
-    name for name, _ in changed_experiments(
-        Experiment(outpaint=OutpaintConfig(real_centre=0.0, occluders=0.0)))
-    if name.split('.')[0] in ('sampling', 'network', 'memory')])
-def test_the_manual_has_the_setting_in_its_table(name: str) -> None:
-    section, key = name.split('.')
-    manual = Path(neo_ros.machine.files.__file__).parents[2] / 'docs' / 'training.md'
-    cells = [line.split('|')[1] for line in manual.read_text().splitlines()
-             if line.startswith(f'| `{section}.')]
-    assert any(f'.{key}`' in cell or f'`{key}`' in cell for cell in cells)
-
-
 def test_without_a_word_the_view_doubles() -> None:
     expansion = Experiment().expansion(PHOTO, None)
     assert expansion.source == PHOTO

@@ -17,7 +17,7 @@ from neo_ros.baking.keyframes import MemoryConfig
 from neo_ros.errors import ConfigError, ModelError, NeoError, SceneError
 from neo_ros.experiment import Experiment, ViewConfig
 from neo_ros.field.config import FIT_NEAR
-from neo_ros.field.voxel_field import RadianceField
+from neo_ros.field.voxel_field import VoxelField
 from neo_ros.memory import scene_memory
 from neo_ros.outpaint.network import NetworkConfig
 from neo_ros.pipeline import train
@@ -103,7 +103,7 @@ def test_the_folder_holds_no_leftovers(tiny_run: TrainingRun) -> None:
         'run.json', 'field.npz', 'field.json', 'outpainter.ckpt', 'scene.onnx', 'report.html',
         'scores.json', 'poses.json', 'poses.png', 'scene.memory',
         'memory.json'}
-    assert (RadianceField.load(tiny_run.out / 'field.npz').seen == 0).any()
+    assert (VoxelField.load(tiny_run.out / 'field.npz').seen == 0).any()
 
 
 def test_held_out_photos_are_not_fitted(tiny_run: TrainingRun) -> None:
@@ -157,7 +157,7 @@ def test_a_killed_training_goes_on_to_the_same_model(
     stages: list[str] = []
     resumed = train_tiny(scene, out, progress=lambda stage, *rest: stages.append(stage))
     assert stages.count('outpainter') == 20 - 11 and 'field' not in stages
-    fields = [RadianceField.load(run.out / 'field.npz') for run in (tiny_run, resumed)]
+    fields = [VoxelField.load(run.out / 'field.npz') for run in (tiny_run, resumed)]
     np.testing.assert_array_equal(fields[0].grid, fields[1].grid)
     np.testing.assert_array_equal(fields[0].seen, fields[1].seen)
     assert graph_of(resumed) == graph_of(tiny_run)
@@ -248,7 +248,7 @@ def test_missing_notes_of_a_field_say_what_to_do(tiny_run: TrainingRun, tmp_path
 
 
 def test_without_a_floor_map_cameras_stay_near_the_photos(tiny_run: TrainingRun) -> None:
-    scene, field = tiny_run.scene, RadianceField.load(tiny_run.out / 'field.npz')
+    scene, field = tiny_run.scene, VoxelField.load(tiny_run.out / 'field.npz')
     on_floor = training_views.make_sampler(tiny_run, field)
     assert scene.walkable is not None and scene.walkable.contains(on_floor.positions_xy).all()
     run = TrainingRun(replace(scene, walkable=None), Experiment(), tiny_run.out,
@@ -267,7 +267,7 @@ def test_the_field_is_fitted_as_the_floor_map_asks(tiny_run: TrainingRun) -> Non
 
 @pytest.mark.parametrize('area', ['walkable', 'free_space'])
 def test_the_area_is_the_one_asked_for(tiny_run: TrainingRun, area: Any) -> None:
-    field = RadianceField.load(tiny_run.out / 'field.npz')
+    field = VoxelField.load(tiny_run.out / 'field.npz')
     run = TrainingRun(replace(tiny_run.scene, walkable=None),
                       replace(TINY, sampling=SamplingConfig(area=area)), tiny_run.out,
                       tiny_run.progress)

@@ -14,8 +14,8 @@ import cv2
 from neo_ros.baking.kernels import colour_from_photos, PanoramaPixels, PhotoArrays
 from neo_ros.errors import ConfigError, NeoError
 from neo_ros.field.panorama import view_band
+from neo_ros.field.radiance_field import RadianceField
 from neo_ros.field.rendering import render_rays, to_uint8, world_rays
-from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import Band, CameraPose, Intrinsics, ViewExpansion
 from neo_ros.machine.files import whole_file
 from neo_ros.machine.progress import no_progress, Progress

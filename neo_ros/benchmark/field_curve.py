@@ -17,7 +17,7 @@ from neo_ros.benchmark.protocols import SCALES, split_checksums
 from neo_ros.benchmark.scoring import load_scorers
 from neo_ros.evaluation.evaluate import Scorer, TruthFrames
 from neo_ros.experiment import Experiment
-from neo_ros.field.device import chosen_device, field_trainer
+from neo_ros.field.device import chosen_device, field_trainer, on_device
 from neo_ros.field.rendering import render_view
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
 from neo_ros.machine.files import make_output_folder, write_bytes
@@ -103,8 +103,7 @@ def fit_own(run: TrainingRun, seconds: float, stage: str) -> tuple[Renderer, dic
     while trainer.done[0] < trainer.done[1]:
         trainer.train_step()
         run.progress(stage, *trainer.done, f'{trainer.psnr:.2f} dB on its photos')
-    field = trainer.finished()
-    field.device = chosen_device(config.device)
+    field = on_device(trainer.finished(), chosen_device(config.device))
     return (lambda view, pose: render_view(field, view, pose).image,
             {'steps': trainer.step, 'minutes': trainer.seconds / 60})
 

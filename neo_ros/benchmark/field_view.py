@@ -1,7 +1,7 @@
 """What the radiance field shows at a pose, as a widened view; the oracle is the true pose's."""
 from neo_ros.errors import SceneError
+from neo_ros.field.radiance_field import RadianceField
 from neo_ros.field.rendering import render_view, to_uint8
-from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import CameraPose, ViewExpansion
 from neo_ros.pictures.exposure import exposure_gain
 import numpy as np

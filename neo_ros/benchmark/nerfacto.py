@@ -18,8 +18,9 @@ nerfstudio asks for hundreds of packages; these are what its nerfacto needs besi
     pip install --no-deps nerfstudio==1.1.5 nerfacc jaxtyping wadler-lindig tyro docstring-parser \
         typeguard torchmetrics lightning-utilities gsplat viser splines msgspec websockets
 """
+from collections.abc import Callable
 import time
-from typing import Any, TYPE_CHECKING
+from typing import Any
 
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.training.run import TrainingRun
@@ -34,9 +35,6 @@ from nerfstudio.model_components.renderers import RGBRenderer
 import numpy as np
 import torch
 from torch import nn
-
-if TYPE_CHECKING:
-    from neo_ros.benchmark.field_curve import Renderer
 
 # nerfstudio's default is 4096 rays a step, for a GPU; on two cores a minute would be 10 steps.
 RAYS = 1024
@@ -88,7 +86,7 @@ class Nerfacto(nn.Module):
 
 
 def fit_nerfacto(run: TrainingRun, seconds: float, stage: str,
-                 ) -> tuple['Renderer', dict[str, Any]]:
+                 ) -> tuple[Callable[[Intrinsics, CameraPose], np.ndarray], dict[str, Any]]:
     """Train for so many seconds; returns what renders it, with its steps and minutes."""
     torch.manual_seed(run.experiment.seed)
     scale = run.experiment.scale

@@ -4,8 +4,8 @@ from pathlib import Path
 
 from neo_ros.evaluation.evaluate import TruthFrames
 from neo_ros.evaluation.stability import DepthOf
+from neo_ros.field.radiance_field import RadianceField
 from neo_ros.field.rendering import render_view
-from neo_ros.field.voxel_field import RadianceField
 from neo_ros.flat.demo_flat import build_demo_flat
 from neo_ros.scenes.scene import DEMO_NOTE
 import numpy as np

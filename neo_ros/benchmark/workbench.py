@@ -19,7 +19,7 @@ from neo_ros.benchmark.protocols import (
 from neo_ros.errors import ConfigError
 from neo_ros.evaluation.evaluate import TruthFrames
 from neo_ros.experiment import Experiment, experiment_from, read_experiment
-from neo_ros.field.voxel_field import RadianceField
+from neo_ros.field.radiance_field import RadianceField
 from neo_ros.machine.files import make_output_folder, share_dir, write_bytes
 from neo_ros.machine.names import listed
 from neo_ros.machine.progress import StageProgress

@@ -2,6 +2,10 @@
 from neo_ros.errors import ConfigError
 from neo_ros.field.config import FieldConfig
 from neo_ros.field.fitting import FieldTrainer
+from neo_ros.field.radiance_field import RadianceField
+from neo_ros.field.torch_field import torch_device, TorchField
+from neo_ros.field.torch_fitting import TorchFieldTrainer
+from neo_ros.field.voxel_field import VoxelField
 from neo_ros.geometry import Intrinsics
 import numpy as np
 import torch
@@ -23,5 +27,9 @@ def field_trainer(images: np.ndarray, intrinsics: Intrinsics, T_world_cam: np.nd
     device = chosen_device(config.device)
     if device == 'cpu':
         return FieldTrainer(images, intrinsics, T_world_cam, config, seed)
-    from neo_ros.field.torch_fitting import TorchFieldTrainer
     return TorchFieldTrainer(images, intrinsics, T_world_cam, config, seed, device)
+
+
+def on_device(field: VoxelField, device: str) -> RadianceField:
+    """Bring a field, as it is now, to cpu, cuda or torch (what cuda does, on the CPU)."""
+    return field if device == 'cpu' else TorchField(field, torch_device(device))

@@ -5,11 +5,12 @@ import time
 from typing import Any
 
 from neo_ros.errors import SceneError
-from neo_ros.field import kernels
 from neo_ros.field.config import FieldConfig, fit_near
 from neo_ros.field.fitting_kernels import (
     adam_step, Batch, differentiate_rays, LossWeights, SampleSlopes, scatter_gradients)
-from neo_ros.field.voxel_field import packed, RadianceField, unpacked
+from neo_ros.field.radiance_field import RadianceField
+from neo_ros.field.rendering import render_rays
+from neo_ros.field.voxel_field import packed, unpacked, VoxelField
 from neo_ros.geometry import Intrinsics
 from numba import get_num_threads
 import numpy as np
@@ -43,11 +44,16 @@ class FieldTrainer:
         self.seconds = self.psnr = 0.0
         self.log_gain = np.zeros((len(images), 3), np.float32)
         low, high = self.origins.min(0) - config.margin, self.origins.max(0) + config.margin
-        self.field = RadianceField.empty(
+        self.field = VoxelField.empty(
             int(config.voxels * STAGES[0][1]), (low + high) / 2, (high - low) / 2,
             config.shell, config.sh_degree, near=fit_near(config.near))
         self.view_near = self.field.near if config.near is None else config.near
         self._allocate()
+
+    @property
+    def placed(self) -> RadianceField:
+        """The field where it is fitted."""
+        return self.field
 
     def _allocate(self) -> None:
         """Make the optimiser's buffers for the present grid."""
@@ -158,16 +164,16 @@ class FieldTrainer:
             voxels = int(self.config.voxels * STAGES[self.stage][1])
             if self.stage == 1 and self.config.near is None:
                 self.view_near = self.empty_distance()
-            self.field = self.field.resampled(voxels, *self.content_box(),
-                                              sparse=self.stage + 1 == len(STAGES))
+            self.field = self.placed.home().resampled(voxels, *self.content_box(),
+                                                      sparse=self.stage + 1 == len(STAGES))
+            self._allocate()
             if self.stage == 1:
                 self.boxed_at = self.step
             else:
-                self.field.update_occupancy()
-            self._allocate()
+                self.placed.update_occupancy()
         elif (self.stage and self.step > self.boxed_at + OCCUPANCY_EVERY
               and self.step % OCCUPANCY_EVERY == 0):
-            self.field.update_occupancy()
+            self.placed.update_occupancy()
 
     @property
     def figure(self) -> float:
@@ -176,7 +182,7 @@ class FieldTrainer:
 
     def state(self) -> dict[str, Any]:
         """Return everything a later `restore` needs to go on."""
-        field = self.field
+        field = self.placed.home()
         return {'step': self.step, 'stage': self.stage, 'boxed_at': self.boxed_at,
                 'seconds': self.seconds, 'psnr': self.psnr, 'log_gain': self.log_gain,
                 'view_near': self.view_near,
@@ -190,7 +196,7 @@ class FieldTrainer:
             setattr(self, name, state[name])
         arrays = {key: np.asarray(value) for key, value in state.items()}
         self.log_gain = arrays['log_gain']
-        self.field = RadianceField(
+        self.field = VoxelField(
             arrays['grid'], tuple(state['shape']), arrays['centre'], arrays['half_extent'],
             self.config.shell, near=fit_near(self.config.near),
             row_of=unpacked(arrays['kept'], state['shape']))
@@ -206,9 +212,8 @@ class FieldTrainer:
         Surfaces that the photos see lie inside, up to a few percent that may be a view through
         a window; those are left to the contracted shell.
         """
-        from neo_ros.field.rendering import render_rays
         *_, rays_o, rays_d = self.sample_rays()
-        rendering = render_rays(self.field, rays_o, rays_d)
+        rendering = render_rays(self.placed, rays_o, rays_d)
         points = rays_o + rendering.depth[:, None] * rays_d
         inside = np.abs(self.field.grid_position(points)).max(-1) * (1 + self.field.shell) < 1
         points = points[inside & (rendering.opacity > 0.9)]
@@ -226,32 +231,27 @@ class FieldTrainer:
         A finer one has blobs there: what one photo alone shows is fitted best right before its
         lens, and hides the room from poses beside it.
         """
-        from neo_ros.field.rendering import render_rays
         stride = max(int(math.sqrt(self.images[0, ..., 0].size / NEAR_PIXELS)), 1)
         nearest = math.inf
         for rays_o, rays_d in self._photo_rays(stride):
-            shown = render_rays(self.field, rays_o, rays_d)
+            shown = render_rays(self.placed, rays_o, rays_d)
             depth = np.where(shown.opacity > 0.9, shown.depth, np.inf)
             nearest = min(nearest, float(np.percentile(depth, NEAREST_PERCENT, method='lower')))
         found = min(NEAR_SHARE * nearest, MOST_NEAR)
         return found if nearest < math.inf else self.view_near
 
-    def finished(self) -> RadianceField:
+    def finished(self) -> VoxelField:
         """
         Return the fitted field with its coverage marked, without what no photo reached.
 
         Nothing says what is there, and poses that no photo was near would look into it.
         """
-        field = self.field
-        if field.update_occupancy() == 0:
+        if self.placed.update_occupancy() == 0:
             raise SceneError(
                 'field: the photos left nothing in it; are the poses right (OpenGL camera axes, '
                 'metres), and field.steps enough?')
-        field.seen = np.zeros(len(field.row_of), np.uint8)
-        for rays_o, rays_d in self._photo_rays():
-            self._mark_seen(rays_o, rays_d)
-        self._bring_home()
-        found = field.of_seen_cells()
+        self.placed.mark_seen(self._photo_rays())
+        found = self.placed.home().of_seen_cells()
         found.near = self.view_near
         return found
 
@@ -262,9 +262,3 @@ class FieldTrainer:
             rays_d = directions @ rotation.T
             rays_d /= np.linalg.norm(rays_d, axis=-1, keepdims=True)
             yield np.broadcast_to(origin, rays_d.shape).copy(), rays_d
-
-    def _bring_home(self) -> None:
-        """Take the field from the device that it was fitted on."""
-
-    def _mark_seen(self, rays_o: np.ndarray, rays_d: np.ndarray) -> None:
-        kernels.mark_seen(rays_o, rays_d, self.field.arrays, self.field.seen)

@@ -1,7 +1,7 @@
 """Where a robot could go without a floor map: what the photos looked through, and were at."""
 import cv2
+from neo_ros.field.radiance_field import RadianceField
 from neo_ros.field.rendering import render_rays, world_rays
-from neo_ros.field.voxel_field import RadianceField
 from neo_ros.scenes.pose_sampling import SamplingConfig
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.walkable import WalkableMap

@@ -7,8 +7,8 @@ finer than the views costs as much as a few of them and yields any number.
 from dataclasses import dataclass
 
 import cv2
+from neo_ros.field.radiance_field import RadianceField
 from neo_ros.field.rendering import render_rays, to_uint8
-from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import Band, Intrinsics
 import numpy as np
 

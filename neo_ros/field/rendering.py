@@ -1,11 +1,9 @@
 """Render rays and views from a radiance field."""
 from typing import NamedTuple
 
-from neo_ros.field import kernels
-from neo_ros.field.voxel_field import RadianceField
+from neo_ros.field.radiance_field import RadianceField
 from neo_ros.geometry import CameraPose, Intrinsics
 import numpy as np
-import torch
 
 # What is left of a ray that meets nothing.
 BACKGROUND = 0.5
@@ -33,15 +31,7 @@ def render_rays(field: RadianceField, rays_o: np.ndarray, rays_d: np.ndarray) ->
     origins = np.ascontiguousarray(np.broadcast_to(rays_o, rays_d.shape).reshape(-1, 3),
                                    np.float32)
     directions = np.ascontiguousarray(rays_d.reshape(-1, 3), np.float32)
-    out = np.empty((len(origins), 6), np.float32)
-    if field.device == 'cpu':
-        kernels.render_rays(origins, directions, field.arrays, BACKGROUND, out)
-    else:
-        from neo_ros.field.torch_field import on_device
-        mirror = on_device(field)
-        rendered = mirror.render(torch.tensor(origins, device=mirror.device),
-                                 torch.tensor(directions, device=mirror.device), BACKGROUND)
-        np.copyto(out, rendered.cpu().numpy())
+    out = field.render(origins, directions, BACKGROUND)
     return Rendering(out[:, :3].reshape(*lead, 3), out[:, 3].reshape(lead),
                      out[:, 4].reshape(lead), out[:, 5].reshape(lead))
 

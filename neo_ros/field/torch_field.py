@@ -4,11 +4,13 @@ The voxel field on a torch device: what `kernels` does ray by ray, done for many
 The same layout, the same steps and the same thresholds, so both show the same pictures. Made for
 CUDA; on a CPU the compiled kernels are several times as fast.
 """
+from collections.abc import Iterable, Iterator
 import math
 from typing import NamedTuple
 
 from neo_ros.field.kernels import MIN_SHOWN, MIN_TRANSMITTANCE
-from neo_ros.field.voxel_field import OCCUPIED_ALPHA, RadianceField
+from neo_ros.field.voxel_field import OCCUPIED_ALPHA, VoxelField
+import numpy as np
 import torch
 from torch.nn.functional import max_pool3d, softplus
 
@@ -39,15 +41,15 @@ class Samples(NamedTuple):
 
 class TorchField:
     """
-    The arrays of a radiance field on a device.
+    A `RadianceField` whose arrays are on a torch device.
 
-    grid (V, 1 + 3K) float32; row_of int32, skip and seen uint8 (X * Y * Z,) as in `RadianceField`.
-    On a CPU the arrays are those of the field itself.
+    grid (V, 1 + 3K) float32; row_of int32, skip and seen uint8 (X * Y * Z,) as in `VoxelField`.
+    They are copied once; on a CPU they are those of the voxel field itself.
     """
 
-    def __init__(self, field: RadianceField, device: torch.device) -> None:
+    def __init__(self, field: VoxelField, device: torch.device) -> None:
+        self._home = field
         self.device, self.shape, self.limit = device, field.shape, field.sample_limit
-        self.source = (field.grid, field.skip, field.seen)
         self.grid = torch.from_numpy(field.grid).to(device)
         self.row_of = torch.from_numpy(field.row_of).to(device)
         self.skip = torch.from_numpy(field.skip).to(device)
@@ -144,12 +146,15 @@ class TorchField:
             samples.base[chosen])])
 
     @torch.no_grad()
-    def render(self, rays_o: torch.Tensor, rays_d: torch.Tensor,
-               background: float) -> torch.Tensor:
-        """Render unit rays (R, 3); returns what `kernels.render_rays` writes, (R, 6)."""
-        wave = WAVE[self.device.type]
-        return torch.cat([self._render(rays_o[i:i + wave], rays_d[i:i + wave], background)
-                          for i in range(0, len(rays_o), wave)])
+    def render(self, rays_o: np.ndarray, rays_d: np.ndarray, background: float) -> np.ndarray:
+        """Render unit rays (N, 3), as `VoxelField.render`."""
+        return torch.cat([self._render(o, d, background)
+                          for o, d in self._waves(rays_o, rays_d)]).cpu().numpy()
+
+    def _waves(self, *rays: np.ndarray) -> Iterator[tuple[torch.Tensor, ...]]:
+        """Bring rays_o and rays_d to the device, and cut them into what is marched together."""
+        return zip(*(torch.tensor(part, device=self.device).split(WAVE[self.device.type])
+                     for part in rays))
 
     def _render(self, rays_o: torch.Tensor, rays_d: torch.Tensor,
                 background: float) -> torch.Tensor:
@@ -171,17 +176,32 @@ class TorchField:
         return out
 
     @torch.no_grad()
-    def mark_seen(self, rays_o: torch.Tensor, rays_d: torch.Tensor) -> None:
-        """Mark in `seen` the cells that training rays (R, 3) reach with light left."""
-        wave = WAVE[self.device.type]
-        for i in range(0, len(rays_o), wave):
-            o, d = rays_o[i:i + wave], rays_d[i:i + wave]
-            samples = self.march(o, d, torch.full((len(o),), 0.5, device=self.device))
-            self.seen[samples.base[samples.before >= 0.05]] = 1
+    def mark_seen(self, rays: Iterable[tuple[np.ndarray, np.ndarray]]) -> None:
+        """Take for seen what photos' rays reach with light left, as `VoxelField.mark_seen`."""
+        self.seen.zero_()
+        for pair in rays:
+            for o, d in self._waves(*pair):
+                samples = self.march(o, d, torch.full((len(o),), 0.5, device=self.device))
+                self.seen[samples.base[samples.before >= 0.05]] = 1
+        self._home.seen = self.seen.cpu().numpy()
+
+    def is_matter(self, points: np.ndarray) -> np.ndarray:
+        """Tell which world points (..., 3) lie in cells that are not empty air: bool (...)."""
+        return self._home.is_matter(points)
+
+    def home(self) -> VoxelField:
+        """Return the field with its arrays in main memory, as they are now."""
+        np.copyto(self._home.grid, self.grid.cpu().numpy())
+        return self._home
 
     @torch.no_grad()
     def update_occupancy(self) -> float:
-        """Recompute `skip` as `RadianceField.update_occupancy`; returns the occupied share."""
+        """Recompute `skip`, as `VoxelField.update_occupancy`; returns the occupied share."""
+        share = self._find_free_space()
+        self._home.skip = self.skip.cpu().numpy()
+        return share
+
+    def _find_free_space(self) -> float:
         # A cell with a corner that is not kept is air.
         raw = torch.where(self.row_of >= 0, self.grid[self.row_of, 0], torch.inf)
         raw = raw.reshape(1, 1, *self.shape)
@@ -209,19 +229,8 @@ class TorchField:
 
 
 def torch_device(name: str) -> torch.device:
-    """Return the device that the name of a field's device stands for."""
+    """Return the device that `cuda` or `torch` stands for."""
     return torch.device('cuda' if name == 'cuda' else 'cpu')
-
-
-def on_device(field: RadianceField) -> TorchField:
-    """Return the field's arrays on its device; they are copied once, and again when changed."""
-    source = (field.grid, field.skip, field.seen)
-    found: TorchField | None = field.mirror
-    if found is None or any(a is not b for a, b in zip(found.source, source)):
-        found = TorchField(field, torch_device(field.device))
-        field.mirror = found
-    found.near = field.near
-    return found
 
 
 def corner_weights(frac: torch.Tensor) -> torch.Tensor:

@@ -30,10 +30,13 @@ class TorchFieldTrainer(FieldTrainer):
         self.device = device
         super().__init__(images, intrinsics, T_world_cam, config, seed)
 
+    @property
+    def placed(self) -> TorchField:
+        """The field where it is fitted."""
+        return self.arrays
+
     def _allocate(self) -> None:
-        self.field.device = self.device
         self.arrays = TorchField(self.field, torch_device(self.device))
-        self.field.mirror = self.arrays
         grid = self.arrays.grid
         self.slope = torch.zeros_like(grid)
         self.moments = torch.zeros_like(grid), torch.zeros_like(grid)
@@ -165,7 +168,6 @@ class TorchFieldTrainer(FieldTrainer):
 
     def state(self) -> dict[str, Any]:
         """Return everything a later `restore` needs, as `FieldTrainer.state`."""
-        self.field.pull()
         self.first, self.second = (moment.cpu().numpy() for moment in self.moments)
         self.updates = self.counts.cpu().numpy()
         return super().state()
@@ -176,15 +178,3 @@ class TorchFieldTrainer(FieldTrainer):
         for mine, saved in zip((*self.moments, self.counts),
                                (self.first, self.second, self.updates)):
             mine.copy_(torch.from_numpy(saved))
-
-    def _bring_home(self) -> None:
-        self.field.pull()
-        self.field.seen = self.arrays.seen.cpu().numpy()
-
-    def _mark_seen(self, rays_o: np.ndarray, rays_d: np.ndarray) -> None:
-        if self.field.seen is not self.arrays.source[2]:
-            # Nothing is seen yet: the fit begins with everything taken for seen.
-            self.arrays.seen.zero_()
-            self.arrays.source = (self.field.grid, self.field.skip, self.field.seen)
-        self.arrays.mark_seen(*(torch.from_numpy(rays).to(self.arrays.device)
-                                for rays in (rays_o, rays_d)))

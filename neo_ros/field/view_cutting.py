@@ -3,8 +3,8 @@ from collections.abc import Callable
 import math
 
 from neo_ros.field.panorama import Panorama
-from neo_ros.field.torch_field import torch_device
-from neo_ros.field.voxel_field import RadianceField
+from neo_ros.field.radiance_field import RadianceField
+from neo_ros.field.torch_field import TorchField
 from neo_ros.geometry import Intrinsics
 import numpy as np
 import torch
@@ -66,7 +66,6 @@ class ViewCutter:
 def view_cutter(field: RadianceField, view: Intrinsics
                 ) -> Callable[[Panorama, np.ndarray], torch.Tensor]:
     """Return what cuts views as `ViewCutter.cut` does, where the field is: OpenCV on a CPU."""
-    if field.device == 'cpu':
-        return lambda panorama, R_world_cam: torch.from_numpy(
-            panorama.cut_view(view, R_world_cam))
-    return ViewCutter(view, torch_device(field.device)).cut
+    if isinstance(field, TorchField):
+        return ViewCutter(view, field.device).cut
+    return lambda panorama, R_world_cam: torch.from_numpy(panorama.cut_view(view, R_world_cam))

@@ -1,15 +1,15 @@
 """
-The radiance field: a voxel grid of density and colour in a contracted world.
+The voxel grid of density and colour in a contracted world, and how compiled kernels render it.
 
 In the line of DirectVoxGO (Sun et al., CVPR 2022): raw density is interpolated first and
 activated after, so that surfaces may lie between voxels. Colour is spherical harmonics instead
 of an MLP: on a CPU that is what makes the field fit in minutes.
 """
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from neo_ros.errors import SceneError
 from neo_ros.field import kernels
@@ -24,9 +24,9 @@ AIR_KEPT = 1
 
 
 @dataclass
-class RadianceField:
+class VoxelField:
     """
-    Density and colour of one scene.
+    Density and colour of one scene, a `RadianceField` on the CPU.
 
     grid    float32 (V, 1 + 3K): raw density, then K coefficients for R, G and B
     shape   (X, Y, Z) grid points
@@ -35,7 +35,6 @@ class RadianceField:
     step    ray step in voxels
     near    metres in front of a camera that are taken for empty
     row_of  int32 (X * Y * Z,): the row of each grid point in `grid`, -1 for air that is not kept
-    device  what computes: cpu (compiled kernels), cuda, or torch (what cuda does, on the CPU)
     """
 
     grid: np.ndarray
@@ -49,8 +48,7 @@ class RadianceField:
     row_of: Any = None
     skip: np.ndarray = field(init=False)
     seen: np.ndarray = field(init=False)
-    device: str = field(init=False, default='cpu')
-    mirror: Any = field(init=False, default=None, repr=False, compare=False)
+    device: ClassVar = torch.device('cpu')
 
     def __post_init__(self) -> None:
         points = math.prod(self.shape)
@@ -61,7 +59,7 @@ class RadianceField:
 
     @classmethod
     def empty(cls, voxels: int, centre: np.ndarray, half_extent: np.ndarray, shell: float,
-              sh_degree: int, **settings: Any) -> 'RadianceField':
+              sh_degree: int, **settings: Any) -> 'VoxelField':
         """Lay about `voxels` cubic voxels over the box; colour starts mid-grey."""
         extent = 2 * np.asarray(half_extent, np.float64) * (1 + shell)
         edge = (extent.prod() / voxels) ** (1 / 3)
@@ -97,18 +95,16 @@ class RadianceField:
         return int(sum(self.shape) / self.step)
 
     def resampled(self, voxels: int, centre: np.ndarray, half_extent: np.ndarray,
-                  sparse: bool = False) -> 'RadianceField':
+                  sparse: bool = False) -> 'VoxelField':
         """
         Return the field on about `voxels` grid points over another inner box (trilinear).
 
         A sparse one keeps the points of occupied cells and of those `AIR_KEPT` cells around.
         Every point of this field must be kept.
         """
-        result = RadianceField.empty(
+        result = VoxelField.empty(
             voxels, centre, half_extent, self.shell, math.isqrt(self.terms) - 1,
             step=self.step, near=self.near, initial_alpha=self.initial_alpha)
-        result.device = self.device
-        self.pull()
         kept = np.ones(result.shape, np.bool_)
         if sparse:
             raw = self._values_at(result, kept, 1)
@@ -118,7 +114,7 @@ class RadianceField:
         result.grid = self._values_at(result, kept, self.grid.shape[1])
         return result
 
-    def _values_at(self, other: 'RadianceField', kept: np.ndarray, columns: int) -> np.ndarray:
+    def _values_at(self, other: 'VoxelField', kept: np.ndarray, columns: int) -> np.ndarray:
         """Interpolate the first columns of the grid at points `kept` (X, Y, Z) of another."""
         volume = torch.from_numpy(self.grid[:, :columns].T.reshape(1, columns, *self.shape))
         values = []
@@ -153,11 +149,11 @@ class RadianceField:
         squeezed = position / norm * (1 + self.shell - self.shell / norm)
         return np.where(norm > 1, squeezed, position) / (1 + self.shell)
 
-    def of_seen_cells(self) -> 'RadianceField':
+    def of_seen_cells(self) -> 'VoxelField':
         """Return the field without the points that are a corner of no seen cell."""
         kept = (self.row_of >= 0) & dilated(self.seen.reshape(self.shape), 0).ravel()
         result = replace(self, grid=self.grid[self.row_of[kept]], row_of=numbered(kept))
-        result.device, result.seen = self.device, self.seen
+        result.seen = self.seen
         result.update_occupancy()
         return result
 
@@ -176,13 +172,6 @@ class RadianceField:
         in an eighth of the time. A field that is empty still, early in a fit, is searched
         everywhere; a sparse one, which has no rows for that, nowhere.
         """
-        if self.device != 'cpu':
-            from neo_ros.field.torch_field import on_device
-            mirror = on_device(self)
-            share = mirror.update_occupancy()
-            self.skip = mirror.skip.cpu().numpy()
-            mirror.source = (self.grid, self.skip, self.seen)
-            return share
         from scipy.ndimage import distance_transform_cdt
         occupied = self._occupied(self.grid)
         if not occupied.any():
@@ -212,10 +201,21 @@ class RadianceField:
             self.grid, self.row_of, np.array(self.shape), self.skip, self.seen, self.box,
             self.step, self.near, self.shift, self.terms, self.sample_limit)
 
-    def pull(self) -> None:
-        """Bring home what a fit on the device has changed."""
-        if self.mirror is not None:
-            np.copyto(self.grid, self.mirror.grid.cpu().numpy())
+    def render(self, rays_o: np.ndarray, rays_d: np.ndarray, background: float) -> np.ndarray:
+        """Render unit rays float32 (N, 3); returns float32 (N, 6), see `kernels.render_rays`."""
+        out = np.empty((len(rays_o), 6), np.float32)
+        kernels.render_rays(rays_o, rays_d, self.arrays, background, out)
+        return out
+
+    def mark_seen(self, rays: Iterable[tuple[np.ndarray, np.ndarray]]) -> None:
+        """Take for seen what photos' rays_o and rays_d (N, 3) reach, and nothing else."""
+        self.seen = np.zeros(len(self.row_of), np.uint8)
+        for rays_o, rays_d in rays:
+            kernels.mark_seen(rays_o, rays_d, self.arrays, self.seen)
+
+    def home(self) -> 'VoxelField':
+        """Return the field itself."""
+        return self
 
     def save(self, path: Path) -> None:
         """Write the field as .npz; a kill or a full disk in between leaves the old file whole."""
@@ -229,8 +229,8 @@ class RadianceField:
             raise SceneError(f'{path}: cannot write the field: {error.strerror}') from error
 
     @classmethod
-    def load(cls, path: Path, device: str = 'cpu') -> 'RadianceField':
-        """Read what `save` wrote, to be rendered on a device; SceneError for other files."""
+    def load(cls, path: Path) -> 'VoxelField':
+        """Read what `save` wrote; SceneError for other files."""
         try:
             with np.load(path) as data:
                 arrays = dict(data)
@@ -246,7 +246,6 @@ class RadianceField:
         except Exception as error:  # Of a damaged file numpy and zipfile raise many types.
             raise SceneError(f'{path}: expected a radiance field: {error}; delete it to fit the '
                              'field again') from error
-        result.device = device
         result.update_occupancy()
         return result
 

@@ -34,7 +34,7 @@ class OutpaintConfig:
     minutes: float | None = None
     batch: int = 16                # wide views in a step, over all processes
     learning_rate: float = 2e-3    # peak; warmed up over 100 steps or 5 %, then a cosine to zero
-    weight_decay: float = 0.01
+    weight_decay: float = 0.01     # of AdamW
     clip: float = 1.0              # largest gradient norm
     average: float = 0.998         # decay of the weights' moving average, which is exported
     precision: str = 'bf16'        # of the arithmetic in training: bf16 or fp32

@@ -1,6 +1,6 @@
 """Narrow/wide training pairs, rendered on the fly."""
 from neo_ros.field.panorama import panorama_size
-from neo_ros.field.voxel_field import RadianceField
+from neo_ros.field.radiance_field import RadianceField
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.outpaint.panorama_cache import PanoramaCache
 from neo_ros.outpaint.panorama_pool import PanoramaPool

@@ -4,9 +4,8 @@ from typing import Any
 
 from neo_ros.errors import SceneError
 from neo_ros.field.panorama import Panorama, panorama_size, render_panorama, view_band
-from neo_ros.field.torch_field import torch_device
+from neo_ros.field.radiance_field import RadianceField
 from neo_ros.field.view_cutting import view_cutter
-from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import Intrinsics
 from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.outpaint.panorama_cache import DrawnPanorama, PanoramaCache
@@ -43,7 +42,7 @@ class PanoramaPool:
                  positions: int, seed: int, cache: PanoramaCache | None = None) -> None:
         self.field, self.sampler, self.view = field, sampler, view
         self.positions, self.seed, self.cache = positions, seed, cache
-        self.device = torch_device(field.device)
+        self.device = field.device
         self.cut_view = view_cutter(field, view)
         self.least_sharpness = 0.0
         # Told of work that keeps a training waiting: several panoramas at once.

@@ -4,8 +4,8 @@ Real photos in the middle of rendered wide views: training pairs whose input is 
 At run time a sharp photo comes in; a network that saw renderings alone has never met one. Where a
 photo shows more than the source view, its own pixels are the truth there.
 """
+from neo_ros.field.radiance_field import RadianceField
 from neo_ros.field.rendering import render_view, to_uint8
-from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import ViewExpansion
 from neo_ros.pictures.exposure import exposure_gain
 from neo_ros.scenes.posed_images import PosedImages

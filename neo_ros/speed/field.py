@@ -4,12 +4,13 @@ import itertools
 import math
 
 from neo_ros.field.config import FieldConfig, FIT_NEAR
-from neo_ros.field.device import field_trainer
+from neo_ros.field.device import field_trainer, on_device
 from neo_ros.field.fitting import FieldTrainer, STAGES
 from neo_ros.field.panorama import render_panorama, view_band
+from neo_ros.field.radiance_field import RadianceField
 from neo_ros.field.rendering import render_view, to_uint8
 from neo_ros.field.view_cutting import view_cutter
-from neo_ros.field.voxel_field import packed, RadianceField
+from neo_ros.field.voxel_field import packed, VoxelField
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.machine.host import Machine
 from neo_ros.speed.record import Effort, Record, time_calls, Work
@@ -38,7 +39,7 @@ def measure_field(machine: Machine, effort: Effort, device: str = 'cpu',
     """
     Time rendering and fitting in a furnished box; floors count samples on surfaces only.
 
-    device: cpu, cuda, or torch, what `RadianceField.device` can be.
+    device: cpu, cuda, or torch, see `on_device`.
     """
     field = box_room(effort.voxels)
     trainer = trainer_in(field, effort)
@@ -46,7 +47,7 @@ def measure_field(machine: Machine, effort: Effort, device: str = 'cpu',
     samples = float(trainer.slopes.counts.mean())
     if device != 'cpu':
         trainer = trainer_in(field, effort, device)
-        field.device = device
+    shown = on_device(field, device)
     times = time_calls(trainer.train_step, effort.seconds)
     size = f'{wide.width}x{wide.height}'
 
@@ -64,13 +65,13 @@ def measure_field(machine: Machine, effort: Effort, device: str = 'cpu',
     for supersample in (1, 2):
         views = itertools.cycle(poses)
         times = time_calls(
-            lambda: render_view(field, wide, next(views), supersample), effort.seconds)
+            lambda: render_view(shown, wide, next(views), supersample), effort.seconds)
         rays = wide.width * wide.height * supersample ** 2
         yield _with_rays(Record.of(
             'field', f'wide view {size}, rays: {supersample ** 2} per pixel', times), rays
         ).with_floor(work(rays), machine, 0)
-    yield from _measure_panorama(field, wide, work, machine, effort)
-    yield from measure_stream(field, poses, wide, work, machine, effort)
+    yield from _measure_panorama(shown, wide, work, machine, effort)
+    yield from measure_stream(shown, poses, wide, work, machine, effort)
 
 
 def _measure_panorama(field: RadianceField, wide: Intrinsics, work: Callable[[int], Work],
@@ -98,7 +99,7 @@ def _measure_panorama(field: RadianceField, wide: Intrinsics, work: Callable[[in
     yield cut
 
 
-def box_room(voxels: int, seed: int = SEED) -> RadianceField:
+def box_room(voxels: int, seed: int = SEED) -> VoxelField:
     """
     Build a field of a room of about 5.4 x 4.4 x 2.1 m with boxes in it.
 
@@ -108,8 +109,8 @@ def box_room(voxels: int, seed: int = SEED) -> RadianceField:
     """
     half = np.array([3.0, 2.5, 1.35])
     # Shell and near distance are those of a fit with default settings.
-    field = RadianceField.empty(voxels, np.array([0, 0, 1.35]), half, FieldConfig.shell, 0,
-                                near=FIT_NEAR)
+    field = VoxelField.empty(voxels, np.array([0, 0, 1.35]), half, FieldConfig.shell, 0,
+                             near=FIT_NEAR)
     points = field.world_points().reshape(-1, 3)
     solid = (np.abs(points - field.centre) > half - 0.3).any(-1)
     random = np.random.default_rng(seed)
@@ -134,7 +135,7 @@ def room_poses(count: int, seed: int = SEED) -> list[CameraPose]:
         [-0.8, -0.8, -np.pi], [0.8, 0.8, np.pi], (count, 3)).tolist()]
 
 
-def trainer_in(field: RadianceField, effort: Effort, device: str = 'cpu') -> FieldTrainer:
+def trainer_in(field: VoxelField, effort: Effort, device: str = 'cpu') -> FieldTrainer:
     """Return a trainer in its last stage, which takes most of a fit, with this field so far."""
     poses = room_poses(PHOTOS)
     photos = np.stack([to_uint8(render_view(field, NARROW, pose, 1).image) for pose in poses])

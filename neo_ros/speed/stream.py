@@ -5,8 +5,8 @@ import math
 import time
 
 from neo_ros.evaluation.metrics import psnr
+from neo_ros.field.radiance_field import RadianceField
 from neo_ros.field.rendering import render_view, to_uint8
-from neo_ros.field.voxel_field import RadianceField
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
 from neo_ros.machine.host import Machine
 from neo_ros.outpaint.fitting import OutpaintConfig, OutpaintTrainer

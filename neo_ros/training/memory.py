@@ -11,7 +11,7 @@ from typing import Any
 from neo_ros.baking.keyframes import bake_memory, MemoryConfig, Photos
 from neo_ros.baking.landmarks import find_landmarks
 from neo_ros.errors import ModelError
-from neo_ros.field.voxel_field import RadianceField
+from neo_ros.field.radiance_field import RadianceField
 from neo_ros.machine.files import write_bytes
 from neo_ros.machine.progress import of_stage
 from neo_ros.runtime.model_card import MemoryFile, read_model_card, write_model_card

@@ -6,8 +6,8 @@ from neo_ros.evaluation.calibration import judge_confidence
 from neo_ros.evaluation.evaluate import MethodScores, TruthFrames
 from neo_ros.evaluation.evaluation_report import evaluation_sections
 from neo_ros.evaluation.metrics import psnr
+from neo_ros.field.radiance_field import RadianceField
 from neo_ros.field.rendering import render_view, to_uint8
-from neo_ros.field.voxel_field import RadianceField
 from neo_ros.machine.files import write_bytes
 from neo_ros.pictures.exposure import exposure_gain
 from neo_ros.reports.report import Plot, Section, Series, Strip, Table, Text, write_report

@@ -1,7 +1,7 @@
 """Step 2 of the paper: the wide views that a run trains its outpainter on, and validates it on."""
 from neo_ros.errors import ConfigError
 from neo_ros.field.free_space import find_free_floor
-from neo_ros.field.voxel_field import RadianceField
+from neo_ros.field.radiance_field import RadianceField
 from neo_ros.geometry import CameraPose
 from neo_ros.outpaint.pair_stream import PairStream, source_view_enlarged
 from neo_ros.outpaint.panorama_cache import PanoramaCache

@@ -8,7 +8,7 @@ from neo_ros.baking.kernels import colour_from_photos, PanoramaPixels, PhotoArra
 from neo_ros.baking.keyframes import bake_memory, keyframe_positions, MemoryConfig, Photos
 from neo_ros.errors import ConfigError, NeoError
 from neo_ros.field.rendering import Rendering
-from neo_ros.field.voxel_field import RadianceField
+from neo_ros.field.voxel_field import VoxelField
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.scenes.pose_sampling import PoseSampler
@@ -151,7 +151,7 @@ def look(T_world_cam: np.ndarray, camera: Intrinsics) -> np.ndarray:
                           rays / np.linalg.norm(rays, axis=-1, keepdims=True))[0]
 
 
-def stand_in_field(field: RadianceField, origin: np.ndarray, rays: np.ndarray) -> Rendering:
+def stand_in_field(field: VoxelField, origin: np.ndarray, rays: np.ndarray) -> Rendering:
     """Render like a field with exact depth, poor colours, and no idea of what is far below."""
     assert field.near == 0.5, 'keyframes leave out what views do'
     colour, depth = cast_with_post(origin, rays)
@@ -167,7 +167,7 @@ def bake_with_post(work: Path) -> SceneMemory:
                     PHOTO, np.stack(poses))
     sampler = PoseSampler(POSITION[None, :2], (-np.pi, 2 * np.pi), ((0.0, 0.0), (0.0, 0.0)),
                           (HEIGHT, 0.0))
-    field = RadianceField.empty(8, POSITION, np.ones(3), 0.2, 0, near=0.5)
+    field = VoxelField.empty(8, POSITION, np.ones(3), 0.2, 0, near=0.5)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(keyframes, 'render_rays', stand_in_field)
         memory = bake_memory(field, photos, EXPANSION, sampler, MemoryConfig(), 0, work)

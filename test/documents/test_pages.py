@@ -126,3 +126,19 @@ def test_decisions_are_short_and_numbered_without_gaps() -> None:
     index = (ROOT / 'docs/decisions/README.md').read_text()
     for path in found:
         assert len(path.read_text().splitlines()) <= 40 and path.name in index, path.name
+
+
+@needs_checkout
+def test_every_key_of_an_experiment_has_its_meaning() -> None:
+    page = (ROOT / 'docs/reference/experiment.md').read_text()
+    rows = [line.split(' | ') for line in page.splitlines() if line.startswith('| `')]
+    assert len(rows) > 50
+    assert [cells[0] for cells in rows if not cells[-1].strip(' |')] == []
+
+
+@needs_checkout
+@pytest.mark.parametrize('path', WRITTEN, ids=name_of)
+def test_modules_that_a_page_names_are_there(path: Path) -> None:
+    named = re.findall(r'`((?:[a-z_0-9]+/)*[a-z_0-9]+\.py)`', path.read_text())
+    assert [name for name in named
+            if not any((ROOT / start / name).is_file() for start in ('', 'neo_ros'))] == []

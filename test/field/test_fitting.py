@@ -6,7 +6,7 @@ from neo_ros.evaluation.metrics import psnr
 from neo_ros.field.config import FieldConfig, FIT_NEAR, fit_near
 from neo_ros.field.fitting import FieldTrainer, MOST_NEAR, STAGES
 from neo_ros.field.rendering import render_view, to_uint8
-from neo_ros.field.voxel_field import RadianceField
+from neo_ros.field.voxel_field import VoxelField
 from neo_ros.geometry import Intrinsics
 from numba import get_num_threads, set_num_threads
 import numpy as np
@@ -214,7 +214,7 @@ def test_gains_find_the_exposure_of_the_photos(images: np.ndarray) -> None:
     assert not trained(dark, 20, exposure=False).log_gain.any()
 
 
-def looking_at(field: RadianceField, images: np.ndarray, **changes: Any) -> FieldTrainer:
+def looking_at(field: VoxelField, images: np.ndarray, **changes: Any) -> FieldTrainer:
     result = trainer(images, rays_per_step=4096, **changes)
     result.field, result.random = field, np.random.default_rng(0)
     return result
@@ -285,7 +285,7 @@ def test_a_blob_beside_the_photos_views_hides_nothing(images: np.ndarray, tmp_pa
     hidden = np.abs(render_view(room, CAMERA, pose).depth - clear.depth) > 0.2
     field = result.finished()
     field.save(tmp_path / 'field.npz')
-    shown = render_view(RadianceField.load(tmp_path / 'field.npz'), CAMERA, pose)
+    shown = render_view(VoxelField.load(tmp_path / 'field.npz'), CAMERA, pose)
     ring = (slice(8, 12), slice(10, 14))  # What the one photo shows, too.
     assert hidden[ring].all()
     np.testing.assert_allclose(shown.depth[ring], clear.depth[ring], atol=0.02)

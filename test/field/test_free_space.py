@@ -1,7 +1,7 @@
 from pathlib import Path
 
 from neo_ros.field.free_space import find_free_floor
-from neo_ros.field.voxel_field import RadianceField
+from neo_ros.field.voxel_field import VoxelField
 from neo_ros.geometry import Intrinsics
 from neo_ros.scenes.pose_sampling import PoseSampler, SamplingConfig
 from neo_ros.scenes.posed_images import PosedImages
@@ -19,7 +19,7 @@ def photos(*places: tuple[float, float]) -> PosedImages:
 
 
 def furnished(low: tuple[float, float, float], high: tuple[float, float, float],
-              voxels: int = 80_000) -> RadianceField:
+              voxels: int = 80_000) -> VoxelField:
     """Put a block between two corners, relative to the room's centre, into the room."""
     field = room_field(voxels)
     points = field.world_points().reshape(-1, 3) - CENTRE

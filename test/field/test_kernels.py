@@ -3,7 +3,7 @@ from typing import NamedTuple
 
 from neo_ros.field.fitting_kernels import (
     adam_step, Batch, differentiate_rays, LossWeights, SampleSlopes, scatter_gradients)
-from neo_ros.field.voxel_field import RadianceField
+from neo_ros.field.voxel_field import VoxelField
 import numpy as np
 from plain_field import plain_samples, random_rays, room_field
 import pytest
@@ -28,7 +28,7 @@ def batch() -> Batch:
                  *(random.random((RAYS, 3), np.float32) for _ in range(3)))
 
 
-def foggy_field(sh_degree: int) -> RadianceField:
+def foggy_field(sh_degree: int) -> VoxelField:
     """Return a small field in which rays have many samples of middling opacity."""
     field = room_field(3000, sh_degree=sh_degree)
     random = np.random.default_rng(1)
@@ -37,7 +37,7 @@ def foggy_field(sh_degree: int) -> RadianceField:
     return field
 
 
-def differentiate(field: RadianceField, batch: Batch, distortion: float = 0,
+def differentiate(field: VoxelField, batch: Batch, distortion: float = 0,
                   pointwise: float = 0, sparsity: float = 0
                   ) -> tuple[Gradients, SampleSlopes]:
     rays, limit = len(batch.rays_o), field.sample_limit
@@ -52,14 +52,14 @@ def differentiate(field: RadianceField, batch: Batch, distortion: float = 0,
     return Gradients(gradient, touched, error, d_gain), slopes
 
 
-def scatter(field: RadianceField, batch: Batch, slopes: SampleSlopes, threads: int
+def scatter(field: VoxelField, batch: Batch, slopes: SampleSlopes, threads: int
             ) -> tuple[np.ndarray, np.ndarray]:
     gradient, touched = np.zeros_like(field.grid), np.zeros(len(field.grid), np.uint8)
     scatter_gradients(batch.rays_d, slopes, field.arrays, threads, gradient, touched)
     return gradient, touched
 
 
-def plain_loss(field: RadianceField, grid: torch.Tensor, gain: torch.Tensor, batch: Batch,
+def plain_loss(field: VoxelField, grid: torch.Tensor, gain: torch.Tensor, batch: Batch,
                distortion: float, pointwise: float, sparsity: float) -> torch.Tensor:
     """Sum over rays of the loss that the kernel's docstring states."""
     samples = plain_samples(field, grid, batch.rays_o, batch.rays_d, batch.jitter)

@@ -4,7 +4,7 @@ from neo_ros.evaluation.metrics import psnr
 from neo_ros.field.panorama import MARGIN, Panorama, render_panorama, view_band
 from neo_ros.field.rendering import render_view, to_uint8
 from neo_ros.field.view_cutting import ViewCutter
-from neo_ros.field.voxel_field import RadianceField
+from neo_ros.field.voxel_field import VoxelField
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.scenes.pose_sampling import rotation_from_angles
 import numpy as np
@@ -19,7 +19,7 @@ ANGLES = [(0.0, 0.0, 0.0), (math.pi, 0.0, 0.0), (-3.0, 0.0, 0.0), (1.3, 0.4, 0.0
 
 
 @pytest.fixture(scope='module')
-def field() -> RadianceField:
+def field() -> VoxelField:
     result = room_field()
     result.update_occupancy()
     # What lies to the left of the room's centre, nobody saw.
@@ -28,7 +28,7 @@ def field() -> RadianceField:
 
 
 @pytest.fixture(scope='module')
-def panorama(field: RadianceField) -> Panorama:
+def panorama(field: VoxelField) -> Panorama:
     rotations = np.stack([rotation_from_angles(*angles) for angles in ANGLES])
     band = view_band(VIEW, rotations, ALL_ROUND)
     return render_panorama(field, CENTRE, VIEW, band)
@@ -37,7 +37,7 @@ def panorama(field: RadianceField) -> Panorama:
 @pytest.mark.parametrize('angles', ANGLES, ids=[
     'ahead', 'back, at the seam', 'beside the seam', 'up', 'down and rolled', 'at the zenith'])
 def test_views_cut_out_are_the_views_rendered(
-        field: RadianceField, panorama: Panorama, angles: tuple[float, float, float]) -> None:
+        field: VoxelField, panorama: Panorama, angles: tuple[float, float, float]) -> None:
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = rotation_from_angles(*angles), CENTRE
     rendering = render_view(field, VIEW, CameraPose(T))
@@ -56,7 +56,7 @@ def test_coverage_tells_what_a_photo_saw(panorama: Panorama) -> None:
 
 @pytest.mark.parametrize('middle', [0.4, 3.0], ids=['ahead', 'across the seam'])
 def test_a_hand_held_camera_needs_a_part_of_the_sphere(
-        field: RadianceField, middle: float) -> None:
+        field: VoxelField, middle: float) -> None:
     angles = [(middle + 0.5 * k, 0.2 * k, 0.1 * k) for k in (-1, 0, 1)]
     rotations = np.stack([rotation_from_angles(*triple) for triple in angles])
     band = view_band(VIEW, rotations, (middle - 0.5, 1.0))

@@ -4,7 +4,7 @@ from neo_ros.evaluation.metrics import psnr
 from neo_ros.field import kernels
 from neo_ros.field.rendering import (
     BACKGROUND, box_filtered, render_rays, render_view, to_uint8, world_rays)
-from neo_ros.field.voxel_field import RadianceField
+from neo_ros.field.voxel_field import VoxelField
 from neo_ros.geometry import Intrinsics
 import numpy as np
 from plain_field import CENTRE, plain_samples, random_rays, room_field, standing, WALLS
@@ -63,7 +63,7 @@ def test_skipping_empty_space_changes_nothing_to_be_seen(
 
 
 def test_rays_that_leave_the_box_aslant_meet_what_is_behind_it() -> None:
-    field = RadianceField.empty(200_000, np.zeros(3), np.full(3, 2.0), 0.2, 0)
+    field = VoxelField.empty(200_000, np.zeros(3), np.full(3, 2.0), 0.2, 0)
     x, y, _ = np.moveaxis(field.world_points(), -1, 0)
     fence = (x > 2) & (x < 3) & (y > 1) & (y < 1 + 3 * field.voxel)
     field.grid[:, 0] = np.where(fence.ravel(), 40, -8)

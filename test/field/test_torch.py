@@ -9,12 +9,12 @@ from typing import Any
 from neo_ros.errors import ConfigError
 from neo_ros.evaluation.metrics import psnr
 from neo_ros.field.config import FieldConfig
-from neo_ros.field.device import chosen_device, field_trainer
+from neo_ros.field.device import chosen_device, field_trainer, on_device
 from neo_ros.field.fitting import FieldTrainer
 from neo_ros.field.rendering import render_rays, render_view, to_uint8
-from neo_ros.field.torch_field import on_device
+from neo_ros.field.torch_field import TorchField
 from neo_ros.field.torch_fitting import TorchFieldTrainer
-from neo_ros.field.voxel_field import RadianceField
+from neo_ros.field.voxel_field import VoxelField
 from neo_ros.geometry import Intrinsics
 import numpy as np
 from plain_field import CENTRE, random_rays, room_field, standing
@@ -35,7 +35,7 @@ QUICK: dict[str, Any] = {'voxels': 4000, 'steps': 40, 'rays_per_step': 256, 'mar
                          'learning_rate': 0.6}
 
 
-def room(sh_degree: int = 0) -> RadianceField:
+def room(sh_degree: int = 0) -> VoxelField:
     field = room_field(30_000, sh_degree=sh_degree)
     field = field.resampled(50_000, field.centre, field.half_extent, sparse=True)
     field.grid[:, 1:] += np.random.default_rng(0).normal(0, 0.3, field.grid[:, 1:].shape)
@@ -66,9 +66,10 @@ def test_both_paths_show_the_same(device: str, sh_degree: int) -> None:
     field = room(sh_degree)
     rays = random_rays(1500, 1)
     expected = render_rays(field, *rays)
-    field.device = device
-    found = render_rays(field, *rays)
-    assert on_device(field).grid.device.type == ('cuda' if device == 'cuda' else 'cpu')
+    placed = on_device(field, device)
+    found = render_rays(placed, *rays)
+    assert isinstance(placed, TorchField)
+    assert placed.grid.device.type == ('cuda' if device == 'cuda' else 'cpu')
     assert decibels(found.image, expected.image) > 90
     assert decibels(found.opacity, expected.opacity) > 90
     assert np.median(np.abs(found.depth - expected.depth)) < 1e-3
@@ -81,18 +82,17 @@ def test_rays_through_nothing_show_the_background() -> None:
     field.grid[:, 0] = -8
     field.grid[0, 0] = 40
     field.update_occupancy()
-    field.device = 'torch'
-    rendering = render_rays(field, *random_rays(10, 0))
+    rendering = render_rays(on_device(field, 'torch'), *random_rays(10, 0))
     np.testing.assert_allclose(rendering.image, 0.5)
     assert not rendering.opacity.any()
 
 
 def test_both_paths_find_the_same_free_space() -> None:
-    field, mirrored = room(), room()
-    mirrored.device = 'torch'
-    mirrored.skip = np.zeros_like(mirrored.skip)
-    assert mirrored.update_occupancy() == pytest.approx(field.update_occupancy())
-    np.testing.assert_array_equal(mirrored.skip, field.skip)
+    field, other = room(), room()
+    other.skip = np.zeros_like(other.skip)
+    placed = on_device(other, 'torch')
+    assert placed.update_occupancy() == pytest.approx(field.update_occupancy())
+    np.testing.assert_array_equal(placed.home().skip, field.skip)
 
 
 def trainers(photos: np.ndarray, **settings: Any) -> tuple[FieldTrainer, TorchFieldTrainer]:

@@ -4,8 +4,9 @@ from typing import Any
 from hypothesis import given, strategies as st
 from neo_ros.errors import SceneError
 from neo_ros.evaluation.metrics import psnr
+from neo_ros.field.device import on_device
 from neo_ros.field.rendering import render_view, to_uint8
-from neo_ros.field.voxel_field import OCCUPIED_ALPHA, RadianceField
+from neo_ros.field.voxel_field import OCCUPIED_ALPHA, VoxelField
 from neo_ros.geometry import Intrinsics
 import numpy as np
 from plain_field import CENTRE, room_field, standing, WALLS
@@ -18,7 +19,7 @@ shells = st.floats(0.05, 2.0)
 
 @given(shells, st.tuples(*[st.floats(0.3, 9.0)] * 3))
 def test_contraction_undoes_its_inverse(shell: float, half: tuple[float, float, float]) -> None:
-    field = RadianceField.empty(1000, CENTRE, np.array(half), shell, 0)
+    field = VoxelField.empty(1000, CENTRE, np.array(half), shell, 0)
     axes = [np.linspace(-1, 1, size) for size in field.shape]
     expected = np.stack(np.meshgrid(*axes, indexing='ij'), axis=-1)
     found = field.grid_position(field.world_points())
@@ -30,7 +31,7 @@ def test_contraction_undoes_its_inverse(shell: float, half: tuple[float, float, 
 
 @given(shells, st.integers(0, 99))
 def test_the_whole_world_fits_into_the_grid(shell: float, seed: int) -> None:
-    field = RadianceField.empty(1000, CENTRE, WALLS, shell, 0)
+    field = VoxelField.empty(1000, CENTRE, WALLS, shell, 0)
     random = np.random.default_rng(seed)
     points = CENTRE + random.normal(size=(50, 3)) * 10 ** random.uniform(-2, 5, (50, 1))
     position = field.grid_position(points)
@@ -41,14 +42,14 @@ def test_the_whole_world_fits_into_the_grid(shell: float, seed: int) -> None:
 
 
 def test_without_a_shell_the_grid_is_the_box() -> None:
-    field = RadianceField.empty(1000, CENTRE, WALLS, 0.0, 0)
+    field = VoxelField.empty(1000, CENTRE, WALLS, 0.0, 0)
     corners = field.world_points()[[0, -1], [0, -1], [0, -1]]
     np.testing.assert_allclose(corners, [CENTRE - WALLS, CENTRE + WALLS])
 
 
 @pytest.mark.parametrize('sh_degree, terms', [(0, 1), (1, 4), (2, 9)], ids=str)
 def test_an_empty_field_has_cubic_voxels_and_is_grey(sh_degree: int, terms: int) -> None:
-    field = RadianceField.empty(50_000, CENTRE, WALLS, 0.2, sh_degree)
+    field = VoxelField.empty(50_000, CENTRE, WALLS, 0.2, sh_degree)
     assert len(field.grid) == pytest.approx(50_000, rel=0.15)
     assert field.terms == terms and field.grid.shape[1] == 1 + 3 * terms
     edges = 2 * WALLS * 1.2 / (np.array(field.shape) - 1)
@@ -104,19 +105,19 @@ def test_a_sparse_field_that_becomes_empty_is_air(device: str) -> None:
     field = room_field(10_000).resampled(30_000, CENTRE, WALLS * 1.2, sparse=True)
     assert len(field.grid) < len(field.row_of)
     field.grid[:, 0] = -10
-    field.device = device
-    assert field.update_occupancy() == 0 and field.skip.all()
-    assert not render_view(field, VIEW, standing()).opacity.any()
+    placed = on_device(field, device)
+    assert placed.update_occupancy() == 0 and field.skip.all()
+    assert not render_view(placed, VIEW, standing()).opacity.any()
 
 
 def test_a_field_that_is_empty_still_is_kept_whole() -> None:
-    field = RadianceField.empty(1000, CENTRE, WALLS, 0.2, 0)
+    field = VoxelField.empty(1000, CENTRE, WALLS, 0.2, 0)
     finer = field.resampled(4000, CENTRE, WALLS, sparse=True)
     assert len(finer.grid) == len(finer.row_of) == np.prod(finer.shape)
 
 
 def test_occupancy_counts_the_cells_to_the_nearest_matter() -> None:
-    field = RadianceField.empty(8000, CENTRE, WALLS, 0.2, 0)
+    field = VoxelField.empty(8000, CENTRE, WALLS, 0.2, 0)
     field.grid[:, 0] = -10
     place = (7, 9, 6)
     field.grid[np.ravel_multi_index(place, field.shape), 0] = 30
@@ -134,7 +135,7 @@ def test_occupancy_counts_the_cells_to_the_nearest_matter() -> None:
 
 @pytest.mark.parametrize('factor, occupied', [(0.9, False), (1.1, True)], ids=['thin', 'thick'])
 def test_occupied_means_opaque_enough_in_one_step(factor: float, occupied: bool) -> None:
-    field = RadianceField.empty(1000, CENTRE, WALLS, 0.2, 0)
+    field = VoxelField.empty(1000, CENTRE, WALLS, 0.2, 0)
     sigma = -np.log(1 - factor * OCCUPIED_ALPHA) / field.step
     field.grid[:, 0] = np.log(np.expm1(sigma)) - field.shift
     assert (field.update_occupancy() > 0) == occupied
@@ -149,7 +150,7 @@ def test_saved_fields_read_back(tmp_path: Path) -> None:
     field.update_occupancy()
     field.seen = np.random.default_rng(0).integers(0, 2, len(field.row_of)).astype(np.uint8)
     field.save(tmp_path / 'field.npz')
-    again = RadianceField.load(tmp_path / 'field.npz')
+    again = VoxelField.load(tmp_path / 'field.npz')
     assert [path.name for path in tmp_path.iterdir()] == ['field.npz']
     assert (again.shape, again.near, again.shell) == (field.shape, 0.25, field.shell)
     for name in ('grid', 'row_of', 'skip', 'seen', 'centre', 'half_extent'):
@@ -172,7 +173,7 @@ def test_what_is_no_field_is_refused(tmp_path: Path, content: bytes | str | None
     elif isinstance(content, bytes):
         path.write_bytes(content)
     with pytest.raises(SceneError, match='field.npz: expected a radiance field') as refused:
-        RadianceField.load(path)
+        VoxelField.load(path)
     assert ('delete it to fit the field again' in str(refused.value)) == (content is not None)
 
 
@@ -196,7 +197,7 @@ def test_arrays_that_do_not_fit_are_refused(
     arrays = {**np.load(path), **changes}
     np.savez(path, **{name: value for name, value in arrays.items() if value is not None})
     with pytest.raises(SceneError, match=f'field.npz: expected .*{message}.*; delete it to fit'):
-        RadianceField.load(path)
+        VoxelField.load(path)
 
 
 def test_an_unwritable_place_is_named(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ Everything in float64, without empty-space skipping and without thresholds.
 import math
 from typing import NamedTuple
 
-from neo_ros.field.voxel_field import RadianceField
+from neo_ros.field.voxel_field import VoxelField
 from neo_ros.geometry import CameraPose
 import numpy as np
 import torch
@@ -16,9 +16,9 @@ WALLS = np.array([2.0, 1.6, 1.1])  # half extents of the room, metres
 
 
 def room_field(voxels: int = 60_000, half_extent: np.ndarray = WALLS * 1.15,
-               sh_degree: int = 0, walls: np.ndarray = WALLS) -> RadianceField:
+               sh_degree: int = 0, walls: np.ndarray = WALLS) -> VoxelField:
     """Fill everything but a box-shaped room with matter in soft colours; its air is empty."""
-    field = RadianceField.empty(voxels, CENTRE, half_extent, 0.2, sh_degree)
+    field = VoxelField.empty(voxels, CENTRE, half_extent, 0.2, sh_degree)
     points = field.world_points().reshape(-1, 3) - CENTRE
     depth = (np.abs(points) - walls).max(-1)  # metres inside the walls
     field.grid[:, 0] = np.clip(8 + 40 * depth / field.voxel, -8, 40)
@@ -52,7 +52,7 @@ class PlainSamples(NamedTuple):
     light: torch.Tensor
 
 
-def plain_samples(field: RadianceField, grid: torch.Tensor, rays_o: np.ndarray,
+def plain_samples(field: VoxelField, grid: torch.Tensor, rays_o: np.ndarray,
                   rays_d: np.ndarray, jitter: np.ndarray) -> PlainSamples:
     """March rays (R, 3) through `grid`, a float64 tensor of the shape of field.grid."""
     points, depth, inside = _sample_points(field, rays_o, rays_d, jitter)
@@ -70,7 +70,7 @@ def plain_samples(field: RadianceField, grid: torch.Tensor, rays_o: np.ndarray,
                         before[:, -1])
 
 
-def _sample_points(field: RadianceField, rays_o: np.ndarray, rays_d: np.ndarray,
+def _sample_points(field: VoxelField, rays_o: np.ndarray, rays_d: np.ndarray,
                    jitter: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return points (R, S, 3), their distance (R, S), and whether they are near enough."""
     length = field.step * field.voxel

@@ -1,8 +1,9 @@
 import math
 
 from neo_ros.errors import SceneError
+from neo_ros.field.device import on_device
 from neo_ros.field.rendering import render_view, to_uint8
-from neo_ros.field.voxel_field import RadianceField
+from neo_ros.field.voxel_field import VoxelField
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.outpaint.pair_stream import FIRST, PairStream
 from neo_ros.outpaint.panorama_pool import covered
@@ -16,7 +17,7 @@ LEVEL = ((0.0, 0.0), (0.0, 0.0))
 
 
 @pytest.fixture(scope='module')
-def field() -> RadianceField:
+def field() -> VoxelField:
     result = room_field(30_000)
     result.update_occupancy()
     inside = np.abs(result.world_points() - CENTRE) < WALLS + 2 * result.voxel
@@ -30,7 +31,7 @@ def sampler(*offsets: tuple[float, float],
     return PoseSampler(places, yaw_range, LEVEL, (float(CENTRE[2]), 0.0))
 
 
-def test_a_batch_is_the_same_however_the_training_came_to_it(field: RadianceField) -> None:
+def test_a_batch_is_the_same_however_the_training_came_to_it(field: VoxelField) -> None:
     through = PairStream(field, sampler(), VIEW, 50, seed=4)
     batches = [through.batch(step, 3) for step in range(6)]
     resumed = PairStream(field, sampler(), VIEW, 50, seed=4)
@@ -41,14 +42,14 @@ def test_a_batch_is_the_same_however_the_training_came_to_it(field: RadianceFiel
     assert not np.array_equal(other.batch(5, 3), batches[5])
 
 
-def test_batches_are_wide_views_with_their_coverage(field: RadianceField) -> None:
+def test_batches_are_wide_views_with_their_coverage(field: VoxelField) -> None:
     batch = PairStream(field, sampler(), VIEW, 4, seed=0).batch(0, 8).numpy()
     assert batch.shape == (8, 16, 16, 4) and batch.dtype == np.uint8
     assert batch[..., 3].min() > 240
     assert batch[..., :3].std(axis=0).mean() > 10, 'the views differ'
 
 
-def test_positions_come_as_training_goes_on(field: RadianceField) -> None:
+def test_positions_come_as_training_goes_on(field: VoxelField) -> None:
     stream = PairStream(field, sampler(), VIEW, FIRST + 4, seed=0)
     assert not stream.pool.panoramas
     counts = []
@@ -65,7 +66,7 @@ def test_positions_come_as_training_goes_on(field: RadianceField) -> None:
     assert len(few.pool.panoramas) == 3
 
 
-def test_views_look_where_the_sampler_says(field: RadianceField) -> None:
+def test_views_look_where_the_sampler_says(field: VoxelField) -> None:
     stream = PairStream(field, sampler((0.3, 0.1), yaw_range=(1.0, 0.0)), VIEW, 1, seed=0)
     found = stream.batch(0, 1)[0].numpy()
     pose = np.eye(4)
@@ -84,7 +85,7 @@ def test_what_no_photo_saw_is_marked() -> None:
     assert view[:, :7, 3].min() > 240 and view[:, 13:, 3].max() < 15
 
 
-def test_positions_inside_matter_are_passed_over(field: RadianceField) -> None:
+def test_positions_inside_matter_are_passed_over(field: VoxelField) -> None:
     inside_wall = (float(WALLS[0]) + 0.9, 0.0)
     stream = PairStream(field, sampler((0, 0), inside_wall), VIEW, 12, seed=0)
     stream.batch(0, 1)
@@ -117,8 +118,7 @@ def test_views_are_cut_where_the_field_is() -> None:
         field = room_field(30_000)
         field.update_occupancy()
         field.seen[:] = 1
-        field.device = device
-        stream = PairStream(field, sampler(), VIEW, 4, seed=0)
+        stream = PairStream(on_device(field, device), sampler(), VIEW, 4, seed=0)
         batches[device] = stream.batch(3, 8)
     assert batches['torch'].device == stream.pool.device
     difference = batches['cpu'].int() - batches['torch'].int()

@@ -5,7 +5,7 @@ from unittest.mock import Mock
 import cv2
 from neo_ros.errors import NeoError, SceneError
 from neo_ros.field.rendering import render_view, to_uint8
-from neo_ros.field.voxel_field import RadianceField
+from neo_ros.field.voxel_field import VoxelField
 from neo_ros.geometry import Intrinsics
 from neo_ros.outpaint import panorama_pool
 from neo_ros.outpaint.panorama_cache import PanoramaCache
@@ -27,7 +27,7 @@ LEVEL = ((0.0, 0.0), (0.0, 0.0))
 
 
 @pytest.fixture(scope='module')
-def field() -> RadianceField:
+def field() -> VoxelField:
     """Make a room with fine stripes on the walls of its left half, and none in the right."""
     result = room_field(150_000)
     points = result.world_points().reshape(-1, 3) - CENTRE
@@ -39,7 +39,7 @@ def field() -> RadianceField:
     return result
 
 
-def pool(field: RadianceField, *offsets: tuple[float, float], positions: int = 6,
+def pool(field: VoxelField, *offsets: tuple[float, float], positions: int = 6,
          height: float = float(CENTRE[2]), cache: PanoramaCache | None = None) -> PanoramaPool:
     sampler = PoseSampler(CENTRE[:2] + np.array(offsets or [(0.0, 0.0), (0.5, 0.3)]),
                           (-math.pi, 2 * math.pi), LEVEL, (height, 0.0), 8)
@@ -50,7 +50,7 @@ def on_disk(folder: Path) -> int:
     return sum(path.stat().st_size for path in folder.iterdir())
 
 
-def photos(field: RadianceField, folder: Path) -> PosedImages:
+def photos(field: VoxelField, folder: Path) -> PosedImages:
     """Photograph the stripes, sharper than the field shows them."""
     poses = tuple(standing(0.1 * k, 0.0, 1.2 + 0.1 * k) for k in range(8))
     paths = tuple(folder / f'{k}.png' for k in range(8))
@@ -61,7 +61,7 @@ def photos(field: RadianceField, folder: Path) -> PosedImages:
     return PosedImages(VIEW, paths, poses, (0,) * 8)
 
 
-def test_positions_are_refused_by_reason(field: RadianceField) -> None:
+def test_positions_are_refused_by_reason(field: VoxelField) -> None:
     mixed = pool(field, (0, 0), (float(WALLS[0]) + 0.25, 0.0))
     assert mixed.fill(6) == 6
     assert set(mixed.refused) == {'in matter'}
@@ -70,7 +70,7 @@ def test_positions_are_refused_by_reason(field: RadianceField) -> None:
 
 
 def test_who_waits_for_several_panoramas_is_told_how_many_are_there(
-        field: RadianceField) -> None:
+        field: VoxelField) -> None:
     watched, told = pool(field), Mock()
     watched.progress = told
     watched.fill(3)
@@ -80,7 +80,7 @@ def test_who_waits_for_several_panoramas_is_told_how_many_are_there(
 
 
 def test_places_where_nothing_is_are_refused() -> None:
-    air = RadianceField.empty(4000, CENTRE, WALLS, 0.2, 0)
+    air = VoxelField.empty(4000, CENTRE, WALLS, 0.2, 0)
     air.grid[:, 0] = -8
     air.grid[0, 0] = 40
     air.update_occupancy()
@@ -90,7 +90,7 @@ def test_places_where_nothing_is_are_refused() -> None:
 
 
 def test_a_cache_gives_the_same_panoramas_without_rendering_them_again(
-        field: RadianceField, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        field: VoxelField, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     places = (0, 0), (float(WALLS[0]) + 0.25, 0.0)
     plain, kept = pool(field, *places), pool(field, *places, cache=PanoramaCache(tmp_path, 1e9))
     for filled in (plain, kept):
@@ -120,7 +120,7 @@ def test_a_cache_gives_the_same_panoramas_without_rendering_them_again(
 
 
 def test_a_cache_keeps_to_its_limit_and_the_rest_stays_in_memory(
-        field: RadianceField, tmp_path: Path) -> None:
+        field: VoxelField, tmp_path: Path) -> None:
     one = pool(field)
     one.fill(1)
     limit = 2.5 * one.panoramas[0].image.nbytes
@@ -135,7 +135,7 @@ def test_a_cache_keeps_to_its_limit_and_the_rest_stays_in_memory(
 
 
 def test_a_cache_counts_headers_and_notes_and_each_file_once(
-        field: RadianceField, tmp_path: Path) -> None:
+        field: VoxelField, tmp_path: Path) -> None:
     pool(field, cache=PanoramaCache(tmp_path, 1e9)).fill(3)
     whole = on_disk(tmp_path)
     (tmp_path / '000001.npy').write_bytes(b'damaged')
@@ -146,7 +146,7 @@ def test_a_cache_counts_headers_and_notes_and_each_file_once(
         assert len(list(tmp_path.glob('*.npy'))) == kept
 
 
-def test_a_cache_of_other_views_is_made_anew(field: RadianceField, tmp_path: Path) -> None:
+def test_a_cache_of_other_views_is_made_anew(field: VoxelField, tmp_path: Path) -> None:
     one = pool(field, cache=PanoramaCache(tmp_path, 1e9))
     one.fill(1)
     larger = PanoramaPool(field, one.sampler, Intrinsics.from_hfov(48, 48, 1.6), 6, seed=0,
@@ -155,7 +155,7 @@ def test_a_cache_of_other_views_is_made_anew(field: RadianceField, tmp_path: Pat
     assert larger.panoramas[0].image.shape[0] > one.panoramas[0].image.shape[0]
 
 
-def test_a_full_disk_is_named(field: RadianceField, tmp_path: Path,
+def test_a_full_disk_is_named(field: VoxelField, tmp_path: Path,
                               monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*arguments: object) -> None:
         raise OSError(28, 'No space left on device')
@@ -165,7 +165,7 @@ def test_a_full_disk_is_named(field: RadianceField, tmp_path: Path,
         pool(field, cache=PanoramaCache(tmp_path, 1e9)).fill(1)
 
 
-def test_blurred_views_are_drawn_again(field: RadianceField, tmp_path: Path) -> None:
+def test_blurred_views_are_drawn_again(field: VoxelField, tmp_path: Path) -> None:
     sharp, plain = pool(field), pool(field)
     sharp.require_sharpness(photos(field, tmp_path), 1.0)
     assert sharp.least_sharpness > 0
@@ -180,7 +180,7 @@ def test_blurred_views_are_drawn_again(field: RadianceField, tmp_path: Path) -> 
 
 
 def test_a_place_where_every_view_is_blurred_is_drawn_again(
-        field: RadianceField, tmp_path: Path) -> None:
+        field: VoxelField, tmp_path: Path) -> None:
     """Who looks towards the smooth half sees stripes from the striped half alone."""
     smooth, striped = CENTRE[:2] - [0, 1], CENTRE[:2] + [0, 1]
     sampler = PoseSampler(np.array([smooth, striped]), (-2.5, 1.6), LEVEL,
@@ -194,7 +194,7 @@ def test_a_place_where_every_view_is_blurred_is_drawn_again(
     assert set(drawn.refused) == {'blurred'}
 
 
-def test_the_threshold_allows_for_a_soft_field(field: RadianceField, tmp_path: Path) -> None:
+def test_the_threshold_allows_for_a_soft_field(field: VoxelField, tmp_path: Path) -> None:
     """Photos that are sharper than what the field shows do not make all its views blurred."""
     room = pool(field)
     room.require_sharpness(photos(field, tmp_path), 1.0)
@@ -206,7 +206,7 @@ def test_the_threshold_allows_for_a_soft_field(field: RadianceField, tmp_path: P
 
 
 def test_counts_and_map_come_back_from_the_folder(
-        field: RadianceField, tmp_path: Path) -> None:
+        field: VoxelField, tmp_path: Path) -> None:
     assert pose_sections(tmp_path) == []
     room = pool(field, (0, 0), (float(WALLS[0]) + 0.25, 0.0))
     room.fill(6)
@@ -230,7 +230,7 @@ def test_counts_and_map_come_back_from_the_folder(
 
 
 def test_the_map_shows_the_floor_that_the_positions_lie_on(
-        field: RadianceField, tmp_path: Path) -> None:
+        field: VoxelField, tmp_path: Path) -> None:
     floor = WalkableMap(0.1, (CENTRE[0] - 1, CENTRE[1] - 1), np.ones((20, 20), bool), 1.2,
                         clearance=0.0)
     sampler = PoseSampler.for_walkable(floor, SamplingConfig(robot_radius=0.5))

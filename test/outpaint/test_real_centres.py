@@ -3,7 +3,7 @@ from pathlib import Path
 
 import cv2
 from neo_ros.field.rendering import render_view, to_uint8
-from neo_ros.field.voxel_field import RadianceField
+from neo_ros.field.voxel_field import VoxelField
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
 from neo_ros.outpaint import real_centres
 from neo_ros.outpaint.pair_stream import PairStream, source_view_enlarged
@@ -19,7 +19,7 @@ PHOTO = Intrinsics(16, 16, 8.0, 8.0, 8.0, 8.0)
 
 
 @pytest.fixture(scope='module')
-def field() -> RadianceField:
+def field() -> VoxelField:
     result = room_field(8000)
     result.update_occupancy()
     return result
@@ -39,7 +39,7 @@ def photos(tmp_path_factory: pytest.TempPathFactory) -> PosedImages:
 
 
 def test_the_photo_stands_in_its_rendered_surroundings(
-        field: RadianceField, photos: PosedImages) -> None:
+        field: VoxelField, photos: PosedImages) -> None:
     expansion = ViewExpansion(PHOTO, 4, 8, 0, 2)
     wide = RealCentres(field, photos, expansion, 1.0).view(3)
     assert wide.shape == (18, 28, 4) and wide.dtype == np.uint8
@@ -51,7 +51,7 @@ def test_the_photo_stands_in_its_rendered_surroundings(
 
 
 def test_the_surroundings_have_the_exposure_of_the_photo(
-        field: RadianceField, photos: PosedImages, tmp_path: Path) -> None:
+        field: VoxelField, photos: PosedImages, tmp_path: Path) -> None:
     expansion = ViewExpansion(PHOTO, 4, 8, 0, 2)
     shown = render_view(field, expansion.target, photos.poses[3], 1).image
     dim = 255 * shown * [0.5, 0.6, 0.7]
@@ -68,7 +68,7 @@ def test_the_surroundings_have_the_exposure_of_the_photo(
     (ViewExpansion.inside(PHOTO.cropped(2, 3, 10, 9), 2, 2, 4, 4), slice(0, 9), slice(0, 10)),
 ], ids=['the photo is the wide view', 'wider than the source', 'larger than the wide view'])
 def test_photos_larger_than_the_source_are_truth_beyond_it(
-        field: RadianceField, photos: PosedImages, expansion: ViewExpansion, rows: slice,
+        field: VoxelField, photos: PosedImages, expansion: ViewExpansion, rows: slice,
         columns: slice) -> None:
     wide = RealCentres(field, photos, expansion, 1.0).view(0)
     photo = photos.read_image(0)
@@ -80,7 +80,7 @@ def test_photos_larger_than_the_source_are_truth_beyond_it(
 
 
 def test_views_that_no_memory_holds_are_rendered_again(
-        field: RadianceField, photos: PosedImages, monkeypatch: pytest.MonkeyPatch) -> None:
+        field: VoxelField, photos: PosedImages, monkeypatch: pytest.MonkeyPatch) -> None:
     expansion = ViewExpansion(PHOTO, 4, 8, 0, 2)
     centres = RealCentres(field, photos, expansion, 1.0)
     first = centres.views([0, 1, 2, 3, 4])
@@ -91,7 +91,7 @@ def test_views_that_no_memory_holds_are_rendered_again(
     assert list(few._rendered) == [4, 0, 1]
 
 
-def stream(field: RadianceField, photos: PosedImages, share: float) -> PairStream:
+def stream(field: VoxelField, photos: PosedImages, share: float) -> PairStream:
     expansion = ViewExpansion.to_size(PHOTO, 32, 32)
     sampler = PoseSampler(CENTRE[None, :2], (-3.14, 6.28), ((0.0, 0.0), (0.0, 0.0)),
                           (float(CENTRE[2]), 0.0))
@@ -106,7 +106,7 @@ def centres_from(batch: torch.Tensor, photos: PosedImages) -> int:
 
 
 def test_the_stream_mixes_photos_in_as_often_as_asked(
-        field: RadianceField, photos: PosedImages) -> None:
+        field: VoxelField, photos: PosedImages) -> None:
     field.seen[:] = 1
     mixed = stream(field, photos, 0.5)
     batches = [mixed.batch(step, 8) for step in range(8)]

@@ -1,7 +1,7 @@
 """The views that a run trains on: as wide as the model's, or in the ablation as the photos."""
 from dataclasses import replace
 
-from neo_ros.field.voxel_field import RadianceField
+from neo_ros.field.voxel_field import VoxelField
 from neo_ros.training.run import TrainingRun
 from neo_ros.training.views import make_stream
 import numpy as np
@@ -14,7 +14,7 @@ def test_training_views_are_as_wide_as_asked_and_as_large_as_the_models(
         tiny_run: TrainingRun, training_view: str, hfov_deg: float) -> None:
     run = replace(tiny_run, experiment=replace(TINY, outpaint=replace(
         TINY.outpaint, training_view=training_view, real_centre=0.0)))
-    stream = make_stream(run, RadianceField.load(run.out / 'field.npz'), seed=0)
+    stream = make_stream(run, VoxelField.load(run.out / 'field.npz'), seed=0)
     view = stream.pool.view
     assert np.degrees(view.hfov) == pytest.approx(hfov_deg, abs=0.01)
     assert (view.width, view.height) == (64, 64) and stream.real is None
