@@ -8,8 +8,8 @@ from neo_ros.bags.topic import BagTopic, CDR, describe_topics, describe_unread
 from neo_ros.errors import BagError, ImageRejected
 from neo_ros.geometry import Intrinsics
 from neo_ros.geometry.lens import Lens
-from neo_ros.messages import camera_info_of, image_fields, read_camera_info, read_compressed_image
-from neo_ros.messages.camera_info import read_distortion
+from neo_ros.messages import camera_info_of, image_fields, read_compressed_image
+from neo_ros.messages.camera_info import read_lens as info_lens
 from neo_ros.messages.compressed_image import compressed_size
 
 IMAGE, COMPRESSED = 'sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage'
@@ -184,17 +184,10 @@ def read_lens(message: Any, image: BagTopic, where: str) -> Lens:
 
     Raises BagError for cameras without calibration and for distortion models that are not known.
     """
-    info = camera_info_of(message, image.name)
     try:
-        intrinsics = read_camera_info(info, distorted=True)
+        return info_lens(camera_info_of(message, image.name))
     except ImageRejected as error:
         raise BagError(f'{where}: {error}') from error
-    try:
-        coefficients, fisheye = read_distortion(info)
-    except ImageRejected as error:
-        raise BagError(f'{where}: {error}; rectify the images first (image_proc) and record '
-                       'image_rect') from error
-    return Lens(intrinsics, tuple(coefficients.tolist()) if coefficients.any() else (), fisheye)
 
 
 def _without_copies(topics: list[BagTopic]) -> list[BagTopic]:

@@ -1,6 +1,6 @@
 """From what was recorded to a scene folder: read, place, level, scale, choose, write, report."""
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 from pathlib import Path
 
@@ -18,6 +18,7 @@ from neo_ros.captures.video import read_video
 from neo_ros.errors import ConfigError, SceneError
 from neo_ros.geometry import CameraPose
 from neo_ros.geometry.camera_pose import T_BODY_OPTICAL
+from neo_ros.geometry.lens import LEAST_VIEW, MOST_VIEW
 from neo_ros.machine.progress import of_stage, StageProgress
 from neo_ros.scenes.scene import Scene
 from neo_ros.scenes.upright import read_upright_scene, tilt
@@ -32,6 +33,7 @@ class ImportOptions:
     keyframe_distance, keyframe_angle   metres, degrees: keep the sharpest frame of every step
     level                               turn the world so that z points up
     scale                               multiply all lengths by this
+    fisheye_view                        degrees: the widest view that is cut out of a fisheye
     """
 
     bag: BagOptions = BagOptions()
@@ -39,6 +41,7 @@ class ImportOptions:
     keyframe_angle: float | None = None
     level: bool = False
     scale: float | None = None
+    fisheye_view: float | None = None
 
     def __post_init__(self) -> None:
         for name in ('scale', 'keyframe_distance', 'keyframe_angle'):
@@ -46,6 +49,10 @@ class ImportOptions:
             if value is not None and not (math.isfinite(value) and value > 0):
                 raise ConfigError(
                     f'--{name.replace("_", "-")}: expected a number > 0, got {value:g}')
+        view = self.fisheye_view
+        if view is not None and not LEAST_VIEW <= view <= MOST_VIEW:
+            raise ConfigError(f'--fisheye-view: expected {LEAST_VIEW:g} to {MOST_VIEW:g} degrees, '
+                              f'got {view:g}')
 
 
 def import_capture(source: Path, scene: Path, format_: CaptureFormat, options: ImportOptions,
@@ -61,6 +68,8 @@ def import_capture(source: Path, scene: Path, format_: CaptureFormat, options: I
         import_transforms(source, scene, of_stage(progress, 'images'))
         return []
     capture, notes = _read(source, format_, options, progress), []
+    if options.fisheye_view is not None:
+        capture = _with_fisheye_view(capture, options.fisheye_view)
     if not capture.posed:
         capture, verdict = reconstruct(capture, scene / 'sfm', progress)
         notes.append(str(verdict))
@@ -105,6 +114,17 @@ def _read(source: Path, format_: CaptureFormat, options: ImportOptions,
     if format_ == CaptureFormat.VIDEO:
         return read_video(source, of_stage(progress, 'video frames'))
     return FOLDER_READERS[format_](source)
+
+
+def _with_fisheye_view(capture: Capture, degrees: float) -> Capture:
+    lenses = {frame.lens for frame in capture.frames if frame.lens is not None}
+    if not any(lens.fisheye for lens in lenses):
+        raise SceneError('--fisheye-view: expected a fisheye, the cameras are none; '
+                         'leave the option out')
+    changed = {lens: replace(lens, fisheye_view=degrees) for lens in lenses}
+    return replace(capture, frames=tuple(
+        frame if frame.lens is None else replace(frame, lens=changed[frame.lens])
+        for frame in capture.frames))
 
 
 def _tilt_note(capture: Capture, frames_may_differ: bool) -> list[str]:

@@ -44,6 +44,8 @@ def import_scene(
         '--level', help='Turn the world so that z points up, as the photos were held.')] = False,
     scale: Annotated[float | None, typer.Option(
         help='Multiply all lengths by this factor; for models that are not in metres.')] = None,
+    fisheye_view: Annotated[float | None, typer.Option(
+        help='Degrees of the widest view that is cut out of a fisheye; default: 120.')] = None,
     size: Annotated[int | None, typer.Option(
         help='Demo only: edge of the training photos in pixels; default: 128.', min=16)] = None,
     photos: Annotated[int | None, typer.Option(
@@ -74,7 +76,7 @@ def import_scene(
         if source == 'demo':
             refuse('the demo has its own', test_runs=test_runs or None, format=format_name,
                    keyframe_distance=keyframe_distance, keyframe_angle=keyframe_angle,
-                   level=level, scale=scale, **of_bags)
+                   level=level, scale=scale, fisheye_view=fisheye_view, **of_bags)
             write_demo_scene(scene, image_size=size or 128, n_train=photos or 1000,
                              progress=lambda done, total: show('images', done, total))
         else:
@@ -86,9 +88,10 @@ def import_scene(
             if format_ == CaptureFormat.SCENE:
                 refuse(f'for captures, {source} is a scene already and is copied as it is',
                        keyframe_distance=keyframe_distance, keyframe_angle=keyframe_angle,
-                       level=level, scale=scale)
+                       level=level, scale=scale, fisheye_view=fisheye_view)
             notes = import_capture(Path(source), scene, format_, ImportOptions(
-                BagOptions(**of_bags), keyframe_distance, keyframe_angle, level, scale), show)
+                BagOptions(**of_bags), keyframe_distance, keyframe_angle, level, scale,
+                fisheye_view), show)
         found, notes = finish_scene(scene, notes, test_runs, show)
     camera = found.train.intrinsics
     tests = 'no test frames' if found.test is None else f'{len(found.test)} test frames'

@@ -12,6 +12,15 @@ CENTRE = 0.5
 EDGE_POINTS = 65
 # What a camera may see across and down, degrees: beyond, its focal length is in no pixels of ours.
 LEAST_VIEW, MOST_VIEW = 3.0, 170.0
+# How many coefficients OpenCV takes: k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tx ty]]]].
+COUNTS = (4, 5, 8, 12, 14)
+FISHEYE_COUNTS = (4,)
+# Of a fisheye's pinhole view, degrees: beyond, a few pixels at the rim fill most of the picture.
+FISHEYE_VIEW = 120.0
+# Steps of the angle in which a fisheye's polynomial is followed; between them it is a line.
+ANGLE_STEPS = 2000
+# Halvings that find the largest view inside a fisheye's image.
+HALVINGS = 20
 # All cameras have to show so much of what the middle one of them shows, across and down.
 LEAST_COMMON = 0.7
 
@@ -21,18 +30,22 @@ class Lens:
     """
     A camera as it was calibrated.
 
-    intrinsics  the pinhole part of the model
-    distortion  OpenCV's coefficients: k1 k2 p1 p2 [k3 [k4 k5 k6]], or k1 k2 k3 k4 of a fisheye
-    fisheye     the equidistant model (COLMAP OPENCV_FISHEYE, ROS equidistant)
+    intrinsics    the pinhole part of the model
+    distortion    OpenCV's coefficients, of COUNTS; or k1 k2 k3 k4 of a fisheye. Zeros may follow
+    fisheye       the equidistant model (COLMAP OPENCV_FISHEYE, ROS equidistant)
+    fisheye_view  degrees that a fisheye's pinhole view has at most, across and down
     """
 
     intrinsics: Intrinsics
     distortion: tuple[float, ...] = ()
     fisheye: bool = False
+    fisheye_view: float = FISHEYE_VIEW
 
     def __post_init__(self) -> None:
-        if not np.isfinite(self.distortion).all():
-            raise GeometryError(f'distortion: expected finite numbers, got {self.distortion}')
+        most = (FISHEYE_COUNTS if self.fisheye else COUNTS)[-1]
+        if not np.isfinite(self.distortion).all() or any(self.distortion[most:]):
+            raise GeometryError(f'distortion: expected finite numbers, at most {most}, '
+                                f'got {self.distortion}')
 
     @property
     def is_pinhole(self) -> bool:
@@ -46,43 +59,98 @@ class Lens:
 
     @property
     def coefficients(self) -> np.ndarray:
-        """The distortion as OpenCV wants it: 4, 5 or 8 numbers."""
-        count = 4 if self.fisheye else min(n for n in (4, 5, 8) if n >= len(self.distortion))
-        return np.array(self.distortion + (0.0,) * (count - len(self.distortion)))
+        """The distortion as OpenCV wants it, one of COUNTS or FISHEYE_COUNTS numbers."""
+        counts = FISHEYE_COUNTS if self.fisheye else COUNTS
+        values = self.distortion[:counts[-1]]
+        count = min(n for n in counts if n >= len(values))
+        return np.array(values + (0.0,) * (count - len(values)))
 
     def straight_rectangle(self) -> tuple[float, float, float, float]:
         """
         Return the largest rectangle of the z = 1 plane whose edges the camera sees.
 
-        (left, right, top, bottom), in tangents. Raises SceneError for lenses that bend the
-        image's border so far that there is none.
+        (left, right, top, bottom), in tangents; of a fisheye inside `fisheye_view`. Raises
+        SceneError for lenses that bend the image's border so far that there is none.
         """
-        width, height = self.intrinsics.width, self.intrinsics.height
-        along = np.linspace(0, 1, EDGE_POINTS)
-        x, y, zero = along * width, along * height, np.zeros(EDGE_POINTS)
-        edges = [np.stack(edge, -1) for edge in (
-            (zero, y), (zero + width, y), (x, zero), (x, zero + height))]
-        straight = [self._straighten(edge) for edge in edges]
-        left, right, top, bottom = straight
-        rectangle = (left[:, 0].max(), right[:, 0].min(), top[:, 1].max(), bottom[:, 1].min())
-        # Beyond the turning point of its polynomial a lens has no straight counterpart.
-        seen = all(self._bends_back(points, edge) for points, edge in zip(straight, edges)) and (
-            rectangle[0] < rectangle[1] and rectangle[2] < rectangle[3])
-        if not seen:
+        rectangle = self._fisheye_rectangle() if self.fisheye else self._inner_rectangle()
+        if not self._shows(rectangle):
             raise SceneError(
                 f'lens: no pinhole view fits into this camera (focal length '
                 f'{self.intrinsics.fx:.1f} px, distortion {self.distortion}); is the '
-                'calibration right? A lens of 180 degrees or more cannot be used')
+                'calibration right?')
         a, b, c, d = map(float, rectangle)
         return a, b, c, d
 
-    def straighten_maps(self, pinhole: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
-        """Return the maps for cv2.remap, float32 (H, W), from this camera to `pinhole`."""
+    def straighten_maps(self, pinhole: Intrinsics, rotation: np.ndarray = np.eye(3)
+                        ) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Return the maps for cv2.remap, float32 (H, W), from this camera to `pinhole`.
+
+        rotation: 3x3, from this camera's frame to the one of `pinhole`.
+        """
         size = (pinhole.width, pinhole.height)
         undistort = (cv2.fisheye.initUndistortRectifyMap if self.fisheye
                      else cv2.initUndistortRectifyMap)
-        return undistort(self.cv_matrix, self.coefficients, np.eye(3), _cv_matrix(pinhole),
+        return undistort(self.cv_matrix, self.coefficients, rotation, _cv_matrix(pinhole),
                          size, cv2.CV_32FC1)
+
+    def sees(self, points: np.ndarray, tolerance: float) -> bool:
+        """
+        Say whether all points (N, 2) of the z = 1 plane are found again from their pixels.
+
+        Beyond its turning point a lens polynomial brings rays that the camera cannot see back
+        into the image. tolerance: in tangents.
+        """
+        found = self._straighten(self._project(points))
+        return bool(np.isfinite(found).all() and np.abs(found - points).max() < tolerance)
+
+    def _inner_rectangle(self) -> np.ndarray:
+        """Return what lies inside the straightened border of the image."""
+        width, height = self.intrinsics.width, self.intrinsics.height
+        along = np.linspace(0, 1, EDGE_POINTS)
+        x, y, zero = along * width, along * height, np.zeros(EDGE_POINTS)
+        left, right, top, bottom = (self._straighten(np.stack(edge, -1)) for edge in (
+            (zero, y), (zero + width, y), (x, zero), (x, zero + height)))
+        return np.array([left[:, 0].max(), right[:, 0].min(), top[:, 1].max(), bottom[:, 1].min()])
+
+    def _fisheye_rectangle(self) -> np.ndarray:
+        """
+        Return what the lens shows straight to the sides and up and down, or that made smaller.
+
+        It may see more than 180 degrees: its angles are followed from the axis outwards.
+        """
+        camera = self.intrinsics
+        angles = np.linspace(0, np.radians(self.fisheye_view) / 2, ANGLE_STEPS)
+        powers = angles[:, None] ** (2, 4, 6, 8)
+        radii = angles * (1 + powers @ self.coefficients)
+        rising = np.diff(radii) > 0
+        count = len(angles) if rising.all() else 1 + int(rising.argmin())
+        sides = np.array([camera.cx / camera.fx, (camera.width - camera.cx) / camera.fx,
+                          camera.cy / camera.fy, (camera.height - camera.cy) / camera.fy])
+        reach = np.tan(np.interp(sides, radii[:count], angles[:count])) * (-1, 1, -1, 1)
+        if self._shows(reach):
+            return reach
+        fits, too_large = 0.0, 1.0
+        for _ in range(HALVINGS):
+            middle = (fits + too_large) / 2
+            fits, too_large = (middle, too_large) if self._shows(middle * reach) else (
+                fits, middle)
+        return fits * reach
+
+    def _shows(self, rectangle: np.ndarray) -> bool:
+        """Whether the whole border of a rectangle of the z = 1 plane is in the image."""
+        left, right, top, bottom = rectangle
+        if not (np.isfinite(rectangle).all() and left < right and top < bottom):
+            return False
+        x, y = np.linspace(left, right, EDGE_POINTS), np.linspace(top, bottom, EDGE_POINTS)
+        border = np.concatenate([np.stack(np.broadcast_arrays(*edge), -1) for edge in (
+            (left, y), (right, y), (x, top), (x, bottom))])
+        camera = self.intrinsics
+        pixels = self._project(border)
+        # Half a pixel beyond the border is still nearer to it than to anything else.
+        inside = (np.abs(pixels / (camera.width, camera.height) - 0.5)
+                  <= 0.5 + CENTRE / np.array([camera.width, camera.height]))
+        return bool(inside.all()) and self.sees(border, CENTRE / min(camera.fx, camera.fy))
 
     def _straighten(self, pixels: np.ndarray) -> np.ndarray:
         """Undistort pixels (N, 2) to points (N, 2) of the z = 1 plane."""
@@ -95,15 +163,12 @@ class Lens:
                 points, self.cv_matrix, self.coefficients, criteria=criteria)
         return straight[:, 0]
 
-    def _bends_back(self, points: np.ndarray, pixels: np.ndarray) -> bool:
-        """Whether points (N, 2) of the z = 1 plane are really seen at these pixels."""
-        if not np.isfinite(points).all():
-            return False
+    def _project(self, points: np.ndarray) -> np.ndarray:
+        """Return the pixels (N, 2) of points (N, 2) of the z = 1 plane."""
         rays = np.concatenate([points, np.ones((len(points), 1))], axis=1)[:, None]
         project = cv2.fisheye.projectPoints if self.fisheye else cv2.projectPoints
         still = np.zeros(3)
-        found = project(rays, still, still, self.cv_matrix, self.coefficients)[0]
-        return bool(np.abs(found[:, 0] + CENTRE - pixels).max() < CENTRE)
+        return project(rays, still, still, self.cv_matrix, self.coefficients)[0][:, 0] + CENTRE
 
 
 def common_pinhole(lenses: Mapping[Lens, str]) -> Intrinsics:

@@ -5,9 +5,10 @@ from typing import Any
 import cv2
 from neo_ros.errors import ImageRejected
 from neo_ros.geometry import Intrinsics, ViewExpansion
+from neo_ros.geometry.lens import Lens
 from neo_ros.messages.camera_info import (
     camera_info_fields, CENTRE, describe_camera, expand_camera_info, is_same_camera,
-    read_camera_info, read_distortion, read_matrix)
+    read_camera_info, read_lens, read_matrix)
 import numpy as np
 
 # Pixels of the model's view that may lie outside the camera's, as a share of its side: what
@@ -47,20 +48,19 @@ class CameraFit:
         if message is None:
             self.camera_info = camera_info_fields(expansion.target)
             return
-        distortion, fisheye = read_distortion(message)
         camera = read_camera_info(message, distorted=rectify)
+        lens = read_lens(message)
         self.size = (camera.width, camera.height)
         self.note = 'as the model takes it'
-        if not distortion.any() and is_same_camera(camera, self._model):
+        if lens.is_pinhole and is_same_camera(camera, self._model):
             self.camera_info = expand_camera_info(message, expansion)
             return
         rotation = np.eye(3)
-        if distortion.any():
+        if not lens.is_pinhole:
             rotation = read_matrix(message.r, 'r', 9).reshape(3, 3)
             rotation = rotation if rotation.any() else np.eye(3)
-        self._find_maps(camera, distortion, fisheye, rotation)
-        self.camera_info = self._resampled_info(
-            message, camera, expansion, bool(distortion.any()))
+        self._find_maps(lens, rotation)
+        self.camera_info = self._resampled_info(message, camera, expansion, not lens.is_pinhole)
 
     def apply(self, image: np.ndarray) -> np.ndarray:
         """Return the model's view, uint8 RGB (h, w, 3), of an image of `size`."""
@@ -70,25 +70,19 @@ class CameraFit:
             image = cv2.resize(image, self._shrunk, interpolation=cv2.INTER_AREA)
         return cv2.remap(image, *self._maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
-    def _find_maps(self, camera: Intrinsics, distortion: np.ndarray, fisheye: bool,
-                   rotation: np.ndarray) -> None:
-        model = self._model
+    def _find_maps(self, lens: Lens, rotation: np.ndarray) -> None:
+        model, camera = self._model, lens.intrinsics
         # Where each pixel of the model's view lies in the camera's image.
-        undistort = cv2.fisheye.initUndistortRectifyMap if fisheye else (
-            cv2.initUndistortRectifyMap)
-        across, down = undistort(
-            _cv_matrix(camera), distortion, rotation, _cv_matrix(model),
-            (model.width, model.height), cv2.CV_32FC1)
+        across, down = lens.straighten_maps(model, rotation)
         outside = max(-across.min(), across.max() - (camera.width - 1),
                       -down.min(), down.max() - (camera.height - 1))
-        if not outside <= SLACK * max(camera.width, camera.height) + CENTRE or (
-                distortion.any() and _folds_back(
-                    camera, distortion, fisheye, rotation, model, across, down)):
+        if not outside <= SLACK * max(camera.width, camera.height) + CENTRE or not (
+                lens.is_pinhole or _is_seen(model, lens, rotation)):
             raise ImageRejected(
                 'camera', f'camera: the model expects {describe_camera(model)}, the camera is '
                 f'{describe_camera(camera)} and does not see all of that; use a wider camera, or '
                 'train a model for this one')
-        self.note = (f'{"rectified and " if distortion.any() else ""}resampled from '
+        self.note = (f'{"" if lens.is_pinhole else "rectified and "}resampled from '
                      f'{describe_camera(camera)}')
         shrink = min(camera.fx / model.fx, camera.fy / model.fy)
         if shrink > SHRINK_ABOVE:
@@ -123,25 +117,13 @@ def camera_key(message: Any | None) -> Hashable:
               for values in (message.d, message.k, message.r, message.p)))
 
 
-def _folds_back(camera: Intrinsics, distortion: np.ndarray, fisheye: bool, rotation: np.ndarray,
-                model: Intrinsics, across: np.ndarray, down: np.ndarray) -> bool:
-    """
-    Say whether the lens polynomial is used beyond its turning point.
-
-    There it maps rays that the camera cannot see back into the image; a pixel of the model's
-    view must be found again from its place in the camera's image.
-    """
-    undistort = cv2.fisheye.undistortPoints if fisheye else cv2.undistortPoints
-    rows = np.linspace(0, model.height - 1, CHECKED_PIXELS).astype(int)
-    columns = np.linspace(0, model.width - 1, CHECKED_PIXELS).astype(int)
-    grid = np.ix_(rows, columns)
-    places = np.stack([across[grid], down[grid]], -1).reshape(-1, 1, 2).astype(np.float64)
-    found = undistort(places, _cv_matrix(camera), distortion, R=rotation, P=_cv_matrix(model))
-    expected = np.stack(np.meshgrid(columns, rows), -1).reshape(-1, 2)
-    return not bool(np.abs(found[:, 0] - expected).max() < 1 + SLACK * model.width)
-
-
-def _cv_matrix(camera: Intrinsics) -> np.ndarray:
-    matrix = camera.matrix
-    matrix[:2, 2] -= CENTRE
-    return matrix
+def _is_seen(model: Intrinsics, lens: Lens, rotation: np.ndarray) -> bool:
+    """Say whether the lens shows the model's view, and does not fold other rays into it."""
+    x = np.linspace(0, model.width - 1, CHECKED_PIXELS) + CENTRE
+    y = np.linspace(0, model.height - 1, CHECKED_PIXELS) + CENTRE
+    points = np.stack(np.meshgrid((x - model.cx) / model.fx, (y - model.cy) / model.fy), -1)
+    rays = np.concatenate([points, np.ones((*points.shape[:2], 1))], -1).reshape(-1, 3) @ rotation
+    if not (rays[:, 2] > 0).all():
+        return False
+    tolerance = (1 + SLACK * model.width) / max(model.fx, model.fy)
+    return lens.sees(rays[:, :2] / rays[:, 2:], tolerance)

@@ -11,15 +11,16 @@ from typing import Any
 
 from neo_ros.errors import GeometryError, ImageRejected
 from neo_ros.geometry import Intrinsics, ViewExpansion
+from neo_ros.geometry.lens import CENTRE, COUNTS, FISHEYE_COUNTS, Lens
 import numpy as np
 
-CENTRE = 0.5
 # Indices into the row-major 3x3 K and 3x4 P: fx, skew, cx (and Tx); fy, cy (and Ty).
 K_COLUMNS = 3
 P_COLUMNS = 4
 FISHEYE = 'equidistant'
 # Distortion models of ROS and how many coefficients they may have.
-DISTORTION_MODELS = {'plumb_bob': (4, 5, 8), 'rational_polynomial': (4, 5, 8), FISHEYE: (4,)}
+DISTORTION_MODELS = {
+    'plumb_bob': COUNTS, 'rational_polynomial': COUNTS, FISHEYE: FISHEYE_COUNTS}
 # A word of its own: image_rect_color and /rectified/image are meant, /direct/image is not.
 RECTIFIED_TOPIC = re.compile(r'(^|[/_])rect(ified)?([/_]|$)')
 # What is read of a CameraInfo besides its matrices.
@@ -62,22 +63,29 @@ def read_camera_info(message: Any, distorted: bool = False) -> Intrinsics:
     return _fold_window(message, read_matrix(message.k, 'k', 9), K_COLUMNS)[0]
 
 
-def read_distortion(message: Any) -> tuple[np.ndarray, bool]:
+def read_lens(message: Any) -> Lens:
     """
-    Return OpenCV's coefficients, float64 (4,), (5,) or (8,), and whether they are a fisheye's.
+    Return the camera of a `sensor_msgs/CameraInfo` with its distortion, ROI and binning folded in.
 
-    Raises ImageRejected('camera_info') for models other than plumb_bob, rational_polynomial and
-    equidistant, and for numbers that are not finite.
+    Zeros behind the coefficients of a model are no fault; without distortion it is a pinhole
+    camera, whatever its model.
+    Raises ImageRejected('camera_info') as `read_camera_info` does for a distorted camera, and for
+    models other than plumb_bob, rational_polynomial and equidistant, and a wrong number of
+    coefficients.
     """
+    intrinsics = read_camera_info(message, distorted=True)
     values = np.array(message.d, np.float64).reshape(-1)
     name = message.distortion_model
-    counts = DISTORTION_MODELS.get(name, ())
     if not values.any():  # NaN counts as any
-        return np.zeros(5), False
-    if values.size not in counts or not np.isfinite(values).all():
-        raise _rejected(f'd: expected the finite coefficients of {", ".join(DISTORTION_MODELS)}, '
-                        f'got {values.tolist()!s:.120} ({name!r:.40})')
-    return values, name == FISHEYE
+        return Lens(intrinsics)
+    count = max((n for n in DISTORTION_MODELS.get(name, ()) if n <= values.size), default=None)
+    if count is None or values[count:].any() or not np.isfinite(values).all():
+        expected = '; '.join(f'{" or ".join(map(str, counts))} of {model}'
+                             for model, counts in DISTORTION_MODELS.items())
+        raise _rejected(f'd: expected finite coefficients, and zeros behind them: {expected}; '
+                        f'got {values.tolist()!s:.200} ({name!r:.40}); take image_rect of '
+                        'image_proc')
+    return Lens(intrinsics, tuple(values[:count].tolist()), name == FISHEYE)
 
 
 def expand_camera_info(message: Any, expansion: ViewExpansion) -> dict[str, Any]:

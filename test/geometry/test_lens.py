@@ -17,6 +17,10 @@ LENSES = {
     'pincushion': Lens(CAMERA, (0.15, 0.02, 0.0, 0.0, 0.01)),
     'rational': Lens(CAMERA, (0.1, 0.01, 0.001, 0.0, 0.0, 0.2, 0.01, 0.0)),
     'fisheye': Lens(CAMERA, (0.02, -0.01, 0.003, 0.0), fisheye=True),
+    'thin prism': Lens(CAMERA, (0.1, 0.01, 0.001, 0.0, 0.0, 0.2, 0.01, 0.0, 0.01, 0.0, -0.02, 0)),
+    'tilted': Lens(CAMERA, (-0.1, 0.01, 0.001, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.03,
+                            -0.02)),
+    'fisheye with a zero behind': Lens(CAMERA, (0.02, -0.01, 0.003, 0.0, 0.0), fisheye=True),
     'fisheye without coefficients': Lens(CAMERA, (), fisheye=True),
 }
 POSE = CameraPose.from_planar(3.0, 1.3, 1.5, 0.4)
@@ -71,6 +75,46 @@ def test_the_pinhole_view_has_no_border_and_wastes_no_side(lens: Lens) -> None:
     assert y[0].min() < 1 and y[-1].max() > CAMERA.height - 2
 
 
+# A tracking camera of 173 degrees across, and lenses that see behind themselves.
+T265 = Lens(Intrinsics(848, 800, 286, 286, 420, 402), (-0.0093, 0.0462, -0.0434, 0.008, 0), True)
+ALL_AROUND = Lens(Intrinsics(1280, 960, 330, 330, 650, 470), (0.01, 0.0, 0.0, 0.0), True)
+
+
+@pytest.mark.parametrize('lens', [T265, ALL_AROUND], ids=['T265', '220 degrees'])
+@pytest.mark.parametrize('asked', [None, 90.0, 140.0])
+def test_a_fisheye_gives_what_is_asked_of_it_at_most_120_degrees(
+        lens: Lens, asked: float | None) -> None:
+    lens = lens if asked is None else replace(lens, fisheye_view=asked)
+    pinhole = common_pinhole({lens: 'a.png'})
+    for angle in (pinhole.hfov, pinhole.vfov):
+        assert math.degrees(angle) == pytest.approx(asked or 120, abs=0.01)
+    # Every pixel's ray, also in the corners, is one that the lens brings to that place.
+    x, y = lens.straighten_maps(pinhole)
+    assert x.min() > -0.6 and x.max() < lens.intrinsics.width - 0.4
+    rays = pinhole.pixel_rays()[::40, ::40].reshape(-1, 3)
+    angle = np.arctan(np.hypot(rays[:, 0], rays[:, 1]))
+    radius = angle * (1 + sum(
+        k * angle ** (2 * i + 2) for i, k in enumerate(lens.coefficients)))
+    camera = lens.intrinsics
+    expected = camera.cx - 0.5 + camera.fx * radius * rays[:, 0] / np.tan(angle)
+    np.testing.assert_allclose(x[::40, ::40].reshape(-1), expected, atol=0.01)
+
+
+def test_a_fisheye_view_stays_inside_the_circle_that_its_polynomial_describes() -> None:
+    # Beyond 52 degrees this calibration turns back: nothing of it is to be trusted there.
+    lens = Lens(Intrinsics(640, 480, 200, 200, 320, 240), (-0.4, 0, 0, 0), True)
+    left, right, top, bottom = lens.straight_rectangle()
+    corner = math.degrees(math.atan(math.hypot(right, bottom)))
+    assert 45 < corner < 52.4
+    assert (left, top) == pytest.approx((-right, -bottom))
+
+
+def test_a_calibration_whose_axis_is_not_in_the_image_is_refused() -> None:
+    lens = Lens(Intrinsics(640, 480, 200, 200, -50, 240), (0, 0, 0, 0.1), True)
+    with pytest.raises(SceneError, match='no pinhole view fits'):
+        lens.straight_rectangle()
+
+
 def test_a_single_pinhole_camera_stays_as_it_is() -> None:
     lens = Lens(CAMERA, (0.0, 0.0, 0.0, 0.0))
     assert lens.is_pinhole
@@ -106,8 +150,11 @@ def test_several_cameras_are_brought_to_what_all_of_them_see() -> None:
                              Lens(replace(CAMERA, cy=36)): 'c.png'}),
      'b.png: expected a camera like those .* shows 0% of what they show'),
     (lambda: Lens(CAMERA, (math.nan,)), 'distortion: expected finite'),
+    (lambda: Lens(CAMERA, (0.1,) * 15), 'at most 14'),
+    (lambda: Lens(CAMERA, (0.1,) * 5, True), 'at most 4'),
 ], ids=['two sizes', 'absurd distortion', 'a focal length in widths', 'a focal length too long',
-        'one is zoomed', 'one looks elsewhere', 'nan'])
+        'one is zoomed', 'one looks elsewhere', 'nan',
+        'too many', 'too many of a fisheye'])
 def test_lenses_that_cannot_be_used_are_refused(make: object, message: str) -> None:
     assert callable(make)
     with pytest.raises((SceneError, GeometryError), match=message):

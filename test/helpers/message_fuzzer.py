@@ -116,7 +116,7 @@ class Fuzzer:
             elif field == 'distortion_model':
                 message.distortion_model = self.any_of(STRINGS)
             elif field == 'd':
-                count = int(self.any_of((0, 1, 4, 5, 8, 14)))
+                count = int(self.any_of((0, 1, 4, 5, 8, 12, 14)))
                 message.d = np.array([self.any_of((*FLOATS, 0.1, -0.2, 0.01))
                                       for _ in range(count)], np.float64)
             elif field in ('k', 'r', 'p'):

@@ -16,6 +16,8 @@ MODEL = Intrinsics.from_hfov(64, 64, math.radians(90))
 EXPANSION = ViewExpansion.to_size(MODEL, 128, 128)
 BARREL = ('plumb_bob', [-0.2, 0.03, 0.001, -0.002, 0.0])
 RATIONAL = ('rational_polynomial', [-0.1, 0.02, 0.001, 0.0, 0.0, 0.1, 0.01, 0.0])
+THIN_PRISM = ('rational_polynomial', [*RATIONAL[1], 0.01, 0.0, -0.01, 0.0])
+TILTED = ('rational_polynomial', [*THIN_PRISM[1], 0.02, -0.01])
 FISHEYE = ('equidistant', [0.02, -0.01, 0.0, 0.0])
 
 
@@ -34,7 +36,8 @@ def rays_of(camera: Intrinsics, distortion=None, rotation=np.eye(3)) -> np.ndarr
     k[:2, 2] -= 0.5
     name, coefficients = distortion or ('plumb_bob', [0.0] * 5)
     if name == 'equidistant':
-        found = cv2.fisheye.undistortPoints(points, k, np.array(coefficients), R=rotation)[:, 0]
+        found = cv2.fisheye.undistortPoints(
+            points, k, np.array(coefficients[:4]), R=rotation)[:, 0]
     else:
         found = cv2.undistortPoints(
             points, k, np.array(coefficients), R=rotation,
@@ -53,8 +56,14 @@ EXPECTED = pattern(MODEL.pixel_rays())
     (Intrinsics(100, 90, 40.0, 38.0, 51.3, 44.1), None),
     (Intrinsics.from_hfov(200, 200, math.radians(115)), BARREL),
     (Intrinsics.from_hfov(200, 200, math.radians(115)), RATIONAL),
+    (Intrinsics.from_hfov(200, 200, math.radians(115)), THIN_PRISM),
+    (Intrinsics.from_hfov(200, 200, math.radians(115)), TILTED),
+    (Intrinsics.from_hfov(200, 200, math.radians(115)), ('rational_polynomial', [
+        *RATIONAL[1], *[0.0] * 6])),
     (Intrinsics(200, 200, 70.0, 70.0, 100.0, 100.0), FISHEYE),
-], ids=['crop', 'wider', 'finer', 'coarser', 'odd pixels', 'barrel', 'rational', 'fisheye'])
+    (Intrinsics(200, 200, 70.0, 70.0, 100.0, 100.0), (FISHEYE[0], [*FISHEYE[1], 0.0])),
+], ids=['crop', 'wider', 'finer', 'coarser', 'odd pixels', 'barrel', 'rational', 'thin prism',
+        'tilted', 'rational and zeros', 'fisheye', 'fisheye and a zero'])
 def test_a_camera_that_sees_the_trained_view_is_brought_to_it(camera, distortion) -> None:
     changes = {} if distortion is None else {
         'distortion_model': distortion[0], 'd': distortion[1]}
@@ -160,10 +169,12 @@ def test_roi_and_binning_are_folded_in_before() -> None:
     (MODEL, {'d': [0.1, 0, 0, 0, 0]}, False, 'camera_info', 'parameter rectify'),
     (MODEL, {'d': [0.1, 0, 0, 0, 0], 'distortion_model': 'tilted'}, True, 'camera_info', 'tilted'),
     (MODEL, {'d': [math.nan, 0, 0, 0, 0]}, True, 'camera_info', 'finite'),
-    (MODEL, {'d': [0.1] * 3}, True, 'camera_info', 'coefficients'),
+    (MODEL, {'d': [0.1] * 3}, True, 'camera_info', '4 or 5 or 8 or 12 or 14 of plumb_bob'),
+    (MODEL, {'d': [0.1] * 5, 'distortion_model': FISHEYE[0]}, True, 'camera_info',
+     '4 of equidistant'),
     (MODEL, {'k': np.zeros(9)}, True, 'camera_info', 'uncalibrated'),
 ], ids=['narrow', 'low', 'off centre', 'lens folds back', 'not asked to rectify', 'unknown lens',
-        'nan', 'too few', 'uncalibrated'])
+        'nan', 'too few', 'too many of a fisheye', 'uncalibrated'])
 def test_what_cannot_be_brought_to_it_is_refused(camera, changes, rectify, reason, words) -> None:
     with pytest.raises(ImageRejected, match=words) as refusal:
         CameraFit(camera_info_message(camera, **changes), EXPANSION, rectify)

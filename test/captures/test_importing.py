@@ -1,0 +1,56 @@
+"""Options of an import change the scene that comes of it."""
+import math
+from pathlib import Path
+
+from camera_bags import CameraBag
+from neo_ros.captures.formats import CaptureFormat
+from neo_ros.captures.importing import import_capture, ImportOptions
+from neo_ros.errors import ConfigError, SceneError
+from neo_ros.geometry import CameraPose, Intrinsics
+from neo_ros.machine.progress import no_stage_progress
+from neo_ros.scenes.scene import read_scene
+import numpy as np
+import pytest
+
+STEP = 100_000_000
+# 200 degrees from side to side.
+CAMERA = Intrinsics(96, 72, 27.5, 27.5, 48.0, 36.0)
+
+
+def write_drive(path: Path, **info: object) -> Path:
+    images = np.random.default_rng(0).integers(0, 256, (4, 72, 96, 3), np.uint8)
+    with CameraBag(path) as bag:
+        for index, image in enumerate(images):
+            stamp_ns = (index + 1) * STEP
+            bag.tf('/tf', stamp_ns, 'map', 'optical', CameraPose.from_planar(
+                0.2 * index, 0.1, 1.0, 0.2 * index).T_world_cam)
+            bag.info('/camera_info', stamp_ns, CAMERA, **info)
+            bag.image('/image_raw', stamp_ns, image)
+    return path
+
+
+def imported(bag: Path, scene: Path, options: ImportOptions) -> Intrinsics:
+    import_capture(bag, scene, CaptureFormat.BAG, options, no_stage_progress)
+    return read_scene(scene).train.intrinsics
+
+
+# The second as drivers of tracking cameras send it.
+@pytest.mark.parametrize('d', [[0.01, 0.0, 0.0, 0.0], [0.01, 0.0, 0.0, 0.0, 0.0]])
+@pytest.mark.parametrize('asked', [None, 80.0, 150.0])
+def test_a_fisheye_becomes_a_pinhole_view_as_wide_as_asked(
+        tmp_path: Path, d: list[float], asked: float | None) -> None:
+    bag = write_drive(tmp_path / 'bag', distortion_model='equidistant', d=np.array(d))
+    view = imported(bag, tmp_path / 'scene', ImportOptions(fisheye_view=asked))
+    assert math.degrees(view.hfov) == pytest.approx(asked or 120, abs=0.1)
+
+
+def test_a_fisheye_view_of_another_camera_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match='fisheye-view: expected a fisheye'):
+        imported(write_drive(tmp_path / 'bag'), tmp_path / 'scene', ImportOptions(
+            fisheye_view=90))
+
+
+@pytest.mark.parametrize('degrees', [0.0, 180.0, math.nan])
+def test_a_fisheye_view_that_cannot_be_is_refused(degrees: float) -> None:
+    with pytest.raises(ConfigError, match='fisheye-view: expected 3 to 170 degrees'):
+        ImportOptions(fisheye_view=degrees)
