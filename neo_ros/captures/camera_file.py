@@ -6,8 +6,8 @@ from typing import Any
 from neo_ros.captures.nerfstudio import read_lens_keys
 from neo_ros.errors import ImageRejected, SceneError
 from neo_ros.geometry.lens import Lens
-from neo_ros.messages import camera_info_of, read_camera_info
-from neo_ros.messages.camera_info import read_distortion
+from neo_ros.messages import camera_info_of
+from neo_ros.messages.camera_info import read_lens
 import yaml
 
 _OPTION = '--camera-info'
@@ -29,14 +29,10 @@ def read_camera_file(path: Path, image_topic: str) -> Lens:
     except (ValueError, yaml.YAMLError) as error:
         raise SceneError(f'{where}: expected YAML or JSON: {error}') from error
     if isinstance(content, dict) and 'camera_matrix' in content:
-        info = camera_info_of(_as_camera_info(content, where), image_topic)
         try:
-            intrinsics = read_camera_info(info, distorted=True)
-            coefficients, fisheye = read_distortion(info)
+            return read_lens(camera_info_of(_as_camera_info(content, where), image_topic))
         except ImageRejected as error:
             raise SceneError(f'{where}: {error}') from error
-        return Lens(intrinsics, tuple(coefficients.tolist()) if coefficients.any() else (),
-                    fisheye)
     if isinstance(content, dict) and {'w', 'h'} <= content.keys():
         return read_lens_keys(content, where)
     raise SceneError(
