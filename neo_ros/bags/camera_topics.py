@@ -4,7 +4,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from neo_ros.bags.reading import BagReader
-from neo_ros.bags.topic import BagTopic, describe_topics
+from neo_ros.bags.topic import BagTopic, CDR, describe_topics, describe_unread
 from neo_ros.errors import BagError, ImageRejected
 from neo_ros.geometry import Intrinsics
 from neo_ros.geometry.lens import Lens
@@ -14,6 +14,7 @@ from neo_ros.messages.compressed_image import compressed_size
 
 IMAGE, COMPRESSED = 'sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage'
 CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
+DEPTH_ENCODINGS = ('16UC1', '32FC1')
 
 
 def find_image_topic(reader: BagReader, name: str | None) -> BagTopic:
@@ -27,8 +28,12 @@ def find_image_topic(reader: BagReader, name: str | None) -> BagTopic:
     if name is not None:
         return topics[0]
     if not topics:
+        depth = [topic for topic in reader.topics if topic.msgtype in (IMAGE, COMPRESSED)
+                 and topic.count]
+        found = (f'only depth: {describe_topics(depth)}' if depth else
+                 describe_unread(reader.topics) or describe_topics(reader.topics))
         raise BagError(f'{reader.path}: expected a topic of type {IMAGE} or {COMPRESSED}, the '
-                       f'bag has {describe_topics(reader.topics)}')
+                       f'bag has {found}')
     calibrated = [topic for topic in topics if find_info_topic(reader, topic) is not None]
     choice = calibrated or topics
     choice = _without_copies(choice)
@@ -91,18 +96,25 @@ def find_truth_topic(reader: BagReader, camera: CameraTopics,
 
 def image_topics(reader: BagReader, name: str | None) -> list[BagTopic]:
     """
-    Return the topics with images of this name, or all that are not depth.
+    Return the topics with images of this name, or all that are not depth by their encoding.
 
     Raises BagError for a wrong name.
     """
-    topics = [topic for topic in reader.topics if topic.msgtype in (IMAGE, COMPRESSED)
-              and (topic.name == name if name is not None
-                   else topic.count and 'depth' not in topic.name.lower())]
-    if name is not None and not topics:
-        images = [topic for topic in reader.topics if topic.msgtype in (IMAGE, COMPRESSED)]
-        raise BagError(f'{reader.path}: expected images on {name}, the bag has '
-                       f'{describe_topics(images or reader.topics)}')
+    images = [topic for topic in reader.topics if topic.msgtype in (IMAGE, COMPRESSED)]
+    if name is None:
+        return [topic for topic in images if topic.count and not _is_depth(reader.first(topic))]
+    topics = [topic for topic in images if topic.name == name]
+    if not topics:
+        unread = describe_unread(topic for topic in reader.topics if topic.name == name)
+        raise BagError(f'{reader.path}: expected images on {name}, '
+                       f'{f"got {unread}" if unread else "the bag has "}'
+                       f'{"" if unread else describe_topics(images or reader.topics)}')
     return topics
+
+
+def _is_depth(message: Any) -> bool:
+    encoding = getattr(message, 'encoding', getattr(message, 'format', ''))
+    return encoding in DEPTH_ENCODINGS or 'compressedDepth' in encoding
 
 
 def first_size(reader: BagReader, topic: BagTopic) -> tuple[int, int] | None:
@@ -130,12 +142,43 @@ def as_raw_image(message: Any, topic: BagTopic) -> Any:
     return SimpleNamespace(header=message.header, **image_fields(read_compressed_image(message)))
 
 
-def find_info_topic(reader: BagReader, image: BagTopic) -> BagTopic | None:
-    """Return the camera_info beside an image topic; '.../image/compressed' counts as its raw."""
+def find_info_topic(reader: BagReader, image: BagTopic,
+                    name: str | None = None) -> BagTopic | None:
+    """
+    Return the camera_info of this name, or the one beside an image topic.
+
+    '.../image/compressed' counts as its raw topic. Foxglove's calibrations have no usual name:
+    the one of the images' frame is taken. Raises BagError for a wrong name.
+    """
+    infos = info_topics(reader)
+    if name is not None:
+        named = [topic for topic in infos if topic.name == name]
+        if not named:
+            raise BagError(f'{reader.path}: --info-topic: expected a {CAMERA_INFO} on {name}, '
+                           f'the bag has {describe_topics(infos or reader.topics)}')
+        return named[0]
     base = _base(image)
     wanted = {f'{base.rpartition("/")[0]}/camera_info', f'{base}/camera_info'}
-    return next((topic for topic in reader.topics if topic.msgtype == CAMERA_INFO
-                 and topic.name in wanted and topic.count), None)
+    beside = [topic for topic in infos if topic.name in wanted]
+    if not beside and image.encoding != CDR:
+        beside = same_frame(reader, image, infos)
+        beside = beside if len(beside) == 1 else []
+    return beside[0] if beside else None
+
+
+def info_topics(reader: BagReader) -> list[BagTopic]:
+    """Return all calibrations of a bag."""
+    return [topic for topic in reader.topics if topic.msgtype == CAMERA_INFO and topic.count]
+
+
+def same_frame(reader: BagReader, image: BagTopic, infos: list[BagTopic]) -> list[BagTopic]:
+    """Return the calibrations whose frame is the one of the images."""
+    def frame(topic: BagTopic) -> str | None:
+        first = reader.first(topic)
+        return None if first is None else first.header.frame_id
+
+    wanted = frame(image)
+    return [topic for topic in infos if wanted and frame(topic) == wanted]
 
 
 def read_lens(message: Any, image: BagTopic, where: str) -> Lens:
