@@ -6,16 +6,20 @@ import shlex
 from typing import Any
 
 from neo_ros.bags.camera_topics import (
-    CAMERA_INFO, COMPRESSED, find_info_topic, IMAGE, image_topics, read_lens)
+    CAMERA_INFO, find_info_topic, IMAGE, image_topics, info_topics, read_lens,
+    same_frame)
 from neo_ros.bags.reading import BagReader
-from neo_ros.bags.recorded_poses import foreign_tf, missing_way, POSE_TYPES, TF, TF_STATIC
-from neo_ros.bags.topic import BagTopic
-from neo_ros.bags.transforms import frame_name, TransformTree
+from neo_ros.bags.recorded_poses import (
+    find_pose_source, find_pose_topics, NO_POSES, POSE_TYPES, RecordedPoses, SPARE_TYPES, TF_TYPE)
+from neo_ros.bags.topic import BagTopic, describe_topics
+from neo_ros.bags.transforms import frame_name
 from neo_ros.errors import BagError, ImageRejected, SceneError
 from neo_ros.geometry import ViewExpansion
 from neo_ros.machine.progress import no_progress, Progress
-from neo_ros.messages.compressed_image import compressed_size
+from neo_ros.messages.image_reader import ImageReader
 
+# A key frame comes every few seconds, or there is none.
+MOST_TRIED = 1000
 IMAGE_ROLE, POSE_ROLE, TRUTH_ROLE = 'image', 'pose', 'truth'
 
 
@@ -70,6 +74,8 @@ class _Camera:
     frame: str = ''
     calibrated: bool = False
     distorted: bool = False
+    images: ImageReader = field(default_factory=ImageReader)
+    info_option: str = ''
 
 
 def read_bag_info(path: Path, model: Path | None = None, expansion: ViewExpansion | None = None,
@@ -89,12 +95,12 @@ def read_bag_info(path: Path, model: Path | None = None, expansion: ViewExpansio
         for info in scan.infos.values():
             info.first_s, info.last_s = info.first_s - first_ns / 1e9, info.last_s - first_ns / 1e9
         image = scan.find_image(expansion)
-        pose = scan.find_pose(image)
+        pose, pose_option = scan.find_pose(image)
         truth = scan.find_truth(image, expansion)
         for topic, role in ((pose, POSE_ROLE), (truth, TRUTH_ROLE)):
             if topic is not None:
                 scan.infos[topic].roles.append(role)
-        command = _next_command(path, model, scan, image, pose, truth)
+        command = _next_command(path, model, scan, image, pose, pose_option, truth)
         return BagInfo(
             str(path), first_ns, (last_ns - first_ns) / 1e9,
             sum(info.count for info in scan.infos.values()), list(map(str, reader.damages)),
@@ -113,7 +119,8 @@ class _Scan:
             info: camera for camera in self.cameras.values()
             if (info := find_info_topic(reader, camera.topic)) is not None}
         self._stamps: dict[BagTopic, tuple[int, int, int]] = {}  # first, last, longest gap
-        self.tree = TransformTree()
+        self.poses = RecordedPoses()
+        self._pose_names = find_pose_topics(reader, None).names
         self.notes: list[str] = []
 
     @property
@@ -137,52 +144,78 @@ class _Scan:
             info.longest_gap_s = gap / 1e9
             info.rate_hz = (info.count - 1) / ((last - first) / 1e9) if last > first else None
         try:
-            if topic.name in (TF, TF_STATIC):
-                self.tree.add(message.read(), topic.name == TF_STATIC)
+            if topic.msgtype == TF_TYPE or topic.msgtype in (*POSE_TYPES, *SPARE_TYPES):
+                self._take_pose(topic, message.read(), info)
             elif not info.content:
                 info.content = self._describe(topic, message)
         except (BagError, ImageRejected, SceneError) as error:
             info.content = info.content or str(error)
+            # The start of a recorded video builds on frames that are not there.
+            if isinstance(error, ImageRejected) and error.reason == 'key_frame' and (
+                    info.count < MOST_TRIED):
+                info.content = ''
 
     def find_image(self, expansion: ViewExpansion | None) -> _Camera | None:
         """Return the camera to be used: of the model's size, calibrated, raw before compressed."""
-        for camera in self.cameras.values():
+        readable = [camera for camera in self.cameras.values() if camera.size is not None]
+        for camera in readable:
             self.infos[camera.topic].roles.append(IMAGE_ROLE)
-        if not self.cameras:
+        for camera in self.cameras.values():
+            if camera.size is None:
+                self.notes.append(f'{camera.topic.name} cannot be read: '
+                                  f'{self.infos[camera.topic].content}')
+        if not readable:
             self.notes.append('no images: neither training nor replay is possible')
             return None
         wanted = None if expansion is None else (expansion.source.width, expansion.source.height)
-        ranked = sorted(self.cameras.values(), key=lambda camera: (
-            camera.size != wanted, not camera.calibrated, camera.topic.msgtype == COMPRESSED,
+        ranked = sorted(readable, key=lambda camera: (
+            camera.size != wanted, not camera.calibrated, camera.topic.msgtype != IMAGE,
             math.prod(camera.size or (0, 0)), camera.topic.name))
         if not ranked[0].calibrated:
-            self.notes.append(f'{ranked[0].topic.name} has no camera_info beside it: poses cannot '
-                              'be imported with it, an import without poses estimates the camera, '
-                              'a replay trusts the size of the images')
+            self._tell_lack_of_info(ranked[0])
         if expansion is not None and ranked[0].size != wanted:
             source = expansion.source
             self.notes.append(f'no images of {source.width}x{source.height} pixels as the model '
                               'takes; a calibrated camera that sees all of that view is resampled')
         return ranked[0]
 
-    def find_pose(self, image: _Camera | None) -> BagTopic | None:
-        """Return where the poses come from: /tf if it moves the camera, else a pose topic."""
-        tf = next((topic for topic in self.infos if topic.name == TF), None)
-        if image is not None and tf is not None:
-            chain, fault = self.tree.ancestors(image.frame)
-            if fault:
-                self.notes.append(f'{TF}: {fault}')
-            elif self.tree.moves(chain):
-                return tf
-        found = [topic for topic, info in self.infos.items()
-                 if topic.msgtype in POSE_TYPES and info.count]
-        if not found:
-            missing = '' if image is None else missing_way(
-                self.tree, image.frame, foreign_tf(self._reader.topics))
-            self.notes.append(missing or 'no poses: an import computes them from the photos '
-                              '(structure from motion), at an unknown scale')
-            return None
-        return max(found, key=lambda topic: self.infos[topic].count)
+    def _tell_lack_of_info(self, image: _Camera) -> None:
+        infos = info_topics(self._reader)
+        near = same_frame(self._reader, image.topic, infos)
+        image.info_option = near[0].name if len(near) == 1 else ''
+        others = (f', as {describe_topics(infos)} with --info-topic, or a file with --camera-info'
+                  if infos else '; give a file with --camera-info')
+        self.notes.append(f'{image.topic.name} has no camera_info beside it: an import with poses '
+                          f'needs it{others}; an import without poses estimates the camera, a '
+                          'replay trusts the size of the images')
+
+    def find_pose(self, image: _Camera | None) -> tuple[BagTopic | None, str]:
+        """
+        Return where an import takes the poses from, and what --pose-topic must say for that.
+
+        The rule is the import's own. Where it wants a choice, its words become a note, and the
+        topic with most messages that it would take is proposed.
+        """
+        if image is None:
+            return None, ''
+        found = sorted((topic for topic in self.infos if topic.count and topic.msgtype in (
+            TF_TYPE, *POSE_TYPES, *SPARE_TYPES)), key=lambda topic: -self.infos[topic].count)
+        for wanted in (None, *(topic.name for topic in found)):
+            try:
+                choice = find_pose_source(
+                    self._reader.path, self.poses, image.frame, wanted,
+                    find_pose_topics(self._reader, wanted), [])
+            except BagError as error:
+                if wanted is None:
+                    self.notes.append(str(error).removeprefix(f'{self._reader.path}: '))
+                continue
+            if choice is None:
+                self.notes.append('no poses: an import computes them from the photos (structure '
+                                  'from motion), at an unknown scale')
+                return None, ''
+            topic = next(topic for topic in found if topic.name == choice.topic)
+            return topic, '' if wanted is None else wanted
+        return None, NO_POSES
 
     def find_truth(self, image: _Camera | None,
                    expansion: ViewExpansion | None) -> BagTopic | None:
@@ -204,9 +237,9 @@ class _Scan:
         if topic in self.cameras:
             content, seen = message.read(), self.cameras[topic]
             seen.frame = frame_name(content.header.frame_id)
-            seen.size = (content.width, content.height) if topic.msgtype == IMAGE else (
-                compressed_size(content))
-            form = content.encoding if topic.msgtype == IMAGE else content.format
+            height, width = seen.images.read(content).shape[:2]
+            seen.size = width, height
+            form = getattr(content, 'format', None) or content.encoding
             return f'{seen.size[0]}x{seen.size[1]} {form}, frame {seen.frame}'
         if topic.msgtype == CAMERA_INFO:
             camera = self._calibrations.get(topic)
@@ -218,15 +251,18 @@ class _Scan:
             return (f'{view.width}x{view.height} {kind}, {math.degrees(view.hfov):.1f} x '
                     f'{math.degrees(view.vfov):.1f} deg, fx {view.fx:.1f} fy {view.fy:.1f} '
                     f'cx {view.cx:.1f} cy {view.cy:.1f}')
-        if topic.msgtype in POSE_TYPES:
-            content = message.read()
-            child = getattr(content, 'child_frame_id', '')
-            return f'{f"{child} " if child else ""}in {content.header.frame_id}'
         return ''
+
+    def _take_pose(self, topic: BagTopic, content: Any, info: TopicInfo) -> None:
+        if topic.name in self._pose_names or topic.msgtype != TF_TYPE:
+            self.poses.add(topic, content)
+        if topic.msgtype != TF_TYPE and not info.content:
+            child = getattr(content, 'child_frame_id', '')
+            info.content = f'{f"{child} " if child else ""}in {content.header.frame_id}'
 
 
 def _next_command(path: Path, model: Path | None, scan: _Scan, image: _Camera | None,
-                  pose: BagTopic | None, truth: BagTopic | None) -> str:
+                  pose: BagTopic | None, pose_option: str, truth: BagTopic | None) -> str:
     """Return the command line, with topics named where there is a choice."""
     if image is None:
         return ''
@@ -237,9 +273,9 @@ def _next_command(path: Path, model: Path | None, scan: _Scan, image: _Camera | 
         words = ['replay', str(path), '--model', str(model), '--out', f'out/{name}_wide',
                  *several, *(['--rectify'] if image.distorted else []), *score]
     else:
-        names = {topic.name for topic in scan.infos}
-        poses = [topic for topic in scan.infos if topic.msgtype in POSE_TYPES]
-        chosen = ['--pose-topic', pose.name] if (
-            pose is not None and pose.name != TF and (len(poses) > 1 or TF in names)) else []
-        words = ['import', str(path), f'out/scenes/{name}', *several, *chosen]
+        if pose is not None and not image.calibrated and not image.info_option:
+            pose_option = NO_POSES
+        chosen = ['--pose-topic', pose_option] if pose_option else []
+        info = ['--info-topic', image.info_option] if image.info_option else []
+        words = ['import', str(path), f'out/scenes/{name}', *several, *info, *chosen]
     return shlex.join(['neo', *words])

@@ -3,17 +3,21 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
+from neo_ros.bags.foxglove import VIDEO
 from neo_ros.bags.reading import BagReader
-from neo_ros.bags.topic import BagTopic, describe_topics
+from neo_ros.bags.topic import BagTopic, CDR, describe_topics, describe_unread
 from neo_ros.errors import BagError, ImageRejected
 from neo_ros.geometry import Intrinsics
 from neo_ros.geometry.lens import Lens
-from neo_ros.messages import camera_info_of, image_fields, read_compressed_image
+from neo_ros.messages import camera_info_of, image_fields
 from neo_ros.messages.camera_info import read_lens as info_lens
-from neo_ros.messages.compressed_image import compressed_size
+from neo_ros.messages.image_reader import ImageReader
 
 IMAGE, COMPRESSED = 'sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage'
+PACKET = 'ffmpeg_image_transport_msgs/msg/FFMPEGPacket'
+IMAGE_TYPES = (IMAGE, COMPRESSED, VIDEO, PACKET)
 CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
+DEPTH_ENCODINGS = ('16UC1', '32FC1')
 
 
 def find_image_topic(reader: BagReader, name: str | None) -> BagTopic:
@@ -27,8 +31,9 @@ def find_image_topic(reader: BagReader, name: str | None) -> BagTopic:
     if name is not None:
         return topics[0]
     if not topics:
-        raise BagError(f'{reader.path}: expected a topic of type {IMAGE} or {COMPRESSED}, the '
-                       f'bag has {describe_topics(reader.topics)}')
+        unread = describe_unread(reader.topics)
+        raise BagError(f'{reader.path}: expected a topic of type {IMAGE} or {COMPRESSED} that is '
+                       f'no depth, the bag has {unread or describe_topics(reader.topics)}')
     calibrated = [topic for topic in topics if find_info_topic(reader, topic) is not None]
     choice = calibrated or topics
     choice = _without_copies(choice)
@@ -91,51 +96,93 @@ def find_truth_topic(reader: BagReader, camera: CameraTopics,
 
 def image_topics(reader: BagReader, name: str | None) -> list[BagTopic]:
     """
-    Return the topics with images of this name, or all that are not depth.
+    Return the topics with images of this name, or all that are not depth by their encoding.
 
     Raises BagError for a wrong name.
     """
-    topics = [topic for topic in reader.topics if topic.msgtype in (IMAGE, COMPRESSED)
-              and (topic.name == name if name is not None
-                   else topic.count and 'depth' not in topic.name.lower())]
-    if name is not None and not topics:
-        images = [topic for topic in reader.topics if topic.msgtype in (IMAGE, COMPRESSED)]
-        raise BagError(f'{reader.path}: expected images on {name}, the bag has '
-                       f'{describe_topics(images or reader.topics)}')
+    images = [topic for topic in reader.topics if topic.msgtype in IMAGE_TYPES]
+    if name is None:
+        return [topic for topic in images if topic.count and not _is_depth(reader.first(topic))]
+    topics = [topic for topic in images if topic.name == name]
+    if not topics:
+        unread = describe_unread(topic for topic in reader.topics if topic.name == name)
+        raise BagError(f'{reader.path}: expected images on {name}, '
+                       f'{f"got {unread}" if unread else "the bag has "}'
+                       f'{"" if unread else describe_topics(images or reader.topics)}')
     return topics
 
 
+def _is_depth(message: Any) -> bool:
+    encoding = getattr(message, 'encoding', getattr(message, 'format', ''))
+    return encoding in DEPTH_ENCODINGS or 'compressedDepth' in encoding
+
+
 def first_size(reader: BagReader, topic: BagTopic) -> tuple[int, int] | None:
-    """Return width and height of the topic's first image that says them."""
+    """Return width and height of the topic's first image that can be read."""
+    images = ImageReader(depth_as_grey=True)
     for message in reader.messages([topic.name]):
         if message.topic != topic:
             continue
         try:
-            content = message.read()
-            return (content.width, content.height) if topic.msgtype == IMAGE else (
-                compressed_size(content))
-        except (BagError, ImageRejected):
+            height, width = images.read(message.read()).shape[:2]
+            return width, height
+        except ImageRejected as rejection:
+            if rejection.reason == 'encoding':  # The same for all images of the topic.
+                return None
+        except BagError:
             continue
     return None
 
 
-def as_raw_image(message: Any, topic: BagTopic) -> Any:
+def as_raw_image(message: Any, topic: BagTopic, images: ImageReader) -> Any:
     """
-    Return an Image message as it is, and a CompressedImage with the fields of an Image.
+    Return an image that is compressed in any way with the fields of an Image; others as they are.
 
-    Raises ImageRejected as `read_compressed_image` does.
+    images: of this topic; a video needs every message in its order. Raises ImageRejected as
+    `ImageReader.read` does.
     """
-    if topic.msgtype != COMPRESSED:
+    if topic.msgtype not in IMAGE_TYPES or topic.msgtype == IMAGE:
         return message
-    return SimpleNamespace(header=message.header, **image_fields(read_compressed_image(message)))
+    return SimpleNamespace(header=message.header, **image_fields(images.read(message)))
 
 
-def find_info_topic(reader: BagReader, image: BagTopic) -> BagTopic | None:
-    """Return the camera_info beside an image topic; '.../image/compressed' counts as its raw."""
+def find_info_topic(reader: BagReader, image: BagTopic,
+                    name: str | None = None) -> BagTopic | None:
+    """
+    Return the camera_info of this name, or the one beside an image topic.
+
+    '.../image/compressed' counts as its raw topic. Foxglove's calibrations have no usual name:
+    the one of the images' frame is taken. Raises BagError for a wrong name.
+    """
+    infos = info_topics(reader)
+    if name is not None:
+        named = [topic for topic in infos if topic.name == name]
+        if not named:
+            raise BagError(f'{reader.path}: --info-topic: expected a {CAMERA_INFO} on {name}, '
+                           f'the bag has {describe_topics(infos or reader.topics)}')
+        return named[0]
     base = _base(image)
     wanted = {f'{base.rpartition("/")[0]}/camera_info', f'{base}/camera_info'}
-    return next((topic for topic in reader.topics if topic.msgtype == CAMERA_INFO
-                 and topic.name in wanted and topic.count), None)
+    beside = [topic for topic in infos if topic.name in wanted]
+    if not beside and image.encoding != CDR:
+        beside = same_frame(reader, image, infos)
+        beside = beside if len(beside) == 1 else []
+    return beside[0] if beside else None
+
+
+def info_topics(reader: BagReader) -> list[BagTopic]:
+    """Return all calibrations of a bag."""
+    return [topic for topic in reader.topics if topic.msgtype == CAMERA_INFO and topic.count]
+
+
+def same_frame(reader: BagReader, image: BagTopic, infos: list[BagTopic]) -> list[BagTopic]:
+    """Return the calibrations whose frame is the one of the images."""
+    def frame(topic: BagTopic) -> str | None:
+        first = reader.first(topic)
+        return None if first is None else first.header.frame_id
+
+    wanted = frame(image)
+    return [topic for topic in infos if wanted and frame(topic) == wanted]
 
 
 def read_lens(message: Any, image: BagTopic, where: str) -> Lens:
@@ -158,4 +205,4 @@ def _without_copies(topics: list[BagTopic]) -> list[BagTopic]:
 
 def _base(image: BagTopic) -> str:
     """Return the name of the raw image topic that a compressed one belongs to."""
-    return image.name.rpartition('/')[0] if image.msgtype == COMPRESSED else image.name
+    return image.name if image.msgtype == IMAGE else image.name.rpartition('/')[0]

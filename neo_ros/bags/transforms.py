@@ -81,6 +81,7 @@ class TransformTree:
 
     parents  the first parent of every frame
     rivals   another one, of frames that have two: their transforms are of no use
+    held     frames whose transform holds until the next one comes, as Foxglove's do
     invalid  counts what was no pose
     """
 
@@ -88,9 +89,10 @@ class TransformTree:
     rivals: dict[str, str] = field(default_factory=dict)
     static: dict[str, np.ndarray] = field(default_factory=dict)
     moving: dict[str, PoseTrack] = field(default_factory=dict)
+    held: set[str] = field(default_factory=set)
     invalid: int = 0
 
-    def add(self, message: Any, is_static: bool) -> None:
+    def add(self, message: Any, is_static: bool, held: bool = False) -> None:
         """Take the transforms of one message."""
         for entry in message.transforms:
             parent = frame_name(entry.header.frame_id)
@@ -104,6 +106,13 @@ class TransformTree:
                 self.static[child] = T
             else:
                 self.moving.setdefault(child, PoseTrack()).add(stamp_of(entry.header), T)
+                self.held |= {child} if held else set()
+
+    def mount(self, frame: str, parent: str, T_parent_frame: np.ndarray) -> None:
+        """Fix a frame (4, 4) to a parent, whatever was said of it before."""
+        self.rivals.pop(frame, None)
+        self.moving.pop(frame, None)
+        self.parents[frame], self.static[frame] = parent, T_parent_frame
 
     def ancestors(self, frame: str) -> tuple[list[str], str]:
         """Return the frame and all frames above it, and what is wrong if not up to the root."""
@@ -132,9 +141,15 @@ class TransformTree:
 
     def steps(self, chain: list[str]) -> list[Step]:
         """Return the transforms of a chain of ancestors, from its first frame to its last."""
-        return [(f'{frame} in {parent}', self.moving[frame] if frame in self.moving
-                 else self.static.get(frame, PoseTrack()))
+        return [(f'{frame} in {parent}', self._step(frame))
                 for frame, parent in zip(chain, chain[1:])]
+
+    def _step(self, frame: str) -> PoseTrack | np.ndarray:
+        track = self.moving.get(frame)
+        if track is None:
+            return self.static.get(frame, PoseTrack())
+        still = frame in self.held and not track.moves
+        return next(iter(track.poses.values())) if still else track
 
 
 @dataclass(frozen=True)

@@ -1,21 +1,24 @@
 """A recorded bag as a capture: images, calibration, and poses at the images' stamps."""
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from neo_ros.bags.camera_topics import COMPRESSED, find_image_topic, find_info_topic, read_lens
+from neo_ros.bags.camera_topics import (
+    find_image_topic, find_info_topic, info_topics, read_lens)
 from neo_ros.bags.reading import BagReader
 from neo_ros.bags.recorded_poses import (
-    find_pose_source, find_pose_topics, foreign_tf, RecordedPoses, TF, TF_STATIC)
-from neo_ros.bags.topic import BagTopic, describe_topics
+    find_pose_source, find_pose_topics, PoseTopics, RecordedPoses)
+from neo_ros.bags.topic import BagTopic, describe_topics, describe_unread
 from neo_ros.bags.transforms import frame_name, PoseSource
+from neo_ros.captures.camera_file import read_camera_file
 from neo_ros.captures.capture import Capture, CapturedFrame, ImageStream, origin_of
-from neo_ros.errors import BagError, ImageRejected
+from neo_ros.errors import BagError, ConfigError, ImageRejected
 from neo_ros.geometry import CameraPose
+from neo_ros.geometry.camera_pose import rotation_from_vector, T_BODY_OPTICAL
 from neo_ros.machine.progress import no_progress, Progress
-from neo_ros.messages import read_compressed_image, read_image
+from neo_ros.messages.image_reader import ImageReader, is_video
 from neo_ros.messages.stamps import stamp_of
 import numpy as np
 
@@ -29,39 +32,97 @@ class _Scan:
     damaged: Counter[str] = field(default_factory=Counter)  # messages by topic
     log_times: list[int] = field(default_factory=list)
     camera_frame: str = ''
+    video: bool = False
     info: Any = None
     poses: RecordedPoses = field(default_factory=RecordedPoses)
 
 
-def read_bag_capture(path: Path, image_topic: str | None = None,
-                     pose_topic: str | None = None,
+@dataclass(frozen=True)
+class BagOptions:
+    """
+    What the user says of a bag; each is an option of `neo import`.
+
+    image_topic     Image or CompressedImage; needed where a bag has several cameras
+    info_topic      the CameraInfo of its images; by default the one beside them
+    camera_info     a file with the calibration instead
+    pose_topic      /tf or another topic of transforms, or a topic of poses; by default /tf if the
+                    camera's body moves in it, else the one pose topic of the bag; none: no poses
+    base_to_camera  x y z roll pitch yaw of the frame of the images in the body, metres, radians
+    x_forward       the frame of the images looks along x, as Gazebo's do, not along z
+    """
+
+    image_topic: str | None = None
+    info_topic: str | None = None
+    camera_info: Path | None = None
+    pose_topic: str | None = None
+    base_to_camera: str | None = None
+    x_forward: bool = False
+
+    def __post_init__(self) -> None:
+        if self.info_topic is not None and self.camera_info is not None:
+            raise ConfigError('--info-topic, --camera-info: expected one of them, got both')
+        if self.base_to_camera is not None:
+            self._numbers()
+
+    @property
+    def T_base_camera(self) -> np.ndarray | None:  # noqa: N802
+        """The (4, 4) of `base_to_camera`; None where it is not given."""
+        if self.base_to_camera is None:
+            return None
+        *xyz, roll, pitch, yaw = self._numbers()
+        T = np.eye(4)
+        T[:3, 3] = xyz
+        for axis, angle in zip(np.eye(3)[::-1], (yaw, pitch, roll)):
+            T[:3, :3] = T[:3, :3] @ rotation_from_vector(axis * angle)
+        return T
+
+    def _numbers(self) -> list[float]:
+        try:
+            numbers = [float(word) for word in (self.base_to_camera or '').split()]
+        except ValueError:
+            numbers = []
+        if len(numbers) != 6 or not np.isfinite(numbers).all():
+            raise ConfigError('--base-to-camera: expected six numbers, x y z in metres and roll '
+                              f'pitch yaw in radians, got {self.base_to_camera!r}')
+        return numbers
+
+
+def read_bag_capture(path: Path, options: BagOptions = BagOptions(),
                      progress: Progress = no_progress) -> Capture:
     """
     Read the camera of a bag.
 
-    image_topic  Image or CompressedImage; needed where a bag has several cameras
-    pose_topic   /tf, or a PoseStamped, PoseWithCovarianceStamped or Odometry; by default /tf if
-                 the camera's body moves in it, else the one pose topic of the bag; none: no poses
     Frames are in the order of their stamps; those without a pose are counted in the notes and
     left out. A bag without poses gives a capture without poses. Raises BagError that names the
     topics for everything that is missing, ambiguous or contradictory.
     """
     with BagReader(path) as reader:
-        image = find_image_topic(reader, image_topic)
-        info = find_info_topic(reader, image)
-        pose_topics = find_pose_topics(reader, pose_topic)
+        image = find_image_topic(reader, options.image_topic)
+        info = None if options.camera_info else find_info_topic(reader, image, options.info_topic)
+        pose_topics = find_pose_topics(reader, options.pose_topic)
+        infos = info_topics(reader)
+        unread = describe_unread(reader.topics)
         scan = _scan(reader, image, info, pose_topics, progress)
         notes = [reader.recovered] if reader.recovered else []
     notes += [f'{count} messages of {name} are damaged and are left out'
               for name, count in sorted(scan.damaged.items())]
     lens = None if scan.info is None or info is None else read_lens(
         scan.info, image, f'{path}: {info.name}')
+    if options.camera_info is not None:
+        lens = read_camera_file(options.camera_info, image.name)
+        notes.append(f'the camera is the one of {options.camera_info}')
     if lens is None:
         notes.append(f'{image.name} has no camera_info beside it: the camera is estimated')
     stamps = _ordered(scan, image, notes)
-    source = find_pose_source(
-        path, scan.poses, scan.camera_frame, pose_topic, pose_topics, foreign_tf(reader.topics),
-        notes)
+    choice = find_pose_source(path, scan.poses, scan.camera_frame, options.pose_topic,
+                              pose_topics, notes, options.T_base_camera)
+    source = None if choice is None else choice.source
+    if unread and (source is None or lens is None):
+        notes.append(unread)
+    if options.x_forward and source is not None:
+        # The innermost step: from the optical frame to the frame that looks along x.
+        source = PoseSource([('--x-forward', T_BODY_OPTICAL), *source.steps])
+        notes.append(f'the frame {scan.camera_frame} looks along x, as --x-forward says')
     frames: list[CapturedFrame] = []
     places: list[int] = []
     lost: list[int] = []
@@ -73,7 +134,7 @@ def read_bag_capture(path: Path, image_topic: str | None = None,
         frames.append(CapturedFrame(f'images/{len(frames):06d}.png',
                                     None if T is None else CameraPose(T), lens, 0, stamp_ns))
         places.append(place)
-    gaps = '' if source is None else _gaps(source, lost, pose_topics)
+    gaps = '' if source is None else _gaps(source, lost, pose_topics.poses)
     if not frames:
         raise BagError(f'{path}: no image of {image.name} has a pose near its stamp; '
                        f'{gaps or "do images and poses have the same clock?"}')
@@ -81,21 +142,25 @@ def read_bag_capture(path: Path, image_topic: str | None = None,
         notes.append(f'{len(lost)} of {len(stamps)} images have no pose near their stamp and are '
                      f'left out{gaps and "; "}{gaps}')
     if source is not None and lens is None:
-        infos = _info_topics(path)
         raise BagError(f'{path}: expected a camera_info beside {image.name}, the poses need the '
                        'calibration that belongs to them; the bag has '
-                       f'{describe_topics(infos) if infos else "no CameraInfo topic"}')
-    stream = _stream(path, image, places)
+                       f'{describe_topics(infos) if infos else "no CameraInfo topic"}; '
+                       f'{"choose one with --info-topic, or " if infos else ""}give a file with '
+                       '--camera-info')
+    depth_as_grey = options.image_topic is not None
+    stream = _stream(path, image, places, depth_as_grey)
+    if scan.video:
+        places, frames = _without_start(path, image, places, frames, notes, stream)
+        stream = _stream(path, image, places, depth_as_grey)
     next(stream([0]), None)  # What cannot be decoded at all is refused before anything is written.
     return Capture(tuple(frames), tuple(notes), stream, origin_of(path),
                    z_up=source is not None)  # REP-103
 
 
 def _scan(reader: BagReader, image: BagTopic, info: BagTopic | None,
-          pose_topics: list[BagTopic], progress: Progress) -> _Scan:
+          pose_topics: PoseTopics, progress: Progress) -> _Scan:
     scan = _Scan()
-    names = {image.name, TF, TF_STATIC, *(topic.name for topic in pose_topics)} | (
-        {info.name} if info else set())
+    names = {image.name, *pose_topics.names} | ({info.name} if info else set())
     total = sum(topic.count for topic in reader.topics if topic.name in names)
     for done, message in enumerate(reader.messages(names), start=1):
         topic = message.topic
@@ -110,12 +175,20 @@ def _scan(reader: BagReader, image: BagTopic, info: BagTopic | None,
         if topic == image:
             scan.images.append((stamp_of(content.header), place))
             scan.log_times.append(message.stamp_ns)
+            scan.video = scan.video or _says_video(content)
             _take_frame(scan, frame_name(content.header.frame_id), reader.path, topic)
         elif topic == info:
             _take_info(scan, content, f'{reader.path}: {topic.name}')
         else:
             scan.poses.add(topic, content)
     return scan
+
+
+def _says_video(content: Any) -> bool:
+    try:
+        return is_video(content)
+    except ImageRejected:  # Of a codec that is not known; the images say so when they are read.
+        return False
 
 
 def _take_frame(scan: _Scan, frame: str, path: Path, image: BagTopic) -> None:
@@ -165,22 +238,31 @@ def _gaps(source: PoseSource, lost: Sequence[int], topics: Sequence[BagTopic]) -
     return f'{gaps}; other poses: --pose-topic {" or ".join(others)}' if gaps and others else gaps
 
 
-def _stream(path: Path, image: BagTopic, places: Sequence[int]) -> ImageStream:
+def _stream(path: Path, image: BagTopic, places: Sequence[int],
+            depth_as_grey: bool) -> ImageStream:
     """Return a function that reads images of the bag, in the order of the bag."""
     def read(indices: Sequence[int]) -> Iterator[tuple[int, np.ndarray | None]]:
         wanted = {places[index]: index for index in indices}
         if not wanted:
             return
+        images = ImageReader(depth_as_grey)
         with BagReader(path) as reader:
             messages = (message for message in reader.messages({image.name})
                         if message.topic == image)
             for place, message in enumerate(messages):
-                if place in wanted:
-                    try:
-                        picture = decode_image(message.read(), image.msgtype)
-                    except ImageRejected as error:
+                try:
+                    content = message.read()
+                    # A frame of a video builds on those before it, wanted or not.
+                    picture = images.read(content) if place in wanted or (
+                        is_video(content)) else None
+                except BagError:
+                    picture = None
+                except ImageRejected as error:
+                    if error.reason == 'encoding':  # The same for all images of the topic.
                         raise BagError(f'{path}: {image.name}: {error}; convert the images, or '
                                        'record another topic of this camera') from error
+                    picture = None
+                if place in wanted:
                     yield wanted.pop(place), picture
                 if not wanted:
                     return
@@ -188,16 +270,18 @@ def _stream(path: Path, image: BagTopic, places: Sequence[int]) -> ImageStream:
     return read
 
 
-def decode_image(message: Any, msgtype: str) -> np.ndarray | None:
-    """Return RGB uint8 (H, W, 3) of an Image or CompressedImage; None if it is damaged."""
-    try:
-        return (read_compressed_image if msgtype == COMPRESSED else read_image)(message)
-    except ImageRejected as error:
-        if error.reason == 'encoding':  # The same for all images of the topic.
-            raise
-        return None
-
-
-def _info_topics(path: Path) -> list[BagTopic]:
-    with BagReader(path) as reader:
-        return [topic for topic in reader.topics if topic.msgtype.endswith('CameraInfo')]
+def _without_start(path: Path, image: BagTopic, places: list[int], frames: list[CapturedFrame],
+                   notes: list[str], stream: ImageStream) -> tuple[list[int], list[CapturedFrame]]:
+    """Leave out the frames of a video before its first key frame, and say how many."""
+    started = next((index for index, picture in stream(range(len(places)))
+                    if picture is not None), None)
+    if started is None:
+        raise BagError(f'{path}: {image.name}: none of the {len(places)} video frames can be '
+                       'decoded; is there no key frame among them?')
+    kept = [index for index, place in enumerate(places) if place >= places[started]]
+    missing = len(places) - len(kept)
+    if missing:
+        notes.append(f'{missing} video frames before the first key frame are left out')
+    return [places[index] for index in kept], [
+        replace(frames[index], name=f'images/{number:06d}.png')
+        for number, index in enumerate(kept)]

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 import math
 from pathlib import Path
 
-from neo_ros.captures.bag import read_bag_capture
+from neo_ros.captures.bag import BagOptions, read_bag_capture
 from neo_ros.captures.capture import Capture
 from neo_ros.captures.formats import CaptureFormat, FOLDER_READERS
 from neo_ros.captures.frame_selection import select_frames
@@ -16,6 +16,8 @@ from neo_ros.captures.scene_writing import write_capture
 from neo_ros.captures.structure_from_motion import reconstruct
 from neo_ros.captures.video import read_video
 from neo_ros.errors import ConfigError, SceneError
+from neo_ros.geometry import CameraPose
+from neo_ros.geometry.camera_pose import T_BODY_OPTICAL
 from neo_ros.geometry.lens import LEAST_VIEW, MOST_VIEW
 from neo_ros.machine.progress import of_stage, StageProgress
 from neo_ros.scenes.scene import Scene
@@ -27,15 +29,14 @@ class ImportOptions:
     """
     What the user says of a capture; each is an option of `neo import`.
 
-    image_topic, pose_topic             of bags; None: told from the bag
+    bag                                 of bags
     keyframe_distance, keyframe_angle   metres, degrees: keep the sharpest frame of every step
     level                               turn the world so that z points up
     scale                               multiply all lengths by this
     fisheye_view                        degrees: the widest view that is cut out of a fisheye
     """
 
-    image_topic: str | None = None
-    pose_topic: str | None = None
+    bag: BagOptions = BagOptions()
     keyframe_distance: float | None = None
     keyframe_angle: float | None = None
     level: bool = False
@@ -75,7 +76,8 @@ def import_capture(source: Path, scene: Path, format_: CaptureFormat, options: I
     elif options.level:
         capture = level_world(capture)
     else:
-        notes += _tilt_note(capture)
+        frames_may_differ = format_ == CaptureFormat.BAG and not options.bag.x_forward
+        notes += _tilt_note(capture, frames_may_differ)
     if options.scale is not None:
         capture = scaled(capture, options.scale)
         notes.append(f'all lengths are multiplied by {options.scale:g}')
@@ -108,8 +110,7 @@ def finish_scene(scene: Path, notes: Sequence[str], test_runs: int,
 def _read(source: Path, format_: CaptureFormat, options: ImportOptions,
           progress: StageProgress) -> Capture:
     if format_ == CaptureFormat.BAG:
-        return read_bag_capture(source, options.image_topic, options.pose_topic,
-                                of_stage(progress, 'messages'))
+        return read_bag_capture(source, options.bag, of_stage(progress, 'messages'))
     if format_ == CaptureFormat.VIDEO:
         return read_video(source, of_stage(progress, 'video frames'))
     return FOLDER_READERS[format_](source)
@@ -126,10 +127,17 @@ def _with_fisheye_view(capture: Capture, degrees: float) -> Capture:
         for frame in capture.frames))
 
 
-def _tilt_note(capture: Capture) -> list[str]:
-    angle = tilt([frame.pose for frame in capture.frames if frame.pose is not None])
+def _tilt_note(capture: Capture, frames_may_differ: bool) -> list[str]:
+    """Say that the photos were not held upright, and which option may mend that."""
+    poses = [frame.pose for frame in capture.frames if frame.pose is not None]
+    angle = tilt(poses)
     if angle <= CLEARLY_TILTED:
         return []
+    along_x = [CameraPose(pose.T_world_cam @ T_BODY_OPTICAL) for pose in poses]
+    if frames_may_differ and tilt(along_x) <= CLEARLY_TILTED:
+        return [f'the photos were held {math.degrees(angle):.0f} degrees from the '
+                "world's z axis, but upright if the frame of the images looks along x, as in "
+                'Gazebo: then import with --x-forward']
     which = (', which points up in this format; if it does not' if capture.z_up
              else '; if z shall point up')
     return [f'the photos were held {math.degrees(angle):.0f} degrees from the '

@@ -69,7 +69,7 @@ def read_transforms_capture(source: Path) -> Capture:
             size = size or first_photo_size(present, path)
             values |= {'w': size[0], 'h': size[1]}
         frames.append(CapturedFrame(
-            names[index], pose, _read_lens(values, where),
+            names[index], pose, read_lens_keys(values, where),
             _path_id(entry, where), file=file))
     if not frames:
         raise SceneError(f'{path}: none of the {len(entries)} frames has a pose')
@@ -132,7 +132,7 @@ def _number(values: dict[str, Any], key: str) -> float | None:
         raise ValueError(f'{key}: expected a number, got {values[key]!r}') from error
 
 
-def _read_lens(values: dict[str, Any], where: str) -> Lens:
+def read_lens_keys(values: dict[str, Any], where: str) -> Lens:
     model = values.get('camera_model') or ''
     if model not in _MODELS:
         raise SceneError(f'{where}: camera_model: expected one of {", ".join(_MODELS[1:])}, '

@@ -19,8 +19,20 @@ def import_scene(
     image_topic: Annotated[str | None, typer.Option(
         help='Bags: the camera, where there are several.')] = None,
     pose_topic: Annotated[str | None, typer.Option(
-        help='Bags: /tf, a topic of PoseStamped, PoseWithCovarianceStamped or Odometry, or none.',
+        help='Bags: /tf, another topic of transforms or poses (PoseStamped, '
+             'PoseWithCovarianceStamped, Odometry, TransformStamped, Path, PoseArray), or none.',
     )] = None,
+    info_topic: Annotated[str | None, typer.Option(
+        help='Bags: the CameraInfo of the images, where it is not beside them.')] = None,
+    camera_info: Annotated[Path | None, typer.Option(
+        help="Bags: a file with the calibration: camera_calibration's YAML, or the keys of a "
+             'transforms.json.')] = None,
+    base_to_camera: Annotated[str | None, typer.Option(
+        help='Bags without /tf_static: where the frame of the images is on the body, "x y z roll '
+             'pitch yaw" in metres and radians, as the origin of a URDF joint.')] = None,
+    x_forward: Annotated[bool, typer.Option(
+        '--x-forward', help='Bags: the frame of the images looks along x, as in Gazebo, not '
+                            'along z.')] = False,
     keyframe_distance: Annotated[float | None, typer.Option(
         help='Keep the sharpest frame of every so many metres.')] = None,
     keyframe_angle: Annotated[float | None, typer.Option(
@@ -46,6 +58,7 @@ def import_scene(
     The report on the capture is SCENE/capture.html. Run again after an interruption, the import
     goes on where it stopped.
     """
+    from neo_ros.captures.bag import BagOptions
     from neo_ros.captures.formats import CaptureFormat, detect_format
     from neo_ros.captures.importing import finish_scene, import_capture, ImportOptions
     from neo_ros.captures.report import REPORT_FILE
@@ -55,13 +68,15 @@ def import_scene(
     import rich
     from rich.markup import escape
 
+    of_bags: dict[str, Any] = {
+        'image_topic': image_topic, 'info_topic': info_topic, 'camera_info': camera_info,
+        'pose_topic': pose_topic, 'base_to_camera': base_to_camera, 'x_forward': x_forward}
     with stage_progress() as show:
         notes: list[str] = []
         if source == 'demo':
             refuse('the demo has its own', test_runs=test_runs or None, format=format_name,
-                   image_topic=image_topic, pose_topic=pose_topic,
                    keyframe_distance=keyframe_distance, keyframe_angle=keyframe_angle,
-                   level=level, scale=scale, fisheye_view=fisheye_view)
+                   level=level, scale=scale, fisheye_view=fisheye_view, **of_bags)
             write_demo_scene(scene, image_size=size or 128, n_train=photos or 1000,
                              progress=lambda done, total: show('images', done, total))
         else:
@@ -69,13 +84,13 @@ def import_scene(
             format_ = (detect_format(Path(source)) if format_name is None
                        else _named_format(format_name))
             if format_ != CaptureFormat.BAG:
-                refuse('expected only with a bag', image_topic=image_topic, pose_topic=pose_topic)
+                refuse('expected only with a bag', **of_bags)
             if format_ == CaptureFormat.SCENE:
                 refuse(f'for captures, {source} is a scene already and is copied as it is',
                        keyframe_distance=keyframe_distance, keyframe_angle=keyframe_angle,
                        level=level, scale=scale, fisheye_view=fisheye_view)
             notes = import_capture(Path(source), scene, format_, ImportOptions(
-                image_topic, pose_topic, keyframe_distance, keyframe_angle, level, scale,
+                BagOptions(**of_bags), keyframe_distance, keyframe_angle, level, scale,
                 fisheye_view), show)
         found, notes = finish_scene(scene, notes, test_runs, show)
     camera = found.train.intrinsics

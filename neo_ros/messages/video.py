@@ -43,6 +43,7 @@ class VideoDecoder:
             ) from None
         self._av = av
         self.codec = codec
+        self._begun = False
         self._context = self._opened()
 
     def decode(self, data: Any) -> np.ndarray:

@@ -6,8 +6,10 @@ import shlex
 
 from bag_files import START_NS, write_walk_bag
 from camera_bags import CameraBag
+from mcap.writer import Writer as McapWriter
 from neo_ros.bags import BagWriter
 from neo_ros.bags.bag_info import BagInfo, read_bag_info, TopicInfo
+from neo_ros.captures.bag import BagOptions, read_bag_capture
 from neo_ros.cli.main import app
 from neo_ros.errors import BagError
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
@@ -94,12 +96,14 @@ def test_several_pose_topics_are_named_in_the_command(tmp_path: Path) -> None:
 
 def test_a_frame_with_two_parents_is_told_and_another_topic_chosen(tmp_path: Path) -> None:
     with CameraBag(tmp_path / 'bag') as bag:
+        bag.info('/eye/camera_info', 0, EXPANSION.source)
         for stamp, parent in enumerate(('map', 'odom')):
             bag.image('/eye/image', stamp, np.zeros((24, 32, 3), np.uint8))
             bag.tf('/tf', stamp, parent, 'optical', np.eye(4))
             bag.odometry('/odom', stamp, 'optical', np.eye(4))
     info = read_bag_info(tmp_path / 'bag')
-    assert "/tf: expected one parent of the frame 'optical', got 'map' and 'odom'" in info.notes
+    assert info.notes[0].startswith(
+        "/tf: expected one parent of the frame 'optical', got 'map' and 'odom'")
     assert info.next.endswith('out/scenes/bag --pose-topic /odom')
 
 
@@ -146,3 +150,57 @@ def test_the_command_prints_a_table_or_json(walk_bag: Path) -> None:
         assert text in result.output
     result = CliRunner().invoke(app, ['bag-info', str(walk_bag), '--json'])
     assert json.loads(result.output)['messages'] == 56
+
+
+@pytest.mark.parametrize('frame, option', [
+    ('optical', ['--info-topic', '/eye/camera_info_rect']),
+    ('elsewhere', ['--pose-topic', 'none'])])
+def test_a_calibration_that_is_not_beside_the_images_is_proposed_where_its_frame_fits(
+        tmp_path: Path, frame: str, option: list[str]) -> None:
+    with CameraBag(tmp_path / 'bag') as bag:
+        bag.info('/eye/camera_info_rect', 0, EXPANSION.source)
+        for stamp in range(3):
+            bag.image('/eye/image_rect', stamp, np.zeros((24, 32, 3), np.uint8), frame)
+            bag.pose('/slam/pose', stamp, CameraPose.from_planar(stamp, 0, 1, 0).T_world_cam)
+    info = read_bag_info(tmp_path / 'bag')
+    assert '/eye/camera_info_rect' in info.notes[0] and '--camera-info' in info.notes[0]
+    command = shlex.split(info.next)
+    assert command[-2:] == option
+    if frame == 'optical':
+        command[3] = str(tmp_path / 'scene')
+        result = CliRunner().invoke(app, command[1:])
+        assert result.exit_code == 0, result.output
+
+
+def test_depth_is_told_by_its_encoding_not_by_a_name(tmp_path: Path) -> None:
+    with CameraBag(tmp_path / 'bag') as bag:
+        for stamp in range(2):
+            bag.image('/depth_camera/image_raw', stamp, np.zeros((24, 32, 3), np.uint8))
+            for name, encoding, size in (('/a', '16UC1', 2), ('/b', '32FC1', 4)):
+                bag.send(name, 'sensor_msgs/msg/Image', stamp, header=bag.header(stamp, 'optical'),
+                         height=24, width=32, encoding=encoding, is_bigendian=0, step=32 * size,
+                         data=np.zeros(24 * 32 * size, np.uint8))
+            bag.send('/c/compressedDepth', 'sensor_msgs/msg/CompressedImage', stamp,
+                     header=bag.header(stamp, 'optical'), format='16UC1; compressedDepth png',
+                     data=np.zeros(20, np.uint8))
+    info = read_bag_info(tmp_path / 'bag')
+    assert {topic.name for topic in info.topics if topic.roles} == {'/depth_camera/image_raw'}
+
+
+@pytest.mark.parametrize('encoding', ['json', 'ros1', 'protobuf'])
+def test_images_that_cannot_be_read_are_named_where_they_are_wanted(
+        tmp_path: Path, encoding: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr('neo_ros.bags.topic.has_protobuf', lambda: False)
+    name = 'foxglove.CompressedImage' if encoding == 'protobuf' else 'sensor_msgs/Image'
+    with (tmp_path / 'a.mcap').open('wb') as file:
+        writer = McapWriter(file)
+        writer.start()
+        channel = writer.register_channel(
+            '/eye', encoding, writer.register_schema(name, 'any', b''))
+        writer.add_message(channel, 1, b'{}', 1)
+        writer.finish()
+    advice = {'json': "only Foxglove's images", 'ros1': 'rosbags-convert',
+              'protobuf': r"pip install 'neo_ros\[foxglove\]'"}[encoding]
+    for topic in (None, '/eye'):
+        with pytest.raises(BagError, match=f'/eye .{name} as {encoding}.*not read: .*{advice}'):
+            read_bag_capture(tmp_path / 'a.mcap', BagOptions(topic))

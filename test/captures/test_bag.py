@@ -10,7 +10,7 @@ from capture_files import demo_photos, write_bag
 import cv2
 from neo_ros.bags import BagReader, BagWriter
 from neo_ros.bags.transforms import PoseTrack
-from neo_ros.captures.bag import read_bag_capture
+from neo_ros.captures.bag import BagOptions, read_bag_capture
 from neo_ros.captures.scene_writing import write_capture
 from neo_ros.errors import BagError, SceneError
 from neo_ros.geometry import CameraPose, Intrinsics
@@ -177,7 +177,7 @@ def test_one_of_two_cameras_is_chosen_by_name(tmp_path: Path, image_topic: str) 
         add_camera(bag, '/right/image_raw', '/right/camera_info', order=range(2))
     with pytest.raises(BagError, match='2 cameras.*--image-topic: /left/image_raw.*/right'):
         read_bag_capture(tmp_path / 'bag')
-    assert len(read_bag_capture(tmp_path / 'bag', image_topic)) == (
+    assert len(read_bag_capture(tmp_path / 'bag', BagOptions(image_topic))) == (
         4 if 'left' in image_topic else 2)
 
 
@@ -237,7 +237,7 @@ def test_poses_are_left_aside_where_none_are_wanted(tmp_path: Path) -> None:
     with CameraBag(tmp_path / 'bag') as bag:
         no_way_from_tf(bag)
         add_odometry(bag)
-    capture = read_bag_capture(tmp_path / 'bag', pose_topic='none')
+    capture = read_bag_capture(tmp_path / 'bag', options=BagOptions(pose_topic='none'))
     assert not capture.posed
     assert 'no poses are taken from the bag: structure from motion' in capture.notes
 
@@ -275,7 +275,7 @@ def test_a_camera_that_never_moves_in_tf_has_no_poses_unless_they_are_asked_for(
             bag.tf('/tf', START + time * STEP, 'base_link', 'optical', T_BASE_OPTICAL)
     assert not read_bag_capture(tmp_path / 'bag').posed
     assert 'optical never moves in /tf' in caplog.text and '--pose-topic /tf' in caplog.text
-    capture = read_bag_capture(tmp_path / 'bag', pose_topic='/tf')
+    capture = read_bag_capture(tmp_path / 'bag', options=BagOptions(pose_topic='/tf'))
     found = [frame.pose.T_world_cam for frame in capture.frames if frame.pose is not None]
     np.testing.assert_allclose(found, [T_BASE_OPTICAL] * COUNT, atol=1e-9)
     assert 'poses from /tf: optical in base_link, where it never moves' in capture.notes
@@ -292,7 +292,7 @@ def test_a_frame_with_two_parents_matters_only_on_the_way_to_the_poses(tmp_path:
     assert 'poses from /tf: optical in map' in read_bag_capture(tmp_path / 'bag').notes
     with CameraBag(tmp_path / 'odometry') as bag:
         two_parents_beside_odometry(bag)
-    capture = read_bag_capture(tmp_path / 'odometry', pose_topic='/odom')
+    capture = read_bag_capture(tmp_path / 'odometry', options=BagOptions(pose_topic='/odom'))
     found = [frame.pose.T_world_cam for frame in capture.frames if frame.pose is not None]
     np.testing.assert_allclose(found, camera_poses(), atol=3e-3)
 
@@ -318,7 +318,8 @@ def foreign_transforms(bag: CameraBag) -> None:
     add_camera(bag)
     add_mount(bag)
     for time in range(COUNT):
-        bag.tf('/robot1/tf', START + time * STEP, 'odom', 'base_link', base_pose(time))
+        for name in ('/robot1/tf', '/robot2/tf'):
+            bag.tf(name, START + time * STEP, 'odom', 'base_link', base_pose(time))
 
 
 def only_fixed(bag: CameraBag) -> None:
@@ -402,7 +403,8 @@ def no_image(bag: CameraBag) -> None:
     (no_way_from_tf, {}, '/tf moves base_link; expected /tf_static from there to the frame of the '
      r"images, 'optical', got optical -> cam; .*--pose-topic: none \(structure"),
     (no_way_from_tf, {'pose_topic': '/tf'}, '/tf moves base_link; expected /tf_static'),
-    (foreign_transforms, {}, 'expected transforms on /tf and /tf_static, got /robot1/tf .*none'),
+    (foreign_transforms, {}, 'expected transforms on /tf and /tf_static, got /robot1/tf .*'
+     '--pose-topic /robot1/tf.*none'),
     (foreign_transforms, {'pose_topic': '/odom'}, 'expected poses on /odom; .*--pose-topic: none'),
     (two_pose_topics, {'image_topic': '/nowhere'}, 'expected images on /nowhere.*image_raw'),
     (no_mount, {}, "/odom gives poses of 'base_link'; expected /tf_static"),
@@ -427,7 +429,7 @@ def test_what_is_missing_or_ambiguous_is_named(
     with CameraBag(tmp_path / 'bag') as bag:
         fill(bag)
     with pytest.raises(BagError, match=message):
-        read_bag_capture(tmp_path / 'bag', **topics)
+        read_bag_capture(tmp_path / 'bag', BagOptions(**topics))
 
 
 def test_an_image_of_another_size_is_named_by_its_stamp(tmp_path: Path) -> None:

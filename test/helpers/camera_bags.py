@@ -58,6 +58,22 @@ class CameraBag(BagWriter):
         self.send(topic, 'geometry_msgs/msg/PoseStamped', stamp_ns,
                   header=self.header(stamp_ns, 'map'), pose=self.make_pose(T))
 
+    def transform(self, topic: str, stamp_ns: int, child: str, T: np.ndarray) -> None:
+        self.send(topic, 'geometry_msgs/msg/TransformStamped', stamp_ns,
+                  header=self.header(stamp_ns, 'world'), child_frame_id=child,
+                  transform=self.make('geometry_msgs/msg/Transform', translation=self.vector(T),
+                                      rotation=self.quaternion(T)))
+
+    def pose_path(self, topic: str, stamp_ns: int, poses: dict[int, np.ndarray]) -> None:
+        self.send(topic, 'nav_msgs/msg/Path', stamp_ns, header=self.header(stamp_ns, 'map'),
+                  poses=[self.make('geometry_msgs/msg/PoseStamped', pose=self.make_pose(T),
+                                   header=self.header(stamp, 'map'))
+                         for stamp, T in poses.items()])
+
+    def pose_array(self, topic: str, stamp_ns: int, poses: list[np.ndarray]) -> None:
+        self.send(topic, 'geometry_msgs/msg/PoseArray', stamp_ns,
+                  header=self.header(stamp_ns, 'map'), poses=list(map(self.make_pose, poses)))
+
     def odometry(self, topic: str, stamp_ns: int, child: str, T: np.ndarray) -> None:
         zero = self.make('geometry_msgs/msg/Vector3', x=0.0, y=0.0, z=0.0)
         self.send(
