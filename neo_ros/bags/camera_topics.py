@@ -31,9 +31,12 @@ def find_image_topic(reader: BagReader, name: str | None) -> BagTopic:
     if name is not None:
         return topics[0]
     if not topics:
-        unread = describe_unread(reader.topics)
-        raise BagError(f'{reader.path}: expected a topic of type {IMAGE} or {COMPRESSED} that is '
-                       f'no depth, the bag has {unread or describe_topics(reader.topics)}')
+        depth = [topic for topic in reader.topics if topic.msgtype in (IMAGE, COMPRESSED)
+                 and topic.count]
+        found = (f'only depth: {describe_topics(depth)}' if depth else
+                 describe_unread(reader.topics) or describe_topics(reader.topics))
+        raise BagError(f'{reader.path}: expected a topic of type {IMAGE} or {COMPRESSED}, the '
+                       f'bag has {found}')
     calibrated = [topic for topic in topics if find_info_topic(reader, topic) is not None]
     choice = calibrated or topics
     choice = _without_copies(choice)

@@ -27,6 +27,7 @@ _CHUNK_SIGHT = re.compile(
     rb'\x06.{36}(?:\x00{4}|\x03\x00{3}lz4|\x04\x00{3}zstd)', re.DOTALL)
 _MESSAGE_SIGHT = re.compile(rb'\x05.{5}\x00{3}', re.DOTALL)
 _BLOCK, _SIGHT_BYTES = 1 << 20, 64
+_MOST_EXTRA_BYTES = 16
 
 Read = Callable[[int, int], bytes]  # (offset, count) -> as many bytes as there are
 
@@ -168,7 +169,10 @@ def _record_at(read: Read, position: int, stop: int) -> Record | None:
             return None
     if opcode == Opcode.MESSAGE_INDEX:
         index = read(body, _INDEX_HEAD.size)
-        if length < _INDEX_HEAD.size or _INDEX_HEAD.unpack(index)[1] != length - len(index):
+        if length < _INDEX_HEAD.size:
+            return None
+        # A record may be longer than what is known of it, but hardly by much.
+        if not 0 <= length - len(index) - _INDEX_HEAD.unpack(index)[1] < _MOST_EXTRA_BYTES:
             return None
     return Record(position, opcode, body, body + length)
 

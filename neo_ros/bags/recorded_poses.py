@@ -35,17 +35,19 @@ class PoseTopics:
     tf, static  the transforms that are read: /tf and /tf_static, or those of another name
     poses       topics of poses
     foreign     topics of transforms that are not read, such as /robot1/tf beside /tf
+    foxglove    names of Foxglove's transforms: they belong together whatever they are called
     """
 
     tf: str
     static: str
     poses: list[BagTopic]
     foreign: list[BagTopic]
+    foxglove: frozenset[str] = frozenset()
 
     @property
     def names(self) -> set[str]:
         """The names of all topics that are read."""
-        return {self.tf, self.static, *(topic.name for topic in self.poses)}
+        return {self.tf, self.static, *self.foxglove, *(topic.name for topic in self.poses)}
 
 
 class PoseChoice(NamedTuple):
@@ -124,25 +126,30 @@ def find_pose_topics(reader: BagReader, wanted: str | None) -> PoseTopics:
     """Return the topics that may say where the camera was, or the wanted one. Raises BagError."""
     recorded = [topic for topic in reader.topics if topic.count]
     transforms = [topic for topic in recorded if topic.msgtype == TF_TYPE]
+    foxglove = frozenset(topic.name for topic in transforms if topic.encoding != CDR)
+    transforms = [topic for topic in transforms if topic.name not in foxglove]
     moving = [topic.name for topic in transforms if not _is_static(topic.name)]
     tf = TF
     if wanted in moving:
         tf = str(wanted)
     elif TF not in moving and len(moving) == 1 and wanted != TF:
         tf = moving[0]
+    elif not moving and foxglove and TF not in foxglove:
+        tf = min(foxglove)
     names = {topic.name for topic in transforms}
     static = f'{tf}_static' if f'{tf}_static' in names else TF_STATIC
     foreign = [topic for topic in transforms if topic.name not in (tf, static)]
     poses = [topic for topic in recorded if topic.msgtype in POSE_TYPES]
     spare = [topic for topic in recorded if topic.msgtype in SPARE_TYPES]
     if wanted is None or wanted in (TF, tf, NO_POSES):
-        return PoseTopics(tf, static, [] if wanted == NO_POSES else poses or spare, foreign)
+        return PoseTopics(tf, static, [] if wanted == NO_POSES else poses or spare, foreign,
+                          foxglove)
     found = [topic for topic in (*poses, *spare) if topic.name == wanted]
     if not found:
         unread = describe_unread(topic for topic in reader.topics if topic.name == wanted)
         raise BagError(f'{reader.path}: expected poses on {wanted}{unread and ", got "}{unread}'
                        f'{_choice([*poses, *spare])}')
-    return PoseTopics(tf, static, found, foreign)
+    return PoseTopics(tf, static, found, foreign, foxglove)
 
 
 def find_pose_source(path: Path, recorded: RecordedPoses, camera: str, wanted: str | None,

@@ -29,9 +29,8 @@ def read_camera_file(path: Path, image_topic: str) -> Lens:
     except (ValueError, yaml.YAMLError) as error:
         raise SceneError(f'{where}: expected YAML or JSON: {error}') from error
     if isinstance(content, dict) and 'camera_matrix' in content:
-        info = camera_info_of(_as_camera_info(content, where), image_topic)
         try:
-            return read_lens(info)
+            return read_lens(camera_info_of(_as_camera_info(content, where), image_topic))
         except ImageRejected as error:
             raise SceneError(f'{where}: {error}') from error
     if isinstance(content, dict) and {'w', 'h'} <= content.keys():

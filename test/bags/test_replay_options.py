@@ -240,8 +240,11 @@ def test_a_model_without_a_memory_says_nothing_of_it(tmp_path, walk_bag) -> None
 
 def test_depth_images_are_no_camera(tmp_path) -> None:
     with CameraBag(tmp_path / 'bag') as bag:
+        bag.image('/cam/color/image_raw', 0, np.zeros((24, 32, 3), np.uint8))
+        bag.send('/cam/aligned_depth/image_raw', 'sensor_msgs/msg/Image', 0, height=24, width=32,
+                 header=bag.header(0, 'optical'), encoding='16UC1', is_bigendian=0, step=64,
+                 data=np.zeros(24 * 64, np.uint8))
         for name in ('color', 'aligned_depth'):
-            bag.image(f'/cam/{name}/image_raw', 0, np.zeros((24, 32, 3), np.uint8))
             bag.info(f'/cam/{name}/camera_info', 0, EXPANSION.source)
     with BagReader(tmp_path / 'bag') as reader:
         assert find_camera(reader, EXPANSION.source, None).image.name == '/cam/color/image_raw'
