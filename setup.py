@@ -34,7 +34,7 @@ EXTRAS = {
     'foxglove': ['mcap-protobuf-support'],
     # The page of `neo view`.
     'viewer': ['aiohttp'],
-    # The video of `neo replay --side-by-side`.
+    # Video messages in bags, and the video of `neo replay --side-by-side`.
     'video': ['av'],
     # `colcon test` runs pytest when the extra of this name asks for it.
     'test': TEST,

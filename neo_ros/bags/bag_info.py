@@ -6,7 +6,7 @@ import shlex
 from typing import Any
 
 from neo_ros.bags.camera_topics import (
-    CAMERA_INFO, COMPRESSED, find_info_topic, IMAGE, image_topics, info_topics, read_lens,
+    CAMERA_INFO, find_info_topic, IMAGE, image_topics, info_topics, read_lens,
     same_frame)
 from neo_ros.bags.reading import BagReader
 from neo_ros.bags.recorded_poses import (
@@ -16,8 +16,10 @@ from neo_ros.bags.transforms import frame_name
 from neo_ros.errors import BagError, ImageRejected, SceneError
 from neo_ros.geometry import ViewExpansion
 from neo_ros.machine.progress import no_progress, Progress
-from neo_ros.messages.compressed_image import compressed_size
+from neo_ros.messages.image_reader import ImageReader
 
+# A key frame comes every few seconds, or there is none.
+MOST_TRIED = 1000
 IMAGE_ROLE, POSE_ROLE, TRUTH_ROLE = 'image', 'pose', 'truth'
 
 
@@ -72,6 +74,7 @@ class _Camera:
     frame: str = ''
     calibrated: bool = False
     distorted: bool = False
+    images: ImageReader = field(default_factory=ImageReader)
     info_option: str = ''
 
 
@@ -147,17 +150,26 @@ class _Scan:
                 info.content = self._describe(topic, message)
         except (BagError, ImageRejected, SceneError) as error:
             info.content = info.content or str(error)
+            # The start of a recorded video builds on frames that are not there.
+            if isinstance(error, ImageRejected) and error.reason == 'key_frame' and (
+                    info.count < MOST_TRIED):
+                info.content = ''
 
     def find_image(self, expansion: ViewExpansion | None) -> _Camera | None:
         """Return the camera to be used: of the model's size, calibrated, raw before compressed."""
-        for camera in self.cameras.values():
+        readable = [camera for camera in self.cameras.values() if camera.size is not None]
+        for camera in readable:
             self.infos[camera.topic].roles.append(IMAGE_ROLE)
-        if not self.cameras:
+        for camera in self.cameras.values():
+            if camera.size is None:
+                self.notes.append(f'{camera.topic.name} cannot be read: '
+                                  f'{self.infos[camera.topic].content}')
+        if not readable:
             self.notes.append('no images: neither training nor replay is possible')
             return None
         wanted = None if expansion is None else (expansion.source.width, expansion.source.height)
-        ranked = sorted(self.cameras.values(), key=lambda camera: (
-            camera.size != wanted, not camera.calibrated, camera.topic.msgtype == COMPRESSED,
+        ranked = sorted(readable, key=lambda camera: (
+            camera.size != wanted, not camera.calibrated, camera.topic.msgtype != IMAGE,
             math.prod(camera.size or (0, 0)), camera.topic.name))
         if not ranked[0].calibrated:
             self._tell_lack_of_info(ranked[0])
@@ -225,9 +237,9 @@ class _Scan:
         if topic in self.cameras:
             content, seen = message.read(), self.cameras[topic]
             seen.frame = frame_name(content.header.frame_id)
-            seen.size = (content.width, content.height) if topic.msgtype == IMAGE else (
-                compressed_size(content))
-            form = content.encoding if topic.msgtype == IMAGE else content.format
+            height, width = seen.images.read(content).shape[:2]
+            seen.size = width, height
+            form = getattr(content, 'format', None) or content.encoding
             return f'{seen.size[0]}x{seen.size[1]} {form}, frame {seen.frame}'
         if topic.msgtype == CAMERA_INFO:
             camera = self._calibrations.get(topic)

@@ -3,16 +3,19 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
+from neo_ros.bags.foxglove import VIDEO
 from neo_ros.bags.reading import BagReader
 from neo_ros.bags.topic import BagTopic, CDR, describe_topics, describe_unread
 from neo_ros.errors import BagError, ImageRejected
 from neo_ros.geometry import Intrinsics
 from neo_ros.geometry.lens import Lens
-from neo_ros.messages import camera_info_of, image_fields, read_compressed_image
+from neo_ros.messages import camera_info_of, image_fields
 from neo_ros.messages.camera_info import read_lens as info_lens
-from neo_ros.messages.compressed_image import compressed_size
+from neo_ros.messages.image_reader import ImageReader
 
 IMAGE, COMPRESSED = 'sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage'
+PACKET = 'ffmpeg_image_transport_msgs/msg/FFMPEGPacket'
+IMAGE_TYPES = (IMAGE, COMPRESSED, VIDEO, PACKET)
 CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
 DEPTH_ENCODINGS = ('16UC1', '32FC1')
 
@@ -100,7 +103,7 @@ def image_topics(reader: BagReader, name: str | None) -> list[BagTopic]:
 
     Raises BagError for a wrong name.
     """
-    images = [topic for topic in reader.topics if topic.msgtype in (IMAGE, COMPRESSED)]
+    images = [topic for topic in reader.topics if topic.msgtype in IMAGE_TYPES]
     if name is None:
         return [topic for topic in images if topic.count and not _is_depth(reader.first(topic))]
     topics = [topic for topic in images if topic.name == name]
@@ -118,28 +121,32 @@ def _is_depth(message: Any) -> bool:
 
 
 def first_size(reader: BagReader, topic: BagTopic) -> tuple[int, int] | None:
-    """Return width and height of the topic's first image that says them."""
+    """Return width and height of the topic's first image that can be read."""
+    images = ImageReader(depth_as_grey=True)
     for message in reader.messages([topic.name]):
         if message.topic != topic:
             continue
         try:
-            content = message.read()
-            return (content.width, content.height) if topic.msgtype == IMAGE else (
-                compressed_size(content))
-        except (BagError, ImageRejected):
+            height, width = images.read(message.read()).shape[:2]
+            return width, height
+        except ImageRejected as rejection:
+            if rejection.reason == 'encoding':  # The same for all images of the topic.
+                return None
+        except BagError:
             continue
     return None
 
 
-def as_raw_image(message: Any, topic: BagTopic) -> Any:
+def as_raw_image(message: Any, topic: BagTopic, images: ImageReader) -> Any:
     """
-    Return an Image message as it is, and a CompressedImage with the fields of an Image.
+    Return an image that is compressed in any way with the fields of an Image; others as they are.
 
-    Raises ImageRejected as `read_compressed_image` does.
+    images: of this topic; a video needs every message in its order. Raises ImageRejected as
+    `ImageReader.read` does.
     """
-    if topic.msgtype != COMPRESSED:
+    if topic.msgtype not in IMAGE_TYPES or topic.msgtype == IMAGE:
         return message
-    return SimpleNamespace(header=message.header, **image_fields(read_compressed_image(message)))
+    return SimpleNamespace(header=message.header, **image_fields(images.read(message)))
 
 
 def find_info_topic(reader: BagReader, image: BagTopic,
@@ -201,4 +208,4 @@ def _without_copies(topics: list[BagTopic]) -> list[BagTopic]:
 
 def _base(image: BagTopic) -> str:
     """Return the name of the raw image topic that a compressed one belongs to."""
-    return image.name.rpartition('/')[0] if image.msgtype == COMPRESSED else image.name
+    return image.name if image.msgtype == IMAGE else image.name.rpartition('/')[0]

@@ -9,6 +9,7 @@ from neo_ros.bags.topic import Channel, JSON
 import numpy as np
 
 Reader = Callable[[bytes], Any]
+VIDEO = 'foxglove_msgs/msg/CompressedVideo'
 
 
 def reader_of(encoding: str, channel: Channel) -> Reader:
@@ -28,6 +29,12 @@ def reader_of(encoding: str, channel: Channel) -> Reader:
     if decode is None:
         raise ValueError(f'expected a protobuf schema, got {channel.schema_encoding!r}')
     return lambda data: convert(decode(data))
+
+
+def with_header(video: Any) -> Any:
+    """Return a CompressedVideo with a header, as the messages of other cameras have one."""
+    return SimpleNamespace(header=SimpleNamespace(stamp=video.timestamp, frame_id=video.frame_id),
+                           format=video.format, data=video.data)
 
 
 def _header(message: Any, frame_id: str) -> Any:

@@ -10,7 +10,7 @@ from typing import Any
 from mcap.records import Attachment, Metadata
 from neo_ros.bags.bag_folder import BagFolder, MCAP, plain_name, read_bag_folder, unpacked
 from neo_ros.bags.damage import Damage
-from neo_ros.bags.foxglove import reader_of
+from neo_ros.bags.foxglove import reader_of, VIDEO, with_header
 from neo_ros.bags.mcap_file import McapFile
 from neo_ros.bags.mcap_records import MAX_CHUNK_BYTES
 from neo_ros.bags.sqlite_file import SqliteFile
@@ -76,7 +76,8 @@ class _Decoder:
             self._typestore.register(
                 get_types_from_idl(topic.msgdef.data) if idl
                 else get_types_from_msg(topic.msgdef.data, topic.msgtype))
-        return self._typestore.deserialize_cdr(data, topic.msgtype)
+        message = self._typestore.deserialize_cdr(data, topic.msgtype)
+        return with_header(message) if topic.msgtype == VIDEO else message
 
     def _read_foxglove(self, topic: BagTopic, data: bytes) -> Any:
         assert topic.channel is not None

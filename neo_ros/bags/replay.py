@@ -17,6 +17,7 @@ from neo_ros.errors import BagError, ImageRejected
 from neo_ros.geometry import ViewExpansion
 from neo_ros.machine.progress import Progress
 from neo_ros.messages import camera_info_of, FrameProcessor, image_fields, read_image
+from neo_ros.messages.image_reader import ImageReader
 from neo_ros.messages.stamps import NS_PER_S, stamp_of
 from neo_ros.runtime import FovExtrapolator
 import numpy as np
@@ -161,7 +162,8 @@ def _copy_beside(reader: BagReader, writer: BagWriter) -> None:
 def _messages(reader: BagReader, camera: CameraTopics, truth: BagTopic | None, start_ns: int,
               stop_ns: int) -> Iterator[_Decoded]:
     """Yield the messages of a section, behind what of the time before it still holds."""
-    wanted = {topic for topic in (camera.image, camera.info, truth) if topic is not None}
+    wanted = {topic: ImageReader() for topic in (camera.image, camera.info, truth)
+              if topic is not None}
     if start_ns:
         before = {topic.name for topic in reader.topics if topic.latched}
         newest: BagMessage | None = None
@@ -170,18 +172,19 @@ def _messages(reader: BagReader, camera: CameraTopics, truth: BagTopic | None, s
             if message.topic == camera.info:
                 newest = message
             elif message.topic.name in before:
-                yield _decoded(message, set())
+                yield _decoded(message, {})
         if newest is not None:
             yield _decoded(newest, wanted)
     for message in reader.messages(None, start_ns, stop_ns):
         yield _decoded(message, wanted)
 
 
-def _decoded(message: BagMessage, wanted: set[BagTopic]) -> _Decoded:
+def _decoded(message: BagMessage, wanted: dict[BagTopic, ImageReader]) -> _Decoded:
     if message.topic not in wanted:
         return _Decoded(message)
     try:
-        return _Decoded(message, as_raw_image(message.read(), message.topic))
+        return _Decoded(message, as_raw_image(
+            message.read(), message.topic, wanted[message.topic]))
     except BagError as error:
         return _Decoded(message, rejected=ImageRejected('cdr', str(error)))
     except ImageRejected as error:

@@ -1,12 +1,12 @@
 """A recorded bag as a capture: images, calibration, and poses at the images' stamps."""
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from neo_ros.bags.camera_topics import (
-    COMPRESSED, find_image_topic, find_info_topic, info_topics, read_lens)
+    find_image_topic, find_info_topic, info_topics, read_lens)
 from neo_ros.bags.reading import BagReader
 from neo_ros.bags.recorded_poses import (
     find_pose_source, find_pose_topics, PoseTopics, RecordedPoses)
@@ -18,7 +18,7 @@ from neo_ros.errors import BagError, ConfigError, ImageRejected
 from neo_ros.geometry import CameraPose
 from neo_ros.geometry.camera_pose import rotation_from_vector, T_BODY_OPTICAL
 from neo_ros.machine.progress import no_progress, Progress
-from neo_ros.messages import read_compressed_image, read_image
+from neo_ros.messages.image_reader import ImageReader, is_video
 from neo_ros.messages.stamps import stamp_of
 import numpy as np
 
@@ -32,6 +32,7 @@ class _Scan:
     damaged: Counter[str] = field(default_factory=Counter)  # messages by topic
     log_times: list[int] = field(default_factory=list)
     camera_frame: str = ''
+    video: bool = False
     info: Any = None
     poses: RecordedPoses = field(default_factory=RecordedPoses)
 
@@ -146,7 +147,11 @@ def read_bag_capture(path: Path, options: BagOptions = BagOptions(),
                        f'{describe_topics(infos) if infos else "no CameraInfo topic"}; '
                        f'{"choose one with --info-topic, or " if infos else ""}give a file with '
                        '--camera-info')
-    stream = _stream(path, image, places)
+    depth_as_grey = options.image_topic is not None
+    stream = _stream(path, image, places, depth_as_grey)
+    if scan.video:
+        places, frames = _without_start(path, image, places, frames, notes, stream)
+        stream = _stream(path, image, places, depth_as_grey)
     next(stream([0]), None)  # What cannot be decoded at all is refused before anything is written.
     return Capture(tuple(frames), tuple(notes), stream, origin_of(path),
                    z_up=source is not None)  # REP-103
@@ -170,12 +175,20 @@ def _scan(reader: BagReader, image: BagTopic, info: BagTopic | None,
         if topic == image:
             scan.images.append((stamp_of(content.header), place))
             scan.log_times.append(message.stamp_ns)
+            scan.video = scan.video or _says_video(content)
             _take_frame(scan, frame_name(content.header.frame_id), reader.path, topic)
         elif topic == info:
             _take_info(scan, content, f'{reader.path}: {topic.name}')
         else:
             scan.poses.add(topic, content)
     return scan
+
+
+def _says_video(content: Any) -> bool:
+    try:
+        return is_video(content)
+    except ImageRejected:  # Of a codec that is not known; the images say so when they are read.
+        return False
 
 
 def _take_frame(scan: _Scan, frame: str, path: Path, image: BagTopic) -> None:
@@ -225,22 +238,31 @@ def _gaps(source: PoseSource, lost: Sequence[int], topics: Sequence[BagTopic]) -
     return f'{gaps}; other poses: --pose-topic {" or ".join(others)}' if gaps and others else gaps
 
 
-def _stream(path: Path, image: BagTopic, places: Sequence[int]) -> ImageStream:
+def _stream(path: Path, image: BagTopic, places: Sequence[int],
+            depth_as_grey: bool) -> ImageStream:
     """Return a function that reads images of the bag, in the order of the bag."""
     def read(indices: Sequence[int]) -> Iterator[tuple[int, np.ndarray | None]]:
         wanted = {places[index]: index for index in indices}
         if not wanted:
             return
+        images = ImageReader(depth_as_grey)
         with BagReader(path) as reader:
             messages = (message for message in reader.messages({image.name})
                         if message.topic == image)
             for place, message in enumerate(messages):
-                if place in wanted:
-                    try:
-                        picture = decode_image(message.read(), image.msgtype)
-                    except ImageRejected as error:
+                try:
+                    content = message.read()
+                    # A frame of a video builds on those before it, wanted or not.
+                    picture = images.read(content) if place in wanted or (
+                        is_video(content)) else None
+                except BagError:
+                    picture = None
+                except ImageRejected as error:
+                    if error.reason == 'encoding':  # The same for all images of the topic.
                         raise BagError(f'{path}: {image.name}: {error}; convert the images, or '
                                        'record another topic of this camera') from error
+                    picture = None
+                if place in wanted:
                     yield wanted.pop(place), picture
                 if not wanted:
                     return
@@ -248,11 +270,18 @@ def _stream(path: Path, image: BagTopic, places: Sequence[int]) -> ImageStream:
     return read
 
 
-def decode_image(message: Any, msgtype: str) -> np.ndarray | None:
-    """Return RGB uint8 (H, W, 3) of an Image or CompressedImage; None if it is damaged."""
-    try:
-        return (read_compressed_image if msgtype == COMPRESSED else read_image)(message)
-    except ImageRejected as error:
-        if error.reason == 'encoding':  # The same for all images of the topic.
-            raise
-        return None
+def _without_start(path: Path, image: BagTopic, places: list[int], frames: list[CapturedFrame],
+                   notes: list[str], stream: ImageStream) -> tuple[list[int], list[CapturedFrame]]:
+    """Leave out the frames of a video before its first key frame, and say how many."""
+    started = next((index for index, picture in stream(range(len(places)))
+                    if picture is not None), None)
+    if started is None:
+        raise BagError(f'{path}: {image.name}: none of the {len(places)} video frames can be '
+                       'decoded; is there no key frame among them?')
+    kept = [index for index, place in enumerate(places) if place >= places[started]]
+    missing = len(places) - len(kept)
+    if missing:
+        notes.append(f'{missing} video frames before the first key frame are left out')
+    return [places[index] for index in kept], [
+        replace(frames[index], name=f'images/{number:06d}.png')
+        for number, index in enumerate(kept)]

@@ -16,12 +16,11 @@ from neo_ros.captures.scene_writing import write_capture
 from neo_ros.captures.structure_from_motion import reconstruct
 from neo_ros.captures.video import read_video
 from neo_ros.errors import ConfigError, SceneError
-from neo_ros.geometry import CameraPose
-from neo_ros.geometry.camera_pose import T_BODY_OPTICAL
 from neo_ros.geometry.lens import LEAST_VIEW, MOST_VIEW
 from neo_ros.machine.progress import of_stage, StageProgress
 from neo_ros.scenes.scene import Scene
 from neo_ros.scenes.upright import read_upright_scene, tilt
+import numpy as np
 
 
 @dataclass(frozen=True)
@@ -133,8 +132,10 @@ def _tilt_note(capture: Capture, frames_may_differ: bool) -> list[str]:
     angle = tilt(poses)
     if angle <= CLEARLY_TILTED:
         return []
-    along_x = [CameraPose(pose.T_world_cam @ T_BODY_OPTICAL) for pose in poses]
-    if frames_may_differ and tilt(along_x) <= CLEARLY_TILTED:
+    # A frame that looks along x has its z axis up; that of a camera on its side lies level.
+    z_axis = np.mean([pose.T_world_cam[:3, 2] for pose in poses], axis=0)
+    upright = z_axis[2] >= math.cos(CLEARLY_TILTED) * np.linalg.norm(z_axis)
+    if frames_may_differ and upright:
         return [f'the photos were held {math.degrees(angle):.0f} degrees from the '
                 "world's z axis, but upright if the frame of the images looks along x, as in "
                 'Gazebo: then import with --x-forward']

@@ -6,7 +6,7 @@ import sqlite3
 
 from bag_files import (
     START_NS, STRING, string_cdr, texts, write_foreign_mcap, write_sqlite_bag, write_text_bag)
-from mcap.writer import CompressionType
+from mcap.writer import CompressionType, IndexType
 from neo_ros.bags import BagReader, BagWriter, Damage
 from neo_ros.bags.mcap_file import McapFile
 from neo_ros.bags.mcap_records import MAX_CHUNK_BYTES
@@ -348,3 +348,19 @@ def test_a_flipped_bit_in_the_type_of_a_row_loses_nothing(tmp_path: Path) -> Non
     database.write_bytes(content)
     found, damages = read_all(database)
     assert found == [string_cdr(text) for text in texts(40)] and not damages
+
+
+def test_records_that_a_later_version_made_longer_are_no_damage(tmp_path: Path) -> None:
+    file = tmp_path / 'a.mcap'
+    content = write_foreign_mcap(file, 5, CompressionType.NONE, 1 << 20,
+                                 index_types=IndexType.MESSAGE).read_bytes()
+    # The summary's places move, so it goes: the file ends as one that was never indexed.
+    index = content.index(b'\x07' + (6 + 5 * 16).to_bytes(8, 'little'))
+    end = index + 9 + 6 + 5 * 16
+    length = (6 + 5 * 16 + 3).to_bytes(8, 'little')
+    data_end = b'\x0f' + (4).to_bytes(8, 'little') + bytes(4)
+    footer = b'\x02' + (20).to_bytes(8, 'little') + bytes(20)
+    file.write_bytes(content[:index + 1] + length + content[index + 9:end] + b'\x01\xff\xff'
+                     + data_end + footer + content[:8])
+    with BagReader(file) as bag:
+        assert len(list(bag.messages())) == 5 and bag.damages == []

@@ -386,7 +386,7 @@ def strange_lens(bag: CameraBag) -> None:
 
 def only_depth(bag: CameraBag) -> None:
     bag.send(RAW, 'sensor_msgs/msg/Image', START, header=bag.header(START, 'optical'),
-             height=24, width=32, encoding='16UC1', is_bigendian=0, step=64,
+             height=24, width=32, encoding='32FC1', is_bigendian=0, step=64,
              data=np.zeros(24 * 64, np.uint8))
 
 
@@ -421,7 +421,7 @@ def no_image(bag: CameraBag) -> None:
     (no_info_at_all, {}, 'expected a camera_info beside .*; the bag has no CameraInfo topic'),
     (strange_lens, {}, "/cam/camera_info: .*coefficients.* of plumb_bob.*'mystery'.*image_rect"),
     (only_depth, {}, 'expected a topic of type .*the bag has only depth: /cam/image_raw'),
-    (only_depth, {'image_topic': RAW}, '/cam/image_raw: .*16UC1.*record another topic'),
+    (only_depth, {'image_topic': RAW}, '/cam/image_raw: .*32FC1.*record another topic'),
     (no_image, {}, 'expected a topic of type sensor_msgs/msg/Image.*/tf'),
 ], ids=lambda value: value.__name__ if callable(value) else '')
 def test_what_is_missing_or_ambiguous_is_named(
