@@ -35,7 +35,7 @@ class Remembering(QuickExtrapolator):
     def __init__(self) -> None:
         self.images: list[np.ndarray] = []
 
-    def expand(self, image: np.ndarray) -> Any:
+    def expand(self, image: np.ndarray, prior=None, motion=None) -> Any:
         self.images.append(image.copy())
         return super().expand(image)
 
