@@ -70,8 +70,6 @@ class ReplayOutputs:
         scores = [frame.out_of_scene for frame in frames if frame.out_of_scene is not None]
         score = float(np.mean(scores)) if scores else None
         unlike = self._watch.update(score)
-        total = [sum(frame.stages_ms.values()) for frame in frames]
-        spread = (np.median(total), np.percentile(total, 95), max(total))
         level, words = OK, f'replayed: {self._published} images widened'
         if unlike:
             level, words = WARN, (
@@ -85,5 +83,4 @@ class ReplayOutputs:
             'camera': frames[-1].camera_note,
             'guided by the scene memory': f'{np.mean([frame.guided for frame in frames]):.0%}',
             'out of the scene': 'unknown' if score is None else f'{score:.2f}',
-            'in the trained scene': 'unknown' if score is None else str(not unlike).lower(),
-            'latency total median/p95/max [ms]': '/'.join(f'{value:.2f}' for value in spread)})
+            'in the trained scene': 'unknown' if score is None else str(not unlike).lower()})

@@ -70,7 +70,15 @@ def depth_fields(depth: np.ndarray) -> dict[str, Any]:
 
 
 def status_lines(frame: WideFrame, age_ms: float | None = None) -> dict[str, str]:
-    """Return what is true of one frame, ready for KeyValues."""
+    """
+    Return what is true of one frame, ready for KeyValues.
+
+    Without an age no times are told: those of a replay say nothing of a robot, and no two runs
+    have the same.
+    """
+    times = {} if age_ms is None else {
+        **{f'{stage} [ms]': f'{spent:.2f}' for stage, spent in frame.stages_ms.items()},
+        'age [ms]': f'{age_ms:.1f}'}
     guide = frame.guide
     return {
         'guided': str(frame.guided).lower(),
@@ -80,8 +88,7 @@ def status_lines(frame: WideFrame, age_ms: float | None = None) -> dict[str, str
         'out of the scene': ('unknown' if frame.out_of_scene is None
                              else f'{frame.out_of_scene:.2f}'),
         'camera': frame.camera_note,
-        **{f'{stage} [ms]': f'{spent:.2f}' for stage, spent in frame.stages_ms.items()},
-        'age [ms]': 'unknown' if age_ms is None else f'{age_ms:.1f}',
+        **times,
     }
 
 
