@@ -11,7 +11,7 @@ import time
 from typing import Any
 
 from neo_ros.field.config import FieldConfig
-from neo_ros.field.fitting import FieldTrainer
+from neo_ros.field.fitting import FieldTrainer, FitRules
 from neo_ros.field.kernels import MIN_WEIGHT
 from neo_ros.field.torch_field import (
     colours, corner_weights, Samples, sh_basis, torch_device, TorchField)
@@ -26,9 +26,10 @@ class TorchFieldTrainer(FieldTrainer):
     """`FieldTrainer` whose grid, gradients and moments live on a device, 'cuda' or 'torch'."""
 
     def __init__(self, images: np.ndarray, intrinsics: Intrinsics, T_world_cam: np.ndarray,
-                 config: FieldConfig, seed: int, device: str) -> None:
+                 config: FieldConfig, seed: int, device: str,
+                 rules: FitRules = FitRules()) -> None:
         self.device = device
-        super().__init__(images, intrinsics, T_world_cam, config, seed)
+        super().__init__(images, intrinsics, T_world_cam, config, seed, rules)
 
     @property
     def placed(self) -> TorchField:
