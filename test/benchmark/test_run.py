@@ -1,5 +1,6 @@
 """A benchmark of a tiny scene from end to end: resumed, with its files."""
 from dataclasses import replace
+from functools import partial
 import json
 import shutil
 import time
@@ -17,13 +18,16 @@ from neo_ros.evaluation.baselines import EdgeReplication, NeoModel
 from neo_ros.evaluation.evaluate import evaluate, ROW_KEYS, TruthFrames
 from neo_ros.evaluation.metrics import Estimate, score_frame
 from neo_ros.experiment import read_experiment
-from neo_ros.field import fitting
+from neo_ros.field import device
+from neo_ros.field.fitting import FitRules
 from neo_ros.geometry import CameraPose
 from neo_ros.machine.files import share_dir
 from neo_ros.scenes.scene import read_scene
 from neo_ros.scenes.transforms_json import read_input_crop, read_transforms, write_transforms
 import numpy as np
 import pytest
+
+pytestmark = pytest.mark.slow
 
 SETTINGS = {
     'field': {'voxels': 20_000, 'rays_per_step': 512},
@@ -40,7 +44,7 @@ def quiet(stage, done, total, note):
 @pytest.fixture(autouse=True)
 def plain_scores(monkeypatch):
     """Do without LPIPS, whose weights are a download, a process per method, and most steps."""
-    monkeypatch.setattr(fitting, 'LEAST_STEPS', 200)
+    monkeypatch.setattr(device, 'FitRules', partial(FitRules, least_steps=200))
     monkeypatch.setattr(scoring, 'load_scorers', lambda progress: {'psnr_ssim': score_frame})
     monkeypatch.setattr(scoring, 'measure_memory', lambda folder, name: 12.5)
 
