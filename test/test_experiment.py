@@ -53,6 +53,21 @@ def changed_experiments(settings: Any) -> Iterator[tuple[str, Any]]:
             yield entry.name, replace(settings, **{entry.name: other})
 
 
+def test_the_old_name_of_a_setting_is_read_and_hashes_are_those_of_before(
+        tmp_path: Path) -> None:
+    old = read(tmp_path, 'network: {width: 8, memory: 96}')
+    assert old == read(tmp_path, 'network: {width: 8, hidden: 96}')
+    assert old.network.hidden == 96
+    # As released under the old name: a run folder of before is continued, not refused.
+    assert Experiment().config_hash == 'a83d8bc2240c'
+    assert read_experiment(SHIPPED / 'redkitchen.yaml').config_hash == '5a4a1d3a570d'
+    with pytest.raises(ConfigError, match='network.memory is the old name of network.hidden.*'
+                       'got both; leave network.memory out'):
+        read(tmp_path, 'network: {memory: 96, hidden: 96}')
+    with pytest.raises(ConfigError, match='network.hidden: .*integer.*many'):
+        read(tmp_path, 'network: {memory: many}')
+
+
 def test_an_empty_file_is_the_default(tmp_path: Path) -> None:
     assert read(tmp_path, '') == Experiment()
     assert read(tmp_path, '').config_hash == Experiment().config_hash
