@@ -1,10 +1,7 @@
 """The lifecycle node: wires ROS to the frame worker and keeps the states."""
-from collections.abc import Callable
 from concurrent.futures import Future, wait
-import functools
 import threading
 import time
-import traceback
 from typing import Any
 
 from neo_ros.errors import NeoError
@@ -22,6 +19,7 @@ from neo_ros.node.parameters import (
     NodeParameters,
     read_parameters,
 )
+from neo_ros.node.transitions import answer_every_request, logged
 from neo_ros.node.wide_publishers import WidePublishers
 from neo_ros.runtime import FovExtrapolator
 from rcl_interfaces.msg import SetParametersResult
@@ -36,20 +34,6 @@ STOP_TIMEOUT_S = 0.3
 LOOK_S = 0.1
 DIAGNOSTICS_PERIOD_S = 1.0
 REPORT_PERIOD_S = 5.0
-
-
-def _logged(transition: Callable) -> Callable:
-    """Log what a transition raises (rclpy swallows it) and keep it for the diagnostics."""
-    @functools.wraps(transition)
-    def wrapper(self: 'ExtrapolatorNode', state: LifecycleState) -> TransitionCallbackReturn:
-        try:
-            result = transition(self, state)
-        except Exception as error:
-            self.fault = f'{transition.__name__} failed: {type(error).__name__}: {error}'
-            self.get_logger().error(f'{self.fault}\n{traceback.format_exc()}')
-            return TransitionCallbackReturn.ERROR
-        return result
-    return wrapper
 
 
 def _reason(error: Exception) -> str:
@@ -81,6 +65,7 @@ class ExtrapolatorNode(LifecycleNode):
         self._worker: FrameWorker | None = None
         self._lingering: list[FrameWorker] = []  # stopped, but in the middle of a frame
         self._inputs = CameraInputs(self, self._on_image)
+        answer_every_request(self)
         declare_parameters(self)
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._use_parameters)
@@ -103,7 +88,7 @@ class ExtrapolatorNode(LifecycleNode):
         """Name of the lifecycle state, such as 'active'."""
         return self._state_machine.current_state[1]
 
-    @_logged
+    @logged
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Load, check and warm up the model, announce the outputs."""
         try:
@@ -118,7 +103,7 @@ class ExtrapolatorNode(LifecycleNode):
         self._log_model('configured')
         return super().on_configure(state)
 
-    @_logged
+    @logged
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Take frames."""
         assert self._model and self._outputs
@@ -135,19 +120,19 @@ class ExtrapolatorNode(LifecycleNode):
         self.fault = ''
         return result
 
-    @_logged
+    @logged
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Take no more frames; the model stays loaded."""
         self.stop()
         return super().on_deactivate(state)
 
-    @_logged
+    @logged
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Free the model and the outputs."""
         self._free()
         return super().on_cleanup(state)
 
-    @_logged
+    @logged
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop and free everything."""
         self._free()

@@ -20,6 +20,8 @@ import pytest
 from tiny_training import TINY, train_tiny
 from typer.testing import CliRunner
 
+pytestmark = pytest.mark.slow
+
 SHORT = """
 seed: 3
 field: {voxels: 20_000, steps: 400, rays_per_step: 512}

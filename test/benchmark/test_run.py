@@ -27,6 +27,8 @@ from neo_ros.scenes.transforms_json import read_input_crop, read_transforms, wri
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.slow
+
 SETTINGS = {
     'field': {'voxels': 20_000, 'rays_per_step': 512},
     'sampling': {'positions': 8}, 'network': {'width': 8, 'memory': 32},

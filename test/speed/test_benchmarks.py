@@ -23,6 +23,8 @@ from tiny_model import write_tiny_model
 import typer
 from typer.testing import CliRunner
 
+pytestmark = pytest.mark.slow
+
 MACHINE = Machine({1: 100.0, 2: 150.0}, {1: 10.0, 2: 8.0}, {1: 50.0, 2: 90.0})
 APP = typer.Typer()
 APP.command()(bench)
