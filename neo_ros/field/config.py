@@ -36,7 +36,7 @@ class FieldConfig:
     distortion: float = 0.01        # weight of the distortion loss
     pointwise: float = 0.05         # weight of the samples' own colour error
     sparsity: float = 1e-3          # weight of the samples' opacity: clears the air
-    depth: float = 0.02             # weight of measured depth, of photos that have a depth map
+    depth: float = 0.1              # weight of measured depth, of photos that have a depth map
     # One gain per photo and channel, for cameras with automatic exposure.
     exposure: bool = False
     # cpu: compiled kernels; cuda; auto: cuda where there is one; torch: what cuda does, on the CPU

@@ -20,7 +20,7 @@ import onnxruntime
 import pytest
 import torch
 
-pytestmark = pytest.mark.usefixtures('one_thread')
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures('one_thread')]
 
 CONFIGS = {
     'neo_fast': NetworkConfig(patch=4, width=8, depth=2, hidden=16),

@@ -12,6 +12,8 @@ import onnxruntime
 import pytest
 import torch
 
+pytestmark = pytest.mark.slow
+
 EXPANSION = ViewExpansion.to_size(Intrinsics(16, 16, 8.0, 8.0, 8.0, 8.0), 32, 32)
 
 
