@@ -30,7 +30,7 @@ fitting.THREADS = 1
 def learn(rank):
     trainer = OutpaintTrainer(
         ViewExpansion.to_size(Intrinsics(8, 8, 4, 4, 4, 4), 16, 16),
-        NetworkConfig(patch=4, width=8, depth=1, memory=8),
+        NetworkConfig(patch=4, width=8, depth=1, hidden=8),
         OutpaintConfig(batch=4, precision='fp32', minutes=60.0, device='cpu', photometric=0,
                        occluders=0), seed=0)
     share = 4 // trainer.world
