@@ -27,7 +27,7 @@ ROBOT = [
 # two sets of native libraries in one process.
 if 'ROS_DISTRO' not in os.environ and 'AMENT_PREFIX_PATH' not in os.environ:
     ROBOT += ['ros-jazzy-common-interfaces', 'ros-jazzy-rclpy[fastrtps]']
-TEST = ['hypothesis', 'pytest', 'pytest-timeout']
+TEST = ['hypothesis', 'pytest', 'pytest-timeout', 'pytest-xdist']
 EXTRAS = {
     'train': ['onnx', 'onnxscript', 'pycolmap', 'pydantic>=2', 'scipy', 'tensorboard', 'torch'],
     # Foxglove's own images, calibrations and transforms in protobuf.

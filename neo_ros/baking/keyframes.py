@@ -23,15 +23,19 @@ from neo_ros.memory.scene_memory import compress, FINER, Glances, Keyframe, Scen
 from neo_ros.scenes.pose_sampling import PoseSampler, rotation_from_angles
 import numpy as np
 
-# The mesh's vertices a radian are at most so many.
-MESH_FOCAL = 96.0
-# Photos nearest to a keyframe that may colour it.
-PHOTOS = 400
-# Depths that differ by less than this share are of one surface.
-ONE_SURFACE = 0.1
-LEAST_COVERAGE = 0.5
+# Pixels across a glance; the search compares them.
 GLANCE_WIDTH = 16
-GLANCE_YAW = math.radians(15)
+
+
+@dataclass(frozen=True)
+class BakingRules:
+    """What was chosen by measuring, and holds for all scenes."""
+
+    mesh_focal: float = 96.0       # the mesh's vertices a radian are at most so many
+    photos: int = 400              # nearest to a keyframe, that may colour it
+    one_surface: float = 0.1       # depths that differ by less than this share are of one surface
+    least_coverage: float = 0.5    # of a pixel by what photos saw, for its depth to be known
+    glance_yaw_deg: float = 15.0   # between two glances of a keyframe
 
 
 @dataclass(frozen=True)
@@ -58,7 +62,8 @@ class Photos:
 
 def bake_memory(field: RadianceField, photos: Photos, expansion: ViewExpansion,
                 sampler: PoseSampler, config: MemoryConfig, seed: int, work: Path,
-                progress: Progress = no_progress) -> SceneMemory:
+                progress: Progress = no_progress, rules: BakingRules = BakingRules()
+                ) -> SceneMemory:
     """
     Render and colour the keyframes of `keyframe_positions`, and take glances from them.
 
@@ -73,7 +78,7 @@ def bake_memory(field: RadianceField, photos: Photos, expansion: ViewExpansion,
     seen, gains = np.empty(photos.images.shape[:3], np.float32), []
     for index, (image, T) in enumerate(zip(photos.images, photos.T_world_cam)):
         rendering = render_rays(field, *world_rays(photos.intrinsics, CameraPose(T)))
-        seen[index] = np.where(rendering.coverage > LEAST_COVERAGE, rendering.depth, 0)
+        seen[index] = np.where(rendering.coverage > rules.least_coverage, rendering.depth, 0)
         gains.append(_gain(rendering.image, image))
         progress(index + 1, total)
     frames: list[tuple[bytes, bytes, Glances]] = []
@@ -83,9 +88,9 @@ def bake_memory(field: RadianceField, photos: Photos, expansion: ViewExpansion,
         if frame is None:
             # One is 70 MB for a camera of 640 pixels: it is compressed at once.
             keyframe = _bake_keyframe(field, photos, seen, np.stack(gains), position, band,
-                                      expansion.target.fx)
+                                      expansion.target.fx, rules)
             frame = (*compress(keyframe), keyframe_glances(
-                [keyframe], band, expansion.source, _headings(sampler)))
+                [keyframe], band, expansion.source, _headings(sampler, rules)))
             _write_finished(path, *frame)
         frames.append(frame)
         progress(len(photos.images) + index + 1, total)
@@ -148,23 +153,26 @@ def _gain(rendered: np.ndarray, photo: np.ndarray) -> np.ndarray:
     return np.clip(ratio, 0.5, 2).astype(np.float32)
 
 
-def keyframe_size(band: Band, focal: float) -> tuple[int, int, int]:
+def keyframe_size(band: Band, focal: float, rules: BakingRules = BakingRules()
+                  ) -> tuple[int, int, int]:
     """Return rows and columns of a keyframe's mesh, and how many times finer its texture is."""
-    mesh = min(focal, MESH_FOCAL)
+    mesh = min(focal, rules.mesh_focal)
     return (max(int((band.top - band.bottom) * mesh), 2), int(band.width * mesh),
             max(round(FINER * focal / mesh), 1))
 
 
 def _bake_keyframe(field: RadianceField, photos: Photos, seen: np.ndarray, gains: np.ndarray,
-                   position: np.ndarray, band: Band, focal: float) -> Keyframe:
-    height, width, finer = keyframe_size(band, focal)
+                   position: np.ndarray, band: Band, focal: float, rules: BakingRules
+                   ) -> Keyframe:
+    height, width, finer = keyframe_size(band, focal, rules)
     rays = band.rays(height * finer, width * finer)
     rendering = render_rays(field, position, rays)
-    depth = np.where(rendering.coverage > LEAST_COVERAGE, rendering.depth, 0).astype(np.float32)
+    depth = np.where(rendering.coverage > rules.least_coverage, rendering.depth, 0).astype(
+        np.float32)
     texture = np.empty(rays.shape, np.uint8)
     centres = photos.T_world_cam[:, :3, 3]
     near = np.sort(np.argsort(np.linalg.norm(centres - position, axis=1),
-                              kind='stable')[:PHOTOS])
+                              kind='stable')[:rules.photos])
     camera = photos.intrinsics
     colour_from_photos(
         PanoramaPixels(position.astype(np.float32), rays, depth, to_uint8(rendering.image)),
@@ -172,10 +180,11 @@ def _bake_keyframe(field: RadianceField, photos: Photos, seen: np.ndarray, gains
                     np.ascontiguousarray(photos.T_world_cam[near, :3, :3], np.float32),
                     centres[near].astype(np.float32), gains[near],
                     camera.fx, camera.fy, camera.cx, camera.cy), texture)
-    return Keyframe(position, mesh_depth(depth, finer), texture)
+    return Keyframe(position, mesh_depth(depth, finer, rules.one_surface), texture)
 
 
-def mesh_depth(depth: np.ndarray, finer: int) -> np.ndarray:
+def mesh_depth(depth: np.ndarray, finer: int,
+               one_surface: float = BakingRules.one_surface) -> np.ndarray:
     """
     Take one depth of each block of finer x finer pixels: float32 (h, w) of (finer h, finer w).
 
@@ -186,7 +195,7 @@ def mesh_depth(depth: np.ndarray, finer: int) -> np.ndarray:
     blocks = depth.reshape(height, finer, width, finer).swapaxes(1, 2).reshape(height, width, -1)
     blocks, count = np.sort(blocks, axis=-1), finer * finer
     near, far = blocks[..., (count - 1) // 2], blocks[..., count // 2]
-    return np.where(far - near < ONE_SURFACE * far, (near + far) / 2, far)
+    return np.where(far - near < one_surface * far, (near + far) / 2, far)
 
 
 def keyframe_glances(keyframes: list[Keyframe], band: Band, source: Intrinsics,
@@ -215,11 +224,11 @@ def _photo_glances(photos: Photos, source: Intrinsics) -> Glances:
                    photos.T_world_cam)
 
 
-def _headings(sampler: PoseSampler) -> list[np.ndarray]:
+def _headings(sampler: PoseSampler, rules: BakingRules) -> list[np.ndarray]:
     """Return rotations (3, 3) all over the sampler's headings, with its mean tilt."""
     low, width = sampler.yaw_range
     (pitch, roll), _ = sampler.pitch_roll
-    count = max(math.ceil(width / GLANCE_YAW), 1)
+    count = max(math.ceil(width / math.radians(rules.glance_yaw_deg)), 1)
     return [rotation_from_angles(yaw, pitch, roll)
             for yaw in low + width * (np.arange(count) + 0.5) / count]
 

@@ -11,22 +11,20 @@ from neo_ros.memory.landmarks import Landmarks, magnification
 from neo_ros.scenes.posed_images import PosedImages
 import numpy as np
 
-# Photos that landmarks are triangulated from: matching takes 10 ms a pair, 15 pairs a photo.
-LANDMARK_PHOTOS = 400
-
 
 def find_landmarks(photos: PosedImages, scale: float, source: Intrinsics, work: Path,
-                   progress: StageProgress) -> Landmarks | None:
+                   progress: StageProgress, most_photos: int = 400) -> Landmarks | None:
     """
     Triangulate what the photos show at this scale; None where that gives nothing.
 
     source  the camera of the robot, which will look for them
     work    keeps features and matches, so that a run that was broken off goes on
+    most_photos  that are used, evenly chosen: matching takes 10 ms a pair, 15 pairs a photo
     """
     if find_spec('pycolmap') is None:
         progress('without landmarks', 0, 1, 'pycolmap is not installed')
         return None
-    chosen = np.linspace(0, len(photos) - 1, min(len(photos), LANDMARK_PHOTOS))
+    chosen = np.linspace(0, len(photos) - 1, min(len(photos), most_photos))
     photos = photos.subset(chosen.round().astype(int).tolist())
     try:
         bank = read_photo_bank(photos, scale, work / 'features.npz',

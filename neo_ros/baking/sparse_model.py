@@ -3,6 +3,7 @@ A sparse model of the scene: points that several photos see, triangulated from t
 
 This is B3's map (the paper uses hloc's): pycolmap triangulates the matches of RootSIFT features.
 """
+from dataclasses import dataclass
 from pathlib import Path
 import shutil
 from typing import Any, NamedTuple
@@ -16,10 +17,15 @@ from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.memory.local_features import match_features
 import numpy as np
 
-PARTNERS = 15          # photos that each photo is matched with
-MOST_ANGLE = 60.0      # degrees between the viewing directions of two photos that are matched
-EPIPOLAR_PIXELS = 1.5  # how far off its epipolar line a match may lie
-RATIO = 0.85
+
+@dataclass(frozen=True)
+class MatchRules:
+    """Which photos are matched, and which matches count."""
+
+    partners: int = 15             # photos that each photo is matched with
+    most_angle_deg: float = 60.0   # between the viewing directions of two photos
+    epipolar_pixels: float = 1.5   # how far off its epipolar line a match may lie
+    ratio: float = 0.85            # of the best to the second distance of descriptors
 
 
 class SparseModel(NamedTuple):
@@ -40,7 +46,8 @@ class SparseModel(NamedTuple):
 
 
 def read_sparse_model(bank: PhotoBank, folder: Path,
-                      progress: Progress = no_progress) -> SparseModel:
+                      progress: Progress = no_progress,
+                      rules: MatchRules = MatchRules()) -> SparseModel:
     """Triangulate the features of a bank, or read the result from `folder`."""
     cache = folder / 'points.npz'
     counts = [len(one.points) for one in bank.features]
@@ -48,7 +55,7 @@ def read_sparse_model(bank: PhotoBank, folder: Path,
         with np.load(cache) as stored:
             points, flat = stored['points'], stored['point_of']
     except (OSError, ValueError, KeyError, EOFError, BadZipFile):
-        points, flat = _triangulate(bank, folder, progress)
+        points, flat = _triangulate(bank, folder, progress, rules)
         with whole_file(cache) as partial, partial.open('wb') as file:
             np.savez(file, points=points, point_of=flat)
     if len(flat) != sum(counts):
@@ -57,15 +64,15 @@ def read_sparse_model(bank: PhotoBank, folder: Path,
     return SparseModel(points, np.split(flat, np.cumsum(counts)[:-1]))
 
 
-def choose_pairs(bank: PhotoBank) -> list[tuple[int, int]]:
+def choose_pairs(bank: PhotoBank, rules: MatchRules = MatchRules()) -> list[tuple[int, int]]:
     """Return the pairs of photos to match: alike, looking the same way, from two places."""
     T_world_cam = bank.photos.T_world_cam
     forward, position = T_world_cam[:, :3, 2], T_world_cam[:, :3, 3]
     likeness = bank.vectors @ bank.vectors.T
-    likeness[forward @ forward.T < np.cos(np.radians(MOST_ANGLE))] = -1
+    likeness[forward @ forward.T < np.cos(np.radians(rules.most_angle_deg))] = -1
     apart = np.linalg.norm(position[:, None] - position[None], axis=2)
     likeness[apart < 1e-3] = -1  # nothing can be triangulated
-    order = np.argsort(-likeness, axis=1, kind='stable')[:, :PARTNERS]
+    order = np.argsort(-likeness, axis=1, kind='stable')[:, :rules.partners]
     return sorted({(min(i, int(j)), max(i, int(j))) for i in range(len(order))
                    for j in order[i] if likeness[i, j] > -1})
 
@@ -89,14 +96,14 @@ def epipolar_distance(camera: Intrinsics, T_b_a: np.ndarray, points_a: np.ndarra
 
 
 def _triangulate(bank: PhotoBank, folder: Path,
-                 progress: Progress) -> tuple[np.ndarray, np.ndarray]:
+                 progress: Progress, rules: MatchRules) -> tuple[np.ndarray, np.ndarray]:
     import pycolmap
     pycolmap.logging.minloglevel = int(pycolmap.logging.ERROR)
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     camera = bank.photos.intrinsics.scaled(bank.scale)
     database = folder / 'database.db'
-    known = _write_database(bank, camera, database, progress)
+    known = _write_database(bank, camera, database, progress, rules)
     options = pycolmap.IncrementalPipelineOptions()
     options.random_seed = 0
     model = pycolmap.triangulate_points(known, database, folder, folder, options=options)
@@ -114,7 +121,8 @@ def _triangulate(bank: PhotoBank, folder: Path,
     return points, flat
 
 
-def _write_database(bank: PhotoBank, camera: Intrinsics, path: Path, progress: Progress) -> Any:
+def _write_database(bank: PhotoBank, camera: Intrinsics, path: Path, progress: Progress,
+                    rules: MatchRules) -> Any:
     """Fill a database with keypoints and verified matches; returns the posed reconstruction."""
     import pycolmap
     lens = pycolmap.Camera(model='PINHOLE', width=camera.width, height=camera.height,
@@ -123,7 +131,7 @@ def _write_database(bank: PhotoBank, camera: Intrinsics, path: Path, progress: P
     known.add_camera_with_trivial_rig(lens)
     T_world_cam = bank.photos.T_world_cam
     T_cam_world = np.linalg.inv(T_world_cam)
-    pairs = choose_pairs(bank)
+    pairs = choose_pairs(bank, rules)
     with pycolmap.Database.open(path) as database:
         database.write_camera(lens, use_camera_id=True)
         for rig in known.rigs.values():
@@ -139,10 +147,10 @@ def _write_database(bank: PhotoBank, camera: Intrinsics, path: Path, progress: P
             database.write_keypoints(index + 1, features.points)
         for done, (i, j) in enumerate(pairs):
             a, b = bank.features[i], bank.features[j]
-            matches = match_features(a.descriptors, b.descriptors, RATIO)
+            matches = match_features(a.descriptors, b.descriptors, rules.ratio)
             off = epipolar_distance(camera, T_cam_world[j] @ T_world_cam[i],
                                     a.points[matches[:, 0]], b.points[matches[:, 1]])
-            kept = matches[off < EPIPOLAR_PIXELS].astype(np.uint32)
+            kept = matches[off < rules.epipolar_pixels].astype(np.uint32)
             if len(kept) >= 5:
                 geometry = pycolmap.TwoViewGeometry()
                 geometry.config = pycolmap.TwoViewGeometryConfiguration.CALIBRATED

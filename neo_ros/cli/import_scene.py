@@ -53,6 +53,9 @@ def import_scene(
         help='Degrees of the widest view that is cut out of a fisheye; default: 120.')] = None,
     size: Annotated[Optional[int], typer.Option(
         help='Demo only: edge of the training photos in pixels; default: 128.', min=16)] = None,
+    depth: Annotated[bool, typer.Option(
+        '--depth', help='Demo only: depth maps as well, with the faults of a depth camera.',
+    )] = False,
     photos: Annotated[Optional[int], typer.Option(
         help='Demo only: number of photos; default: 1000.', min=1)] = None,
 ) -> None:
@@ -83,10 +86,11 @@ def import_scene(
             refuse('the demo has its own', test_runs=test_runs or None, format=format_name,
                    keyframe_distance=keyframe_distance, keyframe_angle=keyframe_angle,
                    level=level, scale=scale, fisheye_view=fisheye_view, **of_bags, **of_folders)
-            write_demo_scene(scene, image_size=size or 128, n_train=photos or 1000,
+            write_demo_scene(scene, image_size=size or 128, n_train=photos or 1000, depth=depth,
                              progress=lambda done, total: show('images', done, total))
         else:
-            refuse('expected only with "demo"', size=size, photos=photos)
+            refuse('expected only with "demo"', size=size, photos=photos,
+                   depth=depth)
             format_ = (detect_format(Path(source)) if format_name is None
                        else _named_format(format_name))
             if format_ != CaptureFormat.BAG:

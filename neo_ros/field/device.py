@@ -1,7 +1,7 @@
 """Which machine part fits and renders the field: compiled kernels, or torch on a GPU."""
 from neo_ros.errors import ConfigError
 from neo_ros.field.config import FieldConfig
-from neo_ros.field.fitting import FieldTrainer
+from neo_ros.field.fitting import FieldTrainer, FitRules
 from neo_ros.field.radiance_field import RadianceField
 from neo_ros.field.torch_field import torch_device, TorchField
 from neo_ros.field.torch_fitting import TorchFieldTrainer
@@ -22,12 +22,15 @@ def chosen_device(name: str) -> str:
 
 
 def field_trainer(images: np.ndarray, intrinsics: Intrinsics, T_world_cam: np.ndarray,
-                  config: FieldConfig, seed: int) -> FieldTrainer:
+                  config: FieldConfig, seed: int, depths: np.ndarray | None = None
+                  ) -> FieldTrainer:
     """Make the trainer for the device that `config` names; see `FieldTrainer`."""
     device = chosen_device(config.device)
+    rules = FitRules()
     if device == 'cpu':
-        return FieldTrainer(images, intrinsics, T_world_cam, config, seed)
-    return TorchFieldTrainer(images, intrinsics, T_world_cam, config, seed, device)
+        return FieldTrainer(images, intrinsics, T_world_cam, config, seed, rules, depths)
+    return TorchFieldTrainer(images, intrinsics, T_world_cam, config, seed, device, rules,
+                             depths)
 
 
 def on_device(field: VoxelField, device: str) -> RadianceField:

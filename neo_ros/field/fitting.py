@@ -1,5 +1,6 @@
 """Step 1 of the paper: fit a radiance field to posed photos of one scene."""
 from collections.abc import Iterator
+from dataclasses import dataclass
 import math
 import time
 from typing import Any
@@ -12,29 +13,41 @@ from neo_ros.field.radiance_field import RadianceField
 from neo_ros.field.rendering import render_rays
 from neo_ros.field.voxel_field import packed, unpacked, VoxelField
 from neo_ros.geometry import Intrinsics
+from neo_ros.pictures.depth import MM_PER_M
 from numba import get_num_threads
 import numpy as np
 
 # Share of the fit at which the grid is refined, and the share of voxels it then has.
 STAGES = ((0.0, 1 / 64), (0.06, 1 / 64), (0.18, 1 / 8), (0.4, 1.0))
-# From so many on voxels are finer than pixels, mostly.
-FINE_VOXELS = 9_000_000
-OCCUPANCY_EVERY = 100
-# Views leave out a share of how near the nearest photo came to anything, with so many percent of
-# its pixels. But a camera may come nearer than any photo: no more than the last number, metres.
-NEAR_SHARE, NEAREST_PERCENT, MOST_NEAR = 0.75, 5, 0.5
-# Pixels of each photo that are asked for it.
-NEAR_PIXELS = 400
-# However short the time, with fewer steps a field is fog.
-LEAST_STEPS = 300
+
+
+@dataclass(frozen=True)
+class FitRules:
+    """What was chosen by measuring, and holds for all scenes."""
+
+    fine_voxels: int = 9_000_000    # from so many on voxels are finer than pixels, mostly
+    occupancy_every: int = 100      # steps
+    least_steps: int = 300          # however short the time, with fewer steps a field is fog
+    # Views leave out a share of how near the nearest photo came to anything, with so many percent
+    # of its pixels. But a camera may come nearer than any photo: no more than so many metres.
+    near_share: float = 0.75
+    nearest_percent: float = 5
+    most_near: float = 0.5
+    near_pixels: int = 400          # pixels of each photo that are asked for it
 
 
 class FieldTrainer:
     """The optimiser's state; one call of `train_step` is one batch."""
 
     def __init__(self, images: np.ndarray, intrinsics: Intrinsics, T_world_cam: np.ndarray,
-                 config: FieldConfig, seed: int) -> None:
-        self.images, self.config = images, config
+                 config: FieldConfig, seed: int, rules: FitRules = FitRules(),
+                 depths: np.ndarray | None = None) -> None:
+        """
+        Take photos uint8 (N, H, W, 3), their camera and T_world_cam (N, 4, 4).
+
+        depths: uint16 (N, H, W), millimetres along the optical axis, 0 = unknown.
+        """
+        self.images, self.config, self.rules, self.depths = images, config, rules, depths
         self.rotations = T_world_cam[:, :3, :3].astype(np.float32)
         self.origins = T_world_cam[:, :3, 3].astype(np.float32)
         # Through the pixels' centres, and those of their quarters: (H, W, 3), (2 H, 2 W, 3).
@@ -70,9 +83,9 @@ class FieldTrainer:
             np.empty((rays, limit), np.float32), np.empty((rays, limit, 3), np.float32),
             np.empty(rays, np.int64))
 
-    def sample_rays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def sample_rays(self) -> tuple[np.ndarray, ...]:
         """
-        Draw pixels; returns photo index (P,), target (P, 3), rays_o and rays_d (R, 3).
+        Draw pixels; returns photo index (P,), target (P, 3), distance (P,), rays_o, rays_d (R, 3).
 
         A ray goes through its pixel's centre: rays through all of a pixel, each fitted to the
         pixel's colour, would blur the field by a pixel once more. Where voxels are finer than
@@ -90,12 +103,21 @@ class FieldTrainer:
         directions = np.einsum('pij,pj->pi', self.rotations[each],
                                self.rays[across][rows, columns])
         directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
-        return photo, target, self.origins[each], directions
+        return (photo, target, self._distances(photo, row, column), self.origins[each],
+                directions)
+
+    def _distances(self, photo: np.ndarray, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+        """Return float32 (P,), metres along the rays of pixels to measured depth, 0 = unknown."""
+        if self.depths is None:
+            return np.zeros(len(photo), np.float32)
+        # Pixel rays have length 1 along the optical axis.
+        stretch = np.linalg.norm(self.rays[1][row, column], axis=-1)
+        return (self.depths[photo, row, column] / MM_PER_M * stretch).astype(np.float32)
 
     @property
     def rays_across(self) -> int:
         """Rays through a pixel, across it and down."""
-        fine = self.config.voxels >= FINE_VOXELS and self.stage + 1 == len(STAGES)
+        fine = self.config.voxels >= self.rules.fine_voxels and self.stage + 1 == len(STAGES)
         return 2 if fine else 1
 
     @property
@@ -108,7 +130,7 @@ class FieldTrainer:
         """How far the fit is: 0 at the beginning, 1 and more at the end."""
         if self.config.minutes is None:
             return self.step / self.config.steps
-        return min(self.seconds / 60 / self.config.minutes, self.step / LEAST_STEPS)
+        return min(self.seconds / 60 / self.config.minutes, self.step / self.rules.least_steps)
 
     @property
     def done(self) -> tuple[int, int]:
@@ -125,7 +147,7 @@ class FieldTrainer:
         self.random = np.random.default_rng([self.seed, self.step])
         self._refine_when_due()
         config, field = self.config, self.field
-        photo, target, rays_o, rays_d = self.sample_rays()
+        photo, target, distance, rays_o, rays_d = self.sample_rays()
         pixels = len(target)
         error = np.empty(pixels, np.float32)
         d_gain = np.empty((pixels, 3), np.float32)
@@ -134,9 +156,9 @@ class FieldTrainer:
         jitter = self.random.random(len(rays_o), np.float32)
         background = self.random.random((pixels, 3), np.float32)
         weights = LossWeights(np.float32(config.distortion), np.float32(self.pointwise),
-                              np.float32(config.sparsity))
-        differentiate_rays(Batch(rays_o, rays_d, jitter, target, gain, background), arrays,
-                           weights, self.slopes, error, d_gain)
+                              np.float32(config.sparsity), np.float32(config.depth))
+        differentiate_rays(Batch(rays_o, rays_d, jitter, target, gain, background, distance),
+                           arrays, weights, self.slopes, error, d_gain)
         scatter_gradients(
             rays_d, self.slopes, arrays, get_num_threads(), self.gradient, self.touched)
         rate = np.float32(config.learning_rate * 0.1 ** self.share)
@@ -171,8 +193,8 @@ class FieldTrainer:
                 self.boxed_at = self.step
             else:
                 self.placed.update_occupancy()
-        elif (self.stage and self.step > self.boxed_at + OCCUPANCY_EVERY
-              and self.step % OCCUPANCY_EVERY == 0):
+        elif (self.stage and self.step > self.boxed_at + self.rules.occupancy_every
+              and self.step % self.rules.occupancy_every == 0):
             self.placed.update_occupancy()
 
     @property
@@ -231,13 +253,14 @@ class FieldTrainer:
         A finer one has blobs there: what one photo alone shows is fitted best right before its
         lens, and hides the room from poses beside it.
         """
-        stride = max(int(math.sqrt(self.images[0, ..., 0].size / NEAR_PIXELS)), 1)
-        nearest = math.inf
+        rules, nearest = self.rules, math.inf
+        stride = max(int(math.sqrt(self.images[0, ..., 0].size / rules.near_pixels)), 1)
         for rays_o, rays_d in self._photo_rays(stride):
             shown = render_rays(self.placed, rays_o, rays_d)
             depth = np.where(shown.opacity > 0.9, shown.depth, np.inf)
-            nearest = min(nearest, float(np.percentile(depth, NEAREST_PERCENT, method='lower')))
-        found = min(NEAR_SHARE * nearest, MOST_NEAR)
+            nearest = min(nearest, float(np.percentile(
+                depth, rules.nearest_percent, method='lower')))
+        found = min(rules.near_share * nearest, rules.most_near)
         return found if nearest < math.inf else self.view_near
 
     def finished(self) -> VoxelField:

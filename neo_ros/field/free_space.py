@@ -1,4 +1,6 @@
 """Where a robot could go without a floor map: what the photos looked through, and were at."""
+from dataclasses import dataclass
+
 import cv2
 from neo_ros.field.radiance_field import RadianceField
 from neo_ros.field.rendering import render_rays, world_rays
@@ -7,16 +9,22 @@ from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.walkable import WalkableMap
 import numpy as np
 
-RESOLUTION = 0.05   # metres, edge of a cell
-REACH = 3.0         # metres around the photos that the map covers
-MOST_PHOTOS = 300   # photos that are looked through, evenly chosen
-RAYS_ACROSS = 48    # of each of them
-SLAB = 0.15         # metres above and below the camera's height that were looked through
-STEP_M = 0.15       # metres above the floor that a robot passes over
+
+@dataclass(frozen=True)
+class FreeFloorRules:
+    """How the floor is mapped; metres."""
+
+    resolution: float = 0.05   # edge of a cell
+    reach: float = 3.0         # around the photos that the map covers
+    most_photos: int = 300     # that are looked through, evenly chosen
+    rays_across: int = 48      # of each of them
+    slab: float = 0.15         # above and below the camera's height that were looked through
+    step: float = 0.15         # above the floor that a robot passes over
 
 
 def find_free_floor(field: RadianceField, photos: PosedImages,
-                    config: SamplingConfig) -> WalkableMap:
+                    config: SamplingConfig, rules: FreeFloorRules = FreeFloorRules()
+                    ) -> WalkableMap:
     """
     Map the floor over which a camera at one height would be in free space.
 
@@ -29,49 +37,51 @@ def find_free_floor(field: RadianceField, photos: PosedImages,
     positions = photos.T_world_cam[:, :3, 3]
     height = (float(np.median(positions[:, 2])) if config.camera_height is None
               else config.camera_height)
-    low = positions[:, :2].min(0) - REACH
-    size = np.ceil((positions[:, :2].max(0) + REACH - low) / RESOLUTION).astype(int)
+    low = positions[:, :2].min(0) - rules.reach
+    size = np.ceil((positions[:, :2].max(0) + rules.reach - low) / rules.resolution).astype(int)
     stood = np.zeros(size[::-1], bool)
-    index = ((positions[:, :2] - low) / RESOLUTION).astype(int)
+    index = ((positions[:, :2] - low) / rules.resolution).astype(int)
     stood[index[:, 1], index[:, 0]] = True
-    bottom = min(_floor_height(field, positions) + STEP_M, height - SLAB)
-    free = _looked_through(field, photos, low, size, height) & ~_matter(
-        field, low, size, bottom, height + SLAB)
-    matter = _matter(field, low, size, height - SLAB, height + SLAB)
+    bottom = min(_floor_height(field, positions) + rules.step, height - rules.slab)
+    free = _looked_through(field, photos, low, size, height, rules) & ~_matter(
+        field, low, size, bottom, height + rules.slab, rules.resolution)
+    matter = _matter(field, low, size, height - rules.slab, height + rules.slab, rules.resolution)
     # A field that has matter where a photo was taken is wrong all around it.
-    free |= (_around(stood, config.robot_radius) & ~matter
-             | _around(stood & matter, config.robot_radius))
+    free |= (_around(stood, config.robot_radius, rules.resolution) & ~matter
+             | _around(stood & matter, config.robot_radius, rules.resolution))
     _, labels = cv2.connectedComponents(free.astype(np.uint8), connectivity=4)
     reached = np.isin(labels, np.unique(labels[stood])) & free
-    return WalkableMap(RESOLUTION, (float(low[0]), float(low[1])), reached, height, clearance=0.0)
+    return WalkableMap(rules.resolution, (float(low[0]), float(low[1])), reached, height,
+                       clearance=0.0)
 
 
-def _around(cells: np.ndarray, radius: float) -> np.ndarray:
+def _around(cells: np.ndarray, radius: float, resolution: float) -> np.ndarray:
     """Mark what lies within a radius, metres, of cells: bool (rows, columns)."""
     if not cells.any():
         return cells
     distance = cv2.distanceTransform((~cells).astype(np.uint8), cv2.DIST_L2,
                                      cv2.DIST_MASK_PRECISE)
-    return distance * RESOLUTION <= radius + RESOLUTION
+    return distance * resolution <= radius + resolution
 
 
 def _looked_through(field: RadianceField, photos: PosedImages, low: np.ndarray,
-                    size: np.ndarray, height: float) -> np.ndarray:
+                    size: np.ndarray, height: float, rules: FreeFloorRules) -> np.ndarray:
     """Tell which cells a ray of a photo passed at this height: bool (rows, columns)."""
     passed = np.zeros(size[::-1], bool)
-    camera = photos.intrinsics.scaled(RAYS_ACROSS / photos.intrinsics.width)
-    chosen = np.linspace(0, len(photos) - 1, min(len(photos), MOST_PHOTOS)).round().astype(int)
+    camera = photos.intrinsics.scaled(rules.rays_across / photos.intrinsics.width)
+    count = min(len(photos), rules.most_photos)
+    chosen = np.linspace(0, len(photos) - 1, count).round().astype(int)
     for pose in (photos.poses[index] for index in chosen):
         origin, directions = world_rays(camera, pose)
         directions = directions.reshape(-1, 3)
         rendering = render_rays(field, origin, directions)
         # Up to a little before the surface; rays that met none say nothing of where air ends.
-        reach = np.where(rendering.opacity > 0.5, rendering.depth - 2 * RESOLUTION, 0)
-        steps = np.arange(0, max(reach.max(), RESOLUTION), RESOLUTION)
+        reach = np.where(rendering.opacity > 0.5, rendering.depth - 2 * rules.resolution, 0)
+        steps = np.arange(0, max(reach.max(), rules.resolution), rules.resolution)
         rise = origin[2] + steps * directions[:, 2:] - height
-        ray, step = np.nonzero((steps < reach[:, None]) & (np.abs(rise) < SLAB))
+        ray, step = np.nonzero((steps < reach[:, None]) & (np.abs(rise) < rules.slab))
         points = origin[:2] + steps[step, None] * directions[ray, :2]
-        index = np.floor((points - low) / RESOLUTION).astype(int)
+        index = np.floor((points - low) / rules.resolution).astype(int)
         index = index[((index >= 0) & (index < size)).all(-1)]
         passed[index[:, 1], index[:, 0]] = True
     return passed
@@ -87,12 +97,12 @@ def _floor_height(field: RadianceField, positions: np.ndarray) -> float:
 
 
 def _matter(field: RadianceField, low: np.ndarray, size: np.ndarray, bottom: float,
-            top: float) -> np.ndarray:
+            top: float, resolution: float) -> np.ndarray:
     """Tell over which cells the field has matter between two heights: bool (rows, columns)."""
     i, j = np.meshgrid(np.arange(size[0]), np.arange(size[1]))
     found = np.zeros(size[::-1], bool)
-    for z in np.arange(bottom, top + RESOLUTION, RESOLUTION):
-        points = np.stack([low[0] + (i + 0.5) * RESOLUTION, low[1] + (j + 0.5) * RESOLUTION,
+    for z in np.arange(bottom, top + resolution, resolution):
+        points = np.stack([low[0] + (i + 0.5) * resolution, low[1] + (j + 0.5) * resolution,
                            np.full(i.shape, z)], axis=-1)
         found |= field.is_matter(points)
     return found

@@ -1,10 +1,7 @@
 """The lifecycle node: wires ROS to the frame worker and keeps the states."""
-from collections.abc import Callable
 from concurrent.futures import Future, wait
-import functools
 import threading
 import time
-import traceback
 from typing import Any
 
 from neo_ros.errors import NeoError
@@ -13,7 +10,7 @@ from neo_ros.node.camera_inputs import CameraInputs
 from neo_ros.node.diagnostics import build_array, build_status, Health
 from neo_ros.node.frame_statistics import Statistics
 from neo_ros.node.frame_worker import Frame, FrameWorker
-from neo_ros.node.interface import DIAGNOSTICS, ENABLE, RELOAD_MODEL
+from neo_ros.node.interface import DIAGNOSTICS, ENABLE, RELOAD_MODEL, RELOCALIZE
 from neo_ros.node.loaded_model import Load, load_model, LoadedModel
 from neo_ros.node.parameters import (
     declare_parameters,
@@ -22,6 +19,9 @@ from neo_ros.node.parameters import (
     NodeParameters,
     read_parameters,
 )
+from neo_ros.node.pose_inputs import PoseInputs
+from neo_ros.node.robot_frames import RobotFrames
+from neo_ros.node.transitions import answer_every_request, logged
 from neo_ros.node.wide_publishers import WidePublishers
 from neo_ros.runtime import FovExtrapolator
 from rcl_interfaces.msg import SetParametersResult
@@ -36,20 +36,6 @@ STOP_TIMEOUT_S = 0.3
 LOOK_S = 0.1
 DIAGNOSTICS_PERIOD_S = 1.0
 REPORT_PERIOD_S = 5.0
-
-
-def _logged(transition: Callable) -> Callable:
-    """Log what a transition raises (rclpy swallows it) and keep it for the diagnostics."""
-    @functools.wraps(transition)
-    def wrapper(self: 'ExtrapolatorNode', state: LifecycleState) -> TransitionCallbackReturn:
-        try:
-            result = transition(self, state)
-        except Exception as error:
-            self.fault = f'{transition.__name__} failed: {type(error).__name__}: {error}'
-            self.get_logger().error(f'{self.fault}\n{traceback.format_exc()}')
-            return TransitionCallbackReturn.ERROR
-        return result
-    return wrapper
 
 
 def _reason(error: Exception) -> str:
@@ -78,14 +64,18 @@ class ExtrapolatorNode(LifecycleNode):
         self._model: LoadedModel | None = None
         self._candidate: LoadedModel | None = None
         self._outputs: WidePublishers | None = None
+        self._frames: RobotFrames | None = None
+        self._pose_inputs: PoseInputs | None = None
         self._worker: FrameWorker | None = None
         self._lingering: list[FrameWorker] = []  # stopped, but in the middle of a frame
         self._inputs = CameraInputs(self, self._on_image)
+        answer_every_request(self)
         declare_parameters(self)
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._use_parameters)
         self.create_service(ENABLE.kind, ENABLE.name, self._on_enable)
         self.create_service(RELOAD_MODEL.kind, RELOAD_MODEL.name, self._on_reload_model)
+        self.create_service(RELOCALIZE.kind, RELOCALIZE.name, self._on_relocalize)
         self._diagnostics = self.create_publisher(DIAGNOSTICS.kind, DIAGNOSTICS.name, 10)
         # Steady, so that a paused simulation is still diagnosed.
         self._diagnosed_s = time.monotonic()
@@ -103,7 +93,7 @@ class ExtrapolatorNode(LifecycleNode):
         """Name of the lifecycle state, such as 'active'."""
         return self._state_machine.current_state[1]
 
-    @_logged
+    @logged
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Load, check and warm up the model, announce the outputs."""
         try:
@@ -113,12 +103,16 @@ class ExtrapolatorNode(LifecycleNode):
             self.fault = f'cannot configure: {error}'
             self.get_logger().error(self.fault)
             return TransitionCallbackReturn.FAILURE
-        self._outputs = WidePublishers(self, values.jpeg_quality)
+        self._frames = RobotFrames(self, values) if values.base_frame else None
+        self._outputs = WidePublishers(self, values, self._model.arbitrary_scale, self._frames)
+        self._pose_inputs = PoseInputs(self, self._outputs.scene_frame, values.base_frame,
+                                       self._frames)
+        self._use_hints()
         self.fault = ''
         self._log_model('configured')
         return super().on_configure(state)
 
-    @_logged
+    @logged
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Take frames."""
         assert self._model and self._outputs
@@ -135,19 +129,19 @@ class ExtrapolatorNode(LifecycleNode):
         self.fault = ''
         return result
 
-    @_logged
+    @logged
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Take no more frames; the model stays loaded."""
         self.stop()
         return super().on_deactivate(state)
 
-    @_logged
+    @logged
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Free the model and the outputs."""
         self._free()
         return super().on_cleanup(state)
 
-    @_logged
+    @logged
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop and free everything."""
         self._free()
@@ -171,9 +165,15 @@ class ExtrapolatorNode(LifecycleNode):
         self.stop()
         if self._outputs is not None:
             self._outputs.destroy()
-        self._outputs = self._model = self._candidate = None
+        if self._pose_inputs is not None:
+            self._pose_inputs.destroy()
+        if self._frames is not None:
+            self._frames.destroy()
+        self._outputs = self._model = self._candidate = self._pose_inputs = self._frames = None
 
     def _on_image(self, message: Any, camera_info: Any | None) -> None:
+        if self._pose_inputs is not None:
+            self._pose_inputs.camera_frame = message.header.frame_id
         if self._worker is not None:
             self._worker.submit(Frame(message, camera_info, time.perf_counter()))
 
@@ -188,6 +188,24 @@ class ExtrapolatorNode(LifecycleNode):
         response.success = True
         response.message = f'{"enabled" if self._enabled else "disabled"}, {self.state_label}'
         return response
+
+    def _on_relocalize(self, request: Trigger.Request, response: Trigger.Response
+                       ) -> Trigger.Response:
+        response.success = self._worker is not None
+        response.message = f'{self.state_label}: no image is taken'
+        if self._worker is not None:
+            self._worker.forget()
+            response.message = 'the next image is searched for in the whole scene'
+        return response
+
+    def _use_hints(self) -> None:
+        """Let the model's memory hear priors and odometry; say where its poses are no map's."""
+        assert self._model and self._outputs and self._pose_inputs
+        self._model.processor.hints = self._pose_inputs.hints
+        if self._model.arbitrary_scale:
+            self.get_logger().warning(
+                'nobody knows the scale of this scene: poses, depth and points are not in metres; '
+                f'their frame is {self._outputs.scene_frame}')
 
     def _on_reload_model(self, request: Trigger.Request, response: Trigger.Response
                          ) -> Trigger.Response:
@@ -225,7 +243,8 @@ class ExtrapolatorNode(LifecycleNode):
         if self._model is not None:
             self._model.processor.rectify = values.rectify
         if self._outputs is not None:
-            self._outputs.jpeg_quality = values.jpeg_quality
+            assert self._model
+            self._outputs.use(values, self._model.arbitrary_scale)
         if self._worker is not None:
             self._worker.max_fps = values.max_fps
             if any(parameter.name in INPUT_PARAMETERS for parameter in parameters):
@@ -261,6 +280,9 @@ class ExtrapolatorNode(LifecycleNode):
         self._model = model
         self._statistics.forget_model()
         self._scene_watch = SceneWatch()
+        if self._outputs is not None:
+            self._outputs.use(read_parameters(self), model.arbitrary_scale)
+            self._use_hints()
         if self._worker is not None:
             self._worker.processor = model.processor
         self._log_model('the model is now')

@@ -5,7 +5,8 @@ from box_room import BAND, cast, EXPANSION, HEIGHT, planar, SOURCE, view
 import cv2
 from neo_ros.baking import keyframes
 from neo_ros.baking.kernels import colour_from_photos, PanoramaPixels, PhotoArrays
-from neo_ros.baking.keyframes import bake_memory, keyframe_positions, MemoryConfig, Photos
+from neo_ros.baking.keyframes import (
+    bake_memory, BakingRules, keyframe_positions, MemoryConfig, Photos)
 from neo_ros.errors import ConfigError, NeoError
 from neo_ros.field.rendering import Rendering
 from neo_ros.field.voxel_field import VoxelField
@@ -14,6 +15,8 @@ from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.scenes.pose_sampling import PoseSampler
 import numpy as np
 import pytest
+
+pytestmark = pytest.mark.slow
 
 POSITION = np.array([2.0, 2.0, HEIGHT])
 SMALL = BAND.rays(44, 126)
@@ -124,7 +127,7 @@ def test_a_vertex_lies_on_a_surface(block: list[list[float]], expected: float) -
 
 def test_a_camera_that_never_turns_has_one_heading() -> None:
     sampler = PoseSampler(np.zeros((1, 2)), (0.3, 0.0), ((0.0, 0.0), (0.0, 0.0)), (1.4, 0.0))
-    rotation, = keyframes._headings(sampler)
+    rotation, = keyframes._headings(sampler, BakingRules())
     assert np.arctan2(rotation[1, 2], rotation[0, 2]) == pytest.approx(0.3)
 
 

@@ -18,11 +18,12 @@ def corner(tmp_path_factory: pytest.TempPathFactory) -> tuple[PosedImages, Truth
     return write_corner(tmp_path_factory.mktemp('corner'))
 
 
-def landmarks_of(photos: PosedImages, work: Path) -> tuple[Landmarks | None, list[str]]:
+def landmarks_of(photos: PosedImages, work: Path, most_photos: int = 400
+                 ) -> tuple[Landmarks | None, list[str]]:
     """Return the landmarks of photos, and the stages that were shown."""
     said: list[str] = []
     found = find_landmarks(photos, 1.0, EXPANSION.source, work,
-                           lambda stage, done, total, note='': said.append(stage))
+                           lambda stage, done, total, note='': said.append(stage), most_photos)
     return found, said
 
 
@@ -30,8 +31,7 @@ def test_the_photos_landmarks_find_the_camera(
         corner: tuple[PosedImages, TruthFrames], tmp_path: Path,
         monkeypatch: pytest.MonkeyPatch) -> None:
     photos, frames = corner
-    monkeypatch.setattr(landmarks_module, 'LANDMARK_PHOTOS', len(photos) - 1)
-    landmarks, said = landmarks_of(photos, tmp_path)
+    landmarks, said = landmarks_of(photos, tmp_path, len(photos) - 1)
     assert landmarks is not None and len(landmarks.points) > 30
     assert {'features', 'matches'} <= set(said)
     locator = Locator(landmarks, CAMERA)

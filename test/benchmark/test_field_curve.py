@@ -1,5 +1,6 @@
 """Quality of the field over training time, and the public field beside it."""
 from dataclasses import replace
+from functools import partial
 from importlib.util import find_spec
 import json
 import shutil
@@ -10,10 +11,13 @@ from neo_ros.cli.main import app
 from neo_ros.errors import ConfigError
 from neo_ros.evaluation.metrics import score_frame
 from neo_ros.experiment import experiment_from
-from neo_ros.field import fitting
+from neo_ros.field import device
+from neo_ros.field.fitting import FitRules
 import numpy as np
 import pytest
 from typer.testing import CliRunner
+
+pytestmark = pytest.mark.slow
 
 EXPERIMENT = experiment_from({'field': {'voxels': 20_000, 'rays_per_step': 512}}, 'test')
 
@@ -21,7 +25,7 @@ EXPERIMENT = experiment_from({'field': {'voxels': 20_000, 'rays_per_step': 512}}
 @pytest.fixture(autouse=True)
 def short(monkeypatch):
     """Leave out LPIPS, whose weights are a download, and most steps."""
-    monkeypatch.setattr(fitting, 'LEAST_STEPS', 200)
+    monkeypatch.setattr(device, 'FitRules', partial(FitRules, least_steps=200))
     monkeypatch.setattr(field_curve, 'load_scorers', lambda progress: {'psnr': score_frame})
 
 

@@ -4,7 +4,7 @@ from typing import Any
 from neo_ros.errors import ConfigError, SceneError
 from neo_ros.evaluation.metrics import psnr
 from neo_ros.field.config import FieldConfig, FIT_NEAR, fit_near
-from neo_ros.field.fitting import FieldTrainer, MOST_NEAR, STAGES
+from neo_ros.field.fitting import FieldTrainer, FitRules, STAGES
 from neo_ros.field.rendering import render_view, to_uint8
 from neo_ros.field.voxel_field import VoxelField
 from neo_ros.geometry import Intrinsics
@@ -12,6 +12,8 @@ from numba import get_num_threads, set_num_threads
 import numpy as np
 from plain_field import CENTRE, room_field, standing, WALLS
 import pytest
+
+pytestmark = pytest.mark.slow
 
 CAMERA = Intrinsics.from_hfov(24, 20, 1.6)
 YAWS = np.linspace(0, 2 * np.pi, 12, endpoint=False)
@@ -33,9 +35,10 @@ def images() -> np.ndarray:
     return np.stack([to_uint8(render_view(field, CAMERA, pose).image) for pose in POSES])
 
 
-def trainer(images: np.ndarray, seed: int = 0, **changes: Any) -> FieldTrainer:
+def trainer(images: np.ndarray, rules: FitRules = FitRules(), seed: int = 0,
+            **changes: Any) -> FieldTrainer:
     return FieldTrainer(images, CAMERA, np.stack([pose.T_world_cam for pose in POSES]),
-                        FieldConfig(**{**SETTINGS, **changes}), seed)
+                        FieldConfig(**{**SETTINGS, **changes}), seed, rules)
 
 
 def trained(images: np.ndarray, until: int = 60, **changes: Any) -> FieldTrainer:
@@ -70,7 +73,7 @@ def test_a_seed_decides_every_bit(images: np.ndarray, unbroken: FieldTrainer) ->
 
 def test_rays_go_through_the_centres_of_the_pixels(
         images: np.ndarray, unbroken: FieldTrainer) -> None:
-    photo, target, rays_o, rays_d = unbroken.sample_rays()
+    photo, target, _, rays_o, rays_d = unbroken.sample_rays()
     pixel = []
     for T_world_cam, ray in zip(np.stack([POSES[i].T_world_cam for i in photo]), rays_d):
         x, y, z = ray @ T_world_cam[:3, :3]
@@ -105,8 +108,7 @@ def test_a_fit_may_end_by_the_clock(images: np.ndarray, monkeypatch: pytest.Monk
         return now
 
     monkeypatch.setattr('neo_ros.field.fitting.time.monotonic', tick)
-    monkeypatch.setattr('neo_ros.field.fitting.LEAST_STEPS', 20)
-    fit = trainer(images, minutes=0.125)
+    fit = trainer(images, FitRules(least_steps=20), minutes=0.125)
     shares, stages = [], []
     while fit.done[0] < fit.done[1]:
         fit.train_step()
@@ -116,8 +118,7 @@ def test_a_fit_may_end_by_the_clock(images: np.ndarray, monkeypatch: pytest.Monk
     assert fit.step == 60 and fit.seconds == 7.5
     assert shares == sorted(shares) and fit.done == (8, 8)
     assert stages[-1] == len(STAGES) - 1 and sorted(set(stages)) == [0, 1, 2, 3]
-    monkeypatch.setattr('neo_ros.field.fitting.LEAST_STEPS', 90)
-    hurried = trainer(images, minutes=0.125)
+    hurried = trainer(images, FitRules(least_steps=90), minutes=0.125)
     while hurried.done[0] < hurried.done[1]:
         hurried.train_step()
     assert hurried.step == 90 and hurried.stage == 3
@@ -133,15 +134,14 @@ def test_the_last_stage_keeps_no_far_air(images: np.ndarray) -> None:
     assert (fit.field.row_of[fit.field.skip == 0] >= 0).all()
 
 
-def test_as_much_is_empty_as_the_nearest_photo_leaves(
-        images: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_as_much_is_empty_as_the_nearest_photo_leaves(images: np.ndarray) -> None:
     fit = trainer(images)
     fit.field = room_field(40_000)
     fit.field.update_occupancy()
     nearest = [np.percentile(render_view(fit.field, CAMERA, pose, 1).depth, 5) for pose in POSES]
     assert np.ptp(nearest) > 0.2
-    assert fit.empty_distance() == MOST_NEAR
-    monkeypatch.setattr('neo_ros.field.fitting.MOST_NEAR', 9.0)
+    assert fit.empty_distance() == FitRules().most_near
+    fit.rules = FitRules(most_near=9.0)
     assert fit.empty_distance() == pytest.approx(0.75 * min(nearest), abs=0.02)
     # What is nearer, but fills less of a photo, may be anything.
     before = fit.field.world_points() - POSES[0].position

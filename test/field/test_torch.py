@@ -10,7 +10,7 @@ from neo_ros.errors import ConfigError
 from neo_ros.evaluation.metrics import psnr
 from neo_ros.field.config import FieldConfig
 from neo_ros.field.device import chosen_device, field_trainer, on_device
-from neo_ros.field.fitting import FieldTrainer
+from neo_ros.field.fitting import FieldTrainer, FitRules
 from neo_ros.field.rendering import render_rays, render_view, to_uint8
 from neo_ros.field.torch_field import TorchField
 from neo_ros.field.torch_fitting import TorchFieldTrainer
@@ -21,7 +21,7 @@ from plain_field import CENTRE, random_rays, room_field, standing
 import pytest
 import torch
 
-pytestmark = pytest.mark.usefixtures('one_thread')
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures('one_thread')]
 
 CAMERA = Intrinsics.from_hfov(24, 20, 1.6)
 POSES = np.stack([standing(0.4 * np.cos(3 * yaw), 0.3 * np.sin(2 * yaw), yaw).T_world_cam
@@ -95,10 +95,11 @@ def test_both_paths_find_the_same_free_space() -> None:
     np.testing.assert_array_equal(placed.home().skip, field.skip)
 
 
-def trainers(photos: np.ndarray, **settings: Any) -> tuple[FieldTrainer, TorchFieldTrainer]:
+def trainers(photos: np.ndarray, rules: FitRules = FitRules(), **settings: Any
+             ) -> tuple[FieldTrainer, TorchFieldTrainer]:
     config = FieldConfig(**settings)
-    return (FieldTrainer(photos, CAMERA, POSES, config, 0),
-            TorchFieldTrainer(photos, CAMERA, POSES, config, 0, 'torch'))
+    return (FieldTrainer(photos, CAMERA, POSES, config, 0, rules),
+            TorchFieldTrainer(photos, CAMERA, POSES, config, 0, 'torch', rules))
 
 
 def run_to(trainer: FieldTrainer, step: int) -> FieldTrainer:
@@ -108,11 +109,9 @@ def run_to(trainer: FieldTrainer, step: int) -> FieldTrainer:
 
 
 @pytest.mark.parametrize('fine', [8000, 8001], ids=['fine', 'coarse'])
-def test_both_fits_take_the_same_steps(photos: np.ndarray, fine: int,
-                                       monkeypatch: pytest.MonkeyPatch) -> None:
+def test_both_fits_take_the_same_steps(photos: np.ndarray, fine: int) -> None:
     """With every loss, through all refinements of the grid."""
-    monkeypatch.setattr('neo_ros.field.fitting.FINE_VOXELS', fine)
-    compiled, torches = trainers(photos, **ALL)
+    compiled, torches = trainers(photos, FitRules(fine_voxels=fine), **ALL)
     for step in (1, 5, 12, 18):
         run_to(compiled, step), run_to(torches, step)
         a, b = compiled.state(), torches.state()

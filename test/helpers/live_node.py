@@ -93,9 +93,9 @@ def started(graph, model, *parameters):
     return camera, process
 
 
-def change_state(graph, transition):
+def change_state(graph, transition, label=''):
     """Ask for a transition; return whether it succeeded."""
-    request = ChangeState.Request(transition=Transition(id=transition))
+    request = ChangeState.Request(transition=Transition(id=transition, label=label))
     return graph.call(ChangeState, f'{NODE}/change_state', request).success
 
 

@@ -1,4 +1,5 @@
 """The node as a process of its own on a real ROS graph."""
+import re
 import signal
 
 from bag_files import START_NS
@@ -6,7 +7,6 @@ from box_room import box_walk, EXPANSION, view, write_box_model
 from camera_messages import noise_image
 from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState
 from live_node import Camera, change_state, end, NODE, set_parameter, started, state_of
 from neo_ros.bags import BagReader, replay, write_demo_bag
 from neo_ros.messages import camera_info_fields, image_fields
@@ -150,19 +150,16 @@ def test_lifecycle_and_enable(graph, model):
 
 
 def test_impossible_transition_does_not_end_the_node(graph, model):
-    camera = Camera(graph)
-    process = camera.start_node(model)
-    camera.wait_for_node()
-    client = graph.node.create_client(ChangeState, f'{NODE}/change_state')
-    graph.spin_until(client.service_is_ready)
-    client.call_async(ChangeState.Request(
-        transition=Transition(id=Transition.TRANSITION_CONFIGURE)))
-    graph.spin_for(0.5)
-    assert process.poll() is None
-    camera.widen(noise_image(SOURCE, 0), 1)
+    camera, process = started(graph, model)
+    for transition in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_CLEANUP,
+                       Transition.TRANSITION_CALLBACK_ERROR, 200):
+        assert not change_state(graph, transition)
+    assert not change_state(graph, 0, 'wish')
     assert state_of(graph) == 'active'
+    camera.widen(noise_image(SOURCE, 0), 1)
     end(process)
-    assert 'request refused' in process.stdout.read()
+    assert re.search('transition 1 refused: the node is active, possible: deactivate, shutdown; '
+                     '.*autostart to false', process.stdout.read())
 
 
 def test_wrong_model_leaves_it_unconfigured_with_the_reason(graph, model, tmp_path):
