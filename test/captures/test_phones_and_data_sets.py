@@ -1,6 +1,7 @@
 """TUM RGB-D, EuRoC, Record3D and Polycam give the photos and poses that were written."""
 from collections.abc import Callable
 from dataclasses import astuple
+from functools import partial
 import json
 from pathlib import Path
 
@@ -25,8 +26,7 @@ FORMATS: dict[str, tuple[Callable[..., Path], CaptureFormat]] = {
     'record3d': (write_record3d, CaptureFormat.RECORD3D),
     'r3d': (write_r3d, CaptureFormat.RECORD3D),
     'polycam': (write_polycam, CaptureFormat.POLYCAM),
-    'polycam, not corrected': (lambda *args: write_polycam(*args, kind=''),
-                               CaptureFormat.POLYCAM),
+    'polycam, not corrected': (partial(write_polycam, kind=''), CaptureFormat.POLYCAM),
 }
 
 
@@ -70,6 +70,7 @@ def test_sparse_tum_poses_are_taken_from_the_nearest_within_20_ms(tmp_path: Path
         [lines[2], 'nan nan nan nan nan nan nan nan'.replace('nan', '1.0', 1), ' '.join(far)]))
     capture = read_tum(source, write_camera_info(tmp_path / 'camera.yaml'))
     frame, = capture.frames
+    assert frame.pose is not None
     np.testing.assert_allclose(frame.pose.T_world_cam, demo_photos().poses[1].T_world_cam,
                                atol=1e-9)
     assert '1 poses in groundtruth.txt are not finite' in capture.notes[0]
