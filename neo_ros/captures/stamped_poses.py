@@ -3,7 +3,7 @@ from collections.abc import Iterator, Sequence
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 
-from neo_ros.bags.transforms import PoseTrack
+from neo_ros.bags.tf_tree import PoseTrack
 from neo_ros.captures.capture import CapturedFrame
 from neo_ros.errors import GeometryError, SceneError
 from neo_ros.geometry.camera_pose import transform_from_quaternion
