@@ -32,6 +32,8 @@ EXTRAS = {
     'train': ['onnx', 'onnxscript', 'pycolmap', 'pydantic>=2', 'scipy', 'tensorboard', 'torch'],
     # Foxglove's own images, calibrations and transforms in protobuf.
     'foxglove': ['mcap-protobuf-support'],
+    # Photos of phones, in `neo import`.
+    'heic': ['pillow-heif'],
     # The page of `neo view`.
     'viewer': ['aiohttp'],
     # Video messages in bags, and the video of `neo replay --side-by-side`.

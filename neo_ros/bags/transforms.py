@@ -57,6 +57,11 @@ class PoseTrack:
         fraction = (stamp_ns - before) / (after - before)
         return CameraPose(T0).interpolated(CameraPose(T1), fraction).T_world_cam
 
+    def neighbours(self, stamp_ns: int) -> list[int]:
+        """Return the stamps of the poses right before a time and at or after it, if there."""
+        place = self._place(stamp_ns)
+        return self._stamps[max(place - 1, 0):place + 1]
+
     def gap_ns(self, stamp_ns: int) -> int:
         """Return how far the poses around a time are apart if that is too far, else 0."""
         place = self._place(stamp_ns)
