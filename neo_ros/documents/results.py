@@ -100,9 +100,6 @@ GEOMETRY_DEPTH = (
     Column('more than 10 % too far', 'depth_too_far_10_percent', '{:.1f} %', 100),
     Column('occupied cells marked', 'occupied_marked', '{:.1f} %', 100),
     Column('free cells marked', 'free_marked_occupied', '{:.1f} %', 100))
-OUTPUT_COST = (
-    Column('output', 'name'), Column('median, ms', 'median_ms', DB),
-    Column('p95, ms', 'p95_ms', DB))
 
 TABLES: dict[str, Rows] = {
     **{name: Rows(name, METHOD) for name in (
@@ -117,7 +114,6 @@ TABLES: dict[str, Rows] = {
     'geometry_pose': Rows('geometry', GEOMETRY_POSE),
     'geometry_depth': Rows('geometry', GEOMETRY_DEPTH,
                            lambda row: row['depth_error_median'] is not None),
-    'output_cost': Rows('outputs', OUTPUT_COST),
     'hard_times': Rows('hard_times', HARD), 'out_of_scene': Rows('out_of_scene', OUTSIDE),
 }
 # Over all scenes of a suite: the key of a row, its format and a factor.
