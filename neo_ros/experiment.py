@@ -101,6 +101,11 @@ class Experiment:
 
 
 def _digest(settings: dict[str, Any]) -> str:
+    # Runs of before there was measured depth go on: a scene without it has no use for its weight,
+    # and one with it has another list of photos.
+    if settings['field']['depth'] == FieldConfig.depth:
+        settings = {**settings, 'field': {**settings['field']}}
+        del settings['field']['depth']
     text = json.dumps(settings, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 

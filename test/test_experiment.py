@@ -63,6 +63,7 @@ def test_the_old_name_of_a_setting_is_read_and_hashes_are_those_of_before(
     # The hash is that of the old word: a run folder of before is continued, not refused.
     settings = asdict(old)
     settings['network']['memory'] = settings['network'].pop('hidden')
+    del settings['field']['depth']
     text = json.dumps(settings, sort_keys=True)
     assert old.config_hash == hashlib.sha256(text.encode()).hexdigest()[:12]
     with pytest.raises(ConfigError, match='network.memory is the old name of network.hidden.*'
@@ -213,3 +214,10 @@ def test_on_a_floor_the_photos_do_not_say_what_is_empty(
     # What is the same field may be shared.
     shared = experiment.field_hash(mapped) == Experiment().field_hash(False)
     assert shared == (near is None)
+
+
+def test_runs_of_before_measured_depth_keep_their_hash() -> None:
+    assert Experiment().config_hash == 'a83d8bc2240c'
+    weighed = Experiment(field=FieldConfig(depth=0.5))
+    assert weighed.config_hash != Experiment().config_hash
+    assert weighed.field_hash(False) != Experiment().field_hash(False)
