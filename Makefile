@@ -10,7 +10,7 @@ PYTHON ?=
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME \
 	PYTHONPATH RMW_IMPLEMENTATION ROS_DISTRO VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup train-setup dev-setup demo test bench soak fuzz lint docs constraints clean
+.PHONY: help setup train-setup dev-setup demo check test bench soak fuzz lint docs constraints clean
 help:
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 22
 
@@ -22,7 +22,11 @@ demo: setup  ## a robot's camera widened live, with scores and pictures
 	$(BIN)/neo demo
 
 test: dev-setup  ## all tests
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist loadgroup
+
+check: dev-setup  ## what one runs before a commit: style, types, and the quick tests
+	@$(BIN)/mypy & mypy=$$!; $(BIN)/flake8 && \
+	$(BIN)/python -m pytest -q -n 2 --dist loadgroup -m 'not slow and not ros' && wait $$mypy
 
 bench: train-setup  ## speed of every part on this machine, into results/bench.json
 	$(BIN)/neo bench
@@ -64,8 +68,8 @@ define pip_install
 endef
 
 $(VENV)/robot.stamp: WANTED := .[viewer]
-$(VENV)/train.stamp: WANTED := .[viewer,video,foxglove,train]
-$(VENV)/dev.stamp: WANTED := .[viewer,video,foxglove,train,dev]
+$(VENV)/train.stamp: WANTED := .[viewer,video,foxglove,heic,train]
+$(VENV)/dev.stamp: WANTED := .[viewer,video,foxglove,heic,train,dev]
 $(VENV)/robot.stamp: setup.py pyproject.toml constraints.txt | $(VENV)/pyvenv.cfg
 	$(pip_install)
 $(VENV)/train.stamp: $(VENV)/robot.stamp

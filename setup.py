@@ -27,11 +27,13 @@ ROBOT = [
 # two sets of native libraries in one process.
 if 'ROS_DISTRO' not in os.environ and 'AMENT_PREFIX_PATH' not in os.environ:
     ROBOT += ['ros-jazzy-common-interfaces', 'ros-jazzy-rclpy[fastrtps]']
-TEST = ['hypothesis', 'pytest', 'pytest-timeout']
+TEST = ['hypothesis', 'pytest', 'pytest-timeout', 'pytest-xdist']
 EXTRAS = {
     'train': ['onnx', 'onnxscript', 'pycolmap', 'pydantic>=2', 'scipy', 'tensorboard', 'torch'],
     # Foxglove's own images, calibrations and transforms in protobuf.
     'foxglove': ['mcap-protobuf-support'],
+    # Photos of phones, in `neo import`.
+    'heic': ['pillow-heif'],
     # The page of `neo view`.
     'viewer': ['aiohttp'],
     # Video messages in bags, and the video of `neo replay --side-by-side`.

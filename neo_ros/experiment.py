@@ -17,6 +17,10 @@ from neo_ros.scenes.pose_sampling import SamplingConfig
 from pydantic import TypeAdapter, ValidationError
 import yaml
 
+# Settings that had another name once. Files that say the old one are read; hashes are taken with
+# it, so that runs and model cards of before keep theirs.
+RENAMED = {('network', 'hidden'): 'memory'}
+
 
 @dataclass(frozen=True)
 class ViewConfig:
@@ -56,7 +60,10 @@ class Experiment:
     @property
     def config_hash(self) -> str:
         """Twelve hex digits that change with any setting."""
-        return _digest(asdict(self))
+        settings = asdict(self)
+        for (part, name), old in RENAMED.items():
+            settings[part][old] = settings[part].pop(name)
+        return _digest(settings)
 
     def sampling_area(self, mapped: bool) -> str:
         """Return where poses are drawn: walkable, photos or free_space; mapped: by a floor map."""
@@ -110,9 +117,23 @@ def read_experiment(path: Path) -> Experiment:
 def experiment_from(document: Any, name: str) -> Experiment:
     """Check the settings of an experiment; `name` says in errors where they come from."""
     try:
-        return TypeAdapter(Experiment).validate_python(document)
+        return TypeAdapter(Experiment).validate_python(in_new_words(document, name))
     except ValidationError as error:
         raise ConfigError(f'{name}: ' + '; '.join(map(_in_words, error.errors()))) from error
+
+
+def in_new_words(document: Any, name: str) -> Any:
+    """Return settings as a file gave them, old names of `RENAMED` replaced by today's."""
+    for (part, new), old in RENAMED.items():
+        settings = document.get(part) if isinstance(document, dict) else None
+        if not isinstance(settings, dict) or old not in settings:
+            continue
+        if new in settings:
+            raise ConfigError(f'{name}: {part}.{old} is the old name of {part}.{new}: expected '
+                              f'one of the two, got both; leave {part}.{old} out')
+        document = {**document, part: {
+            new if key == old else key: value for key, value in settings.items()}}
+    return document
 
 
 def _in_words(item: Any) -> str:

@@ -100,7 +100,7 @@ def _fit_field(run: TrainingRun, path: Path, writes: bool) -> None:
     if writes and not checkpoint.exists():
         drop_made_of_a_field(run.out)
     trainer = field_trainer(images, run.fitted.intrinsics.scaled(scale), run.fitted.T_world_cam,
-                            config, run.experiment.seed)
+                            config, run.experiment.seed, run.fitted.read_depths(scale))
     train_with_checkpoints(
         run, trainer, checkpoint, 'field', lambda: trainer.done,
         trainer.train_step,
@@ -166,7 +166,8 @@ def export_step(run: TrainingRun, network: nn.Module,
         network=run.experiment.network.name,
         gflop=round((count_flops(path) or 0) / 1e9, 3) or None,
         config_hash=run.experiment.config_hash, parity=Parity(max_abs_error=255, share_within_1=0),
-        trained_seconds=run.seconds, neo_ros_version=neo_ros.__version__)
+        trained_seconds=run.seconds, neo_ros_version=neo_ros.__version__,
+        arbitrary_scale=run.scene.train.arbitrary_scale)
     write_model_card(path, card)
     extrapolator = FovExtrapolator.load(path, guided=False)
     frames = real_frames(run, 8)

@@ -1,6 +1,7 @@
 """What tests share, and what holds for all: no clock in hypothesis, no logs at home."""
 from collections.abc import Iterator
 from pathlib import Path
+import re
 from typing import Any
 
 from hypothesis import settings
@@ -9,6 +10,27 @@ import pytest
 # The machines that run the tests are shared: how long an example takes says nothing.
 settings.register_profile('shared machine', deadline=None)
 settings.load_profile('shared machine')
+# What a file imports tells what its tests need.
+MARKS = {'ros': r'import.*\b(ros_graph|live_node|rclpy)\b|^from (ros_graph|live_node) ',
+         'torch': r'\b(torch|tiny_training|onnx)\b'}
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """
+    Mark tests by what they import and use, and keep those together that share what is dear.
+
+    One worker trains the tiny run for all tests that use it; else a file stays with one worker.
+    """
+    needs: dict[Path, set[str]] = {}
+    for item in items:
+        if item.path not in needs:
+            text = item.path.read_text()
+            needs[item.path] = {mark for mark, words in MARKS.items()
+                                if re.search(words, text, re.MULTILINE)}
+        trained = 'tiny_run' in getattr(item, 'fixturenames', ())
+        for mark in needs[item.path] | ({'slow', 'torch'} if trained else set()):
+            item.add_marker(mark)
+        item.add_marker(pytest.mark.xdist_group('tiny run' if trained else str(item.path)))
 
 
 @pytest.fixture(scope='session', autouse=True)

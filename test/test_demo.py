@@ -20,6 +20,8 @@ import pytest
 from tiny_model import TINY_EXPANSION, write_tiny_model
 from typer.testing import CliRunner
 
+pytestmark = pytest.mark.slow
+
 FRAMES = 12
 
 

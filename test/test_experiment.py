@@ -1,5 +1,7 @@
 from collections.abc import Iterator
 from dataclasses import asdict, fields, is_dataclass, replace
+import hashlib
+import json
 import math
 from pathlib import Path
 from typing import Any
@@ -51,6 +53,23 @@ def changed_experiments(settings: Any) -> Iterator[tuple[str, Any]]:
         else:
             other = changes[entry.name] if entry.name in changes else value + 1
             yield entry.name, replace(settings, **{entry.name: other})
+
+
+def test_the_old_name_of_a_setting_is_read_and_hashes_are_those_of_before(
+        tmp_path: Path) -> None:
+    old = read(tmp_path, 'network: {width: 8, memory: 96}')
+    assert old == read(tmp_path, 'network: {width: 8, hidden: 96}')
+    assert old.network.hidden == 96
+    # The hash is that of the old word: a run folder of before is continued, not refused.
+    settings = asdict(old)
+    settings['network']['memory'] = settings['network'].pop('hidden')
+    text = json.dumps(settings, sort_keys=True)
+    assert old.config_hash == hashlib.sha256(text.encode()).hexdigest()[:12]
+    with pytest.raises(ConfigError, match='network.memory is the old name of network.hidden.*'
+                       'got both; leave network.memory out'):
+        read(tmp_path, 'network: {memory: 96, hidden: 96}')
+    with pytest.raises(ConfigError, match='network.hidden: .*integer.*many'):
+        read(tmp_path, 'network: {memory: many}')
 
 
 def test_an_empty_file_is_the_default(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ LAW: dict[str, set[str]] = {
     'scenes': {'geometry', 'machine', 'pictures', 'cv2'},
     'captures': {'geometry', 'machine', 'pictures', 'scenes', 'bags', 'messages', 'reports', 'cv2',
                  'pycolmap'},
-    'flat': {'geometry', 'machine', 'scenes', 'cv2'},
+    'flat': {'geometry', 'machine', 'pictures', 'scenes', 'cv2'},
     'reports': {'geometry', 'machine', 'pictures', 'cv2', 'matplotlib'},
     'field': {'geometry', 'machine', 'pictures', 'scenes', 'torch', 'numba', 'scipy', 'cv2'},
     'outpaint': {'geometry', 'machine', 'pictures', 'scenes', 'field', 'runtime', 'torch', 'onnx',

@@ -13,8 +13,8 @@ import neo_ros
 import pytest
 
 SOURCE = Path(neo_ros.__file__).parent.parent
-pytestmark = pytest.mark.skipif(
-    not (SOURCE / 'setup.py').is_file(), reason='the tested neo_ros is not a source checkout')
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(
+    not (SOURCE / 'setup.py').is_file(), reason='the tested neo_ros is not a source checkout')]
 SHIPPED = ('launch', 'config', 'models')
 
 

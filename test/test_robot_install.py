@@ -8,6 +8,8 @@ from neo_ros.bags import BagReader
 from neo_ros.runtime import read_model_card
 import pytest
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[1]
 # Newer versions of typer import pydantic themselves, those of Ubuntu do not.
 WITHOUT = """

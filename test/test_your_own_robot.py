@@ -12,6 +12,8 @@ import pytest
 from typer.testing import CliRunner
 import yaml
 
+pytestmark = pytest.mark.slow
+
 DOCUMENT = Path(neo_ros.__file__).parent.parent / 'docs' / 'guides' / 'your-own-robot.md'
 EXPANSION = ViewExpansion.to_size(Intrinsics.from_hfov(32, 32, 1.5708), 64, 64)
 FRAMES = 60

@@ -6,13 +6,12 @@ import shlex
 from typing import Any
 
 from neo_ros.bags.camera_topics import (
-    CAMERA_INFO, find_info_topic, IMAGE, image_topics, info_topics, read_lens,
-    same_frame)
+    CAMERA_INFO, find_info_topic, IMAGE, image_topics, info_topics, read_lens, same_frame)
 from neo_ros.bags.reading import BagReader
 from neo_ros.bags.recorded_poses import (
     find_pose_source, find_pose_topics, NO_POSES, POSE_TYPES, RecordedPoses, SPARE_TYPES, TF_TYPE)
+from neo_ros.bags.tf_tree import frame_name
 from neo_ros.bags.topic import BagTopic, describe_topics
-from neo_ros.bags.transforms import frame_name
 from neo_ros.errors import BagError, ImageRejected, SceneError
 from neo_ros.geometry import ViewExpansion
 from neo_ros.machine.progress import no_progress, Progress

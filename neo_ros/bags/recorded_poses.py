@@ -6,9 +6,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from neo_ros.bags.reading import BagReader
+from neo_ros.bags.tf_tree import frame_name, PoseSource, PoseTrack, read_transform, TransformTree
 from neo_ros.bags.topic import BagTopic, CDR, describe_topics, describe_unread
-from neo_ros.bags.transforms import (
-    frame_name, PoseSource, PoseTrack, read_transform, TransformTree)
 from neo_ros.errors import BagError
 from neo_ros.machine.names import listed
 from neo_ros.messages.stamps import stamp_of

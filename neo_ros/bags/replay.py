@@ -1,6 +1,6 @@
 """Widen the camera of a bag without a ROS graph, with the extrapolator that the node runs."""
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 import time
@@ -10,7 +10,10 @@ from neo_ros.bags.background import read_ahead, WriteBehind
 from neo_ros.bags.camera_topics import (
     as_raw_image, CAMERA_INFO, CameraTopics, find_camera, IMAGE, image_topics)
 from neo_ros.bags.damage import Damage
-from neo_ros.bags.reading import BagMessage, BagReader, FOREVER_NS
+from neo_ros.bags.reading import BagMessage, BagReader
+from neo_ros.bags.replay_outputs import (
+    bag_maker, check_outputs, DEFAULT_OUTPUTS, DIAGNOSTICS, node_name, ReplayOutputs)
+from neo_ros.bags.section import Section
 from neo_ros.bags.topic import BagTopic
 from neo_ros.bags.writing import BagWriter
 from neo_ros.errors import BagError, ImageRejected
@@ -18,54 +21,15 @@ from neo_ros.geometry import ViewExpansion
 from neo_ros.machine.progress import Progress
 from neo_ros.messages import camera_info_of, FrameProcessor, image_fields, read_image
 from neo_ros.messages.image_reader import ImageReader
-from neo_ros.messages.stamps import NS_PER_S, stamp_of
+from neo_ros.messages.memory_messages import MEMORY_OUTPUTS, MemorySettings
+from neo_ros.messages.scene_outputs import default_scene_frame, STATUS
+from neo_ros.messages.stamps import stamp_of
 from neo_ros.runtime import FovExtrapolator
 import numpy as np
 
 # Truth and prediction of one stamp lie close together in a bag; unmatched ones are let go.
 MAX_UNMATCHED = 64
 OnImages = Callable[[int, np.ndarray, np.ndarray], None]
-
-
-@dataclass(frozen=True)
-class Section:
-    """
-    Which part of a bag is replayed.
-
-    start_s, end_s  seconds from its first message; None = to its end
-    every           widen only every so many-th image
-    """
-
-    start_s: float = 0.0
-    end_s: float | None = None
-    every: int = 1
-
-    def __post_init__(self) -> None:
-        end_s = float('inf') if self.end_s is None else self.end_s
-        if not 0 <= self.start_s < end_s:
-            raise BagError(f'start, end: expected 0 <= start < end in seconds, got '
-                           f'{self.start_s} and {self.end_s}')
-        if self.every < 1:
-            raise BagError(f'every: expected a number >= 1, got {self.every}')
-
-    @property
-    def is_all(self) -> bool:
-        """Whether no message is left out."""
-        return self.start_s == 0 and self.end_s is None
-
-    def stamps(self, reader: BagReader) -> tuple[int, int, float]:
-        """Return log times [start, stop) in ns and the share of the bag; BagError if empty."""
-        if self.is_all:
-            return 0, FOREVER_NS, 1.0
-        first_ns, last_ns = reader.span_ns
-        start_ns = first_ns + round(self.start_s * NS_PER_S)
-        stop_ns = FOREVER_NS if self.end_s is None else first_ns + round(self.end_s * NS_PER_S)
-        if start_ns > last_ns:
-            raise BagError(f'{reader.path}: start: expected less than the '
-                           f'{(last_ns - first_ns) / NS_PER_S:.3f} s of the bag, got '
-                           f'{self.start_s}')
-        share = (min(stop_ns, last_ns) - start_ns) / max(last_ns - first_ns, 1)
-        return start_ns, stop_ns, share
 
 
 @dataclass
@@ -100,13 +64,16 @@ def replay(bag: Path | str, extrapolator: FovExtrapolator, out: Path | str,
            image_topic: str | None = None, truth_topic: str | None = None, copy: bool = True,
            section: Section = Section(), rectify: bool = False, on_frame: OnImages | None = None,
            on_pair: OnImages | None = None,
-           on_progress: Progress | None = None) -> ReplayResult:
+           on_progress: Progress | None = None,
+           outputs: Collection[str] = DEFAULT_OUTPUTS) -> ReplayResult:
     """
     Write a bag with everything of `bag` (unless `copy` is off) and the wide view of its camera.
 
     For /camera/image_raw: /camera/wide/image, wide/mask, wide/confidence and wide/camera_info at
     the log time and with the header of each image, as the node makes them from the image and the
     newest message of /camera/camera_info. Topics of these names in `bag` are replaced.
+    So are `outputs`, some of MEMORY_OUTPUTS, as wide/pose; /diagnostics gets what the node would
+    say, in the place of what it said.
     `image_topic` may be left out when one camera has the model's size, or one is calibrated.
     `rectify` takes the distortion out of its images. Of what lies before a section, the latched
     topics are kept, with the log time of its start.
@@ -118,6 +85,7 @@ def replay(bag: Path | str, extrapolator: FovExtrapolator, out: Path | str,
     bags, topics and outputs that cannot be used.
     """
     started = time.perf_counter()
+    check_outputs(outputs)
     with BagReader(bag) as reader:
         camera = find_camera(reader, extrapolator.expansion.source, image_topic)
         truth = None if truth_topic is None else image_topics(reader, truth_topic)[0]
@@ -127,6 +95,7 @@ def replay(bag: Path | str, extrapolator: FovExtrapolator, out: Path | str,
         with BagWriter(out, custom_data=custom_data) as writer, WriteBehind() as behind:
             run = _Replay(writer, behind, FrameProcessor(extrapolator, rectify),
                           extrapolator.expansion, camera, truth, result)
+            run.write_memory(outputs, extrapolator.card.arbitrary_scale)
             run.every, run.on_frame, run.on_pair = section.every, on_frame, on_pair
             copied = [topic for topic in reader.topics if topic.name not in run.outputs]
             for topic in copied if copy else ():
@@ -138,7 +107,7 @@ def replay(bag: Path | str, extrapolator: FovExtrapolator, out: Path | str,
             for done, entry in enumerate(read_ahead(messages), 1):
                 message = entry.message
                 late = message.stamp_ns >= start_ns
-                if copy and message.topic.name not in run.outputs and (
+                if copy and not run.replaces(message) and (
                         late or message.topic.latched):
                     behind.submit(writer.copy, message, max(message.stamp_ns, start_ns))
                 run.take(entry)
@@ -210,9 +179,28 @@ class _Replay:
         self._processor = processor
         self.every = 1
         self._images = 0
+        self._memory: ReplayOutputs | None = None
+        self._diagnosed = node_name(camera.wide).encode() + b'\0'
         self.on_frame: OnImages | None = None
         self.on_pair: OnImages | None = None
         self._unmatched: tuple[dict[int, np.ndarray], dict[int, np.ndarray]] = ({}, {})
+
+    def write_memory(self, names: Collection[str], arbitrary_scale: bool) -> None:
+        """Also write these of MEMORY_OUTPUTS, and the diagnosis."""
+        for name in names:
+            topic = f'{self._camera.wide}/{name}'
+            self.outputs[topic] = name
+            self._topics[name] = self._writer.add_topic(topic, MEMORY_OUTPUTS[name])
+        self._topics[DIAGNOSTICS] = self._writer.add_topic(DIAGNOSTICS, STATUS)
+        settings = MemorySettings(default_scene_frame(arbitrary_scale),
+                                  node_name(self._camera.wide))
+        self._memory = ReplayOutputs(bag_maker(self._types), names, settings, self._submit)
+
+    def replaces(self, message: BagMessage) -> bool:
+        """Tell whether a message says what this replay says anew."""
+        if message.topic.name == DIAGNOSTICS:
+            return self._diagnosed in bytes(message.cdr)
+        return message.topic.name in self.outputs
 
     def take(self, entry: _Decoded) -> None:
         """Do what the message's topic asks for; count what cannot be used."""
@@ -246,6 +234,8 @@ class _Replay:
         for name, pixels in (('mask', frame.extrapolated_mask), ('confidence', frame.confidence),
                              ('image', frame.image)):
             self._write(name, stamp_ns, content.header, image_fields(pixels))
+        if self._memory is not None:
+            self._memory.add(stamp_ns, content.header, frame, self._result.rejected)
         self._result.frames += 1
         self._result.guided += frame.guided
         if self.on_frame is not None:
@@ -278,6 +268,8 @@ class _Replay:
             del waiting[next(iter(waiting))]
 
     def _write(self, name: str, stamp_ns: int, header: Any, fields: dict[str, Any]) -> None:
-        topic = self._topics[name]
-        self._behind.submit(self._writer.write, topic, stamp_ns,
-                            self._types[topic.msgtype](header=header, **fields))
+        self._submit(name, stamp_ns,
+                     self._types[self._topics[name].msgtype](header=header, **fields))
+
+    def _submit(self, name: str, stamp_ns: int, message: Any) -> None:
+        self._behind.submit(self._writer.write, self._topics[name], stamp_ns, message)

@@ -3,6 +3,7 @@ B3: find the camera's pose in the scene, then let the radiance field render the 
 
 Retrieval, 2D-3D matches, PnP with RANSAC and refinement, as hloc does (Sarlin et al., 2019).
 """
+import math
 from typing import Any, NamedTuple
 
 from neo_ros.baking.photo_bank import PhotoBank
@@ -10,6 +11,7 @@ from neo_ros.baking.sparse_model import SparseModel
 from neo_ros.benchmark.field_view import FieldView
 from neo_ros.evaluation.baselines import NeoModel
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
+from neo_ros.geometry.camera_pose import rotation_angle
 from neo_ros.memory.local_features import Features, find_features, match_features
 import numpy as np
 
@@ -143,6 +145,5 @@ class RelocalizedNeo(Relocalized):
 def pose_error(found: CameraPose, true_pose: CameraPose) -> dict[str, float]:
     """Return pose_error_cm and pose_error_deg."""
     relative = found.T_world_cam[:3, :3].T @ true_pose.T_world_cam[:3, :3]
-    angle = np.degrees(np.arccos(np.clip((np.trace(relative) - 1) / 2, -1, 1)))
     return {'pose_error_cm': 100 * float(np.linalg.norm(found.position - true_pose.position)),
-            'pose_error_deg': float(angle)}
+            'pose_error_deg': math.degrees(rotation_angle(relative))}

@@ -18,7 +18,7 @@ from neo_ros.benchmark.protocols import (
     choose_view, fitting_network, SCALES, split_checksums, split_walks)
 from neo_ros.errors import ConfigError
 from neo_ros.evaluation.evaluate import TruthFrames
-from neo_ros.experiment import Experiment, experiment_from, read_experiment
+from neo_ros.experiment import Experiment, experiment_from, in_new_words, read_experiment
 from neo_ros.field.radiance_field import RadianceField
 from neo_ros.machine.files import make_output_folder, share_dir, write_bytes
 from neo_ros.machine.names import listed
@@ -161,13 +161,14 @@ class Workbench:
         note = self.folder / 'job.json'
         # A different number of test frames or folder changes no artefact.
         kept = {'protocol': self.job.protocol, 'scale': self.job.scale,
-                'minutes': self.job.minutes, 'settings': self.job.settings or {},
-                'checksums': self.checksums,
+                'minutes': self.job.minutes, 'checksums': self.checksums,
+                'settings': in_new_words(self.job.settings or {}, self.job.scene),
                 'experiments': {network: self._experiment_of(network).config_hash
                                 for network in NETWORKS}}
         text = json.dumps({'job': asdict(self.job), **kept}, indent=1)
         if note.exists():
             found = json.loads(note.read_text())
+            found['settings'] = in_new_words(found.get('settings'), str(note))
             differ = [name for name, value in kept.items() if found.get(name) != value]
             if differ:
                 raise ConfigError(

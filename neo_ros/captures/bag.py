@@ -5,13 +5,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from neo_ros.bags.camera_topics import (
-    find_image_topic, find_info_topic, info_topics, read_lens)
+from neo_ros.bags.camera_topics import find_image_topic, find_info_topic, info_topics, read_lens
 from neo_ros.bags.reading import BagReader
 from neo_ros.bags.recorded_poses import (
     find_pose_source, find_pose_topics, PoseTopics, RecordedPoses)
+from neo_ros.bags.tf_tree import frame_name, PoseSource
 from neo_ros.bags.topic import BagTopic, describe_topics, describe_unread
-from neo_ros.bags.transforms import frame_name, PoseSource
 from neo_ros.captures.camera_file import read_camera_file
 from neo_ros.captures.capture import Capture, CapturedFrame, ImageStream, origin_of
 from neo_ros.errors import BagError, ConfigError, ImageRejected

@@ -14,7 +14,7 @@ _OPTION = '--camera-info'
 _SHAPE = {'camera_matrix': 9, 'rectification_matrix': 9, 'projection_matrix': 12}
 
 
-def read_camera_file(path: Path, image_topic: str) -> Lens:
+def read_camera_file(path: Path, image_topic: str = '') -> Lens:
     """
     Return the lens of the images on a topic; rectified images take the projection matrix.
 

@@ -40,34 +40,61 @@ class _ModelImage:
 
 
 def find_model(source: Path) -> Path | None:
-    """Return the folder with cameras.bin or .txt in or below SOURCE, where COLMAP puts it."""
-    for place in ('', 'sparse/0', 'sparse', 'colmap/sparse/0', '0'):
+    """Return the first folder with cameras.bin or .txt in or below SOURCE, as COLMAP puts it."""
+    return next(iter(_find_models(source)), None)
+
+
+def _find_models(source: Path) -> list[Path]:
+    """Return SOURCE or the folder below it that holds the model, or all its numbered ones."""
+    for place in ('', 'sparse', 'colmap/sparse'):
         folder = source / place
-        if any((folder / f'cameras{suffix}').is_file() and (folder / f'images{suffix}').is_file()
-               for suffix in ('.bin', '.txt')):
-            return folder
-    return None
+        if _is_model(folder):
+            return [folder]
+        parts = sorted((path for path in folder.glob('[0-9]*')
+                        if path.name.isdecimal() and _is_model(path)),
+                       key=lambda path: int(path.name))
+        if parts:
+            return parts
+    return []
 
 
-def read_colmap(source: Path) -> Capture:
-    """Read a COLMAP project: the model in or below SOURCE, and its images beside it."""
-    model = find_model(source)
-    if model is None:
+def _is_model(folder: Path) -> bool:
+    return any((folder / f'cameras{suffix}').is_file() and (folder / f'images{suffix}').is_file()
+               for suffix in ('.bin', '.txt'))
+
+
+def read_colmap(source: Path, images: Path | None = None, model: int | None = None) -> Capture:
+    """
+    Read a COLMAP project: the model in or below SOURCE, and its images.
+
+    images: the folder with the images, instead of one beside the model. model: the number of one
+    of several models; by default the one with the most images.
+    """
+    models = _find_models(source)
+    if not models:
         raise SceneError(f'{source}: expected cameras.bin and images.bin (or .txt) here, in '
                          'sparse/ or in sparse/0/')
-    model = Path(os.path.abspath(model))  # '.' has neither parents nor a name.
+    counts = {path: len(_read_model(path)[1]) for path in models} if len(models) > 1 else {}
+    chosen = max(models, key=lambda path: counts.get(path, 0))
+    if model is not None:
+        names = [path.name for path in models]
+        if str(model) not in names:
+            raise SceneError(f'--model: expected one of {", ".join(names)} in '
+                             f'{models[0].parent}, got {model}')
+        chosen = models[names.index(str(model))]
+    notes: tuple[str, ...] = ()
+    if len(models) > 1:
+        others = ', '.join(f'{path.name} ({counts[path]})' for path in models if path != chosen)
+        notes = (f'{chosen.parent} holds {len(models)} models: {chosen.name} is read, with '
+                 f'{counts[chosen]} images; others by --model: {others}',)
+    capture = read_colmap_model(chosen, images or _images_beside(source, chosen))
+    return replace(capture, notes=capture.notes + notes)
+
+
+def _images_beside(source: Path, model: Path) -> Path:
+    model = Path(os.path.abspath(model))  # '.' has no parents.
     places = [folder / name for folder in (source, *model.parents[:2]) for name in IMAGE_FOLDERS]
-    images = next((place for place in places if place.is_dir()), source)
-    capture = read_colmap_model(model, images)
-    others = sorted(folder.name for folder in model.parent.iterdir()
-                    if model.name.isdecimal() and folder.name.isdecimal() and folder != model
-                    and find_model(folder) == folder)
-    if not others:
-        return capture
-    return replace(capture, notes=capture.notes + (
-        f'{model.parent} holds other parts of the scene, too: {listed(others)}; only {model.name} '
-        f'is read. Another one is imported by its name: neo import {model.parent / others[0]} '
-        'SCENE',))
+    return next((place for place in places if place.is_dir()), source)
 
 
 def read_colmap_model(model: Path, image_folder: Path) -> Capture:
@@ -77,8 +104,7 @@ def read_colmap_model(model: Path, image_folder: Path) -> Capture:
     Images that are missing are named in the notes and left out. Raises SceneError for damaged
     files, for camera models that cannot be made straight, and where no image exists.
     """
-    cameras, images = (_read_binary(model) if (model / 'cameras.bin').is_file()
-                       else _read_text(model))
+    cameras, images = _read_model(model)
     frames, missing, lost = [], [], []
     for image in sorted(images, key=lambda image: natural_key(image.name)):
         where = f'{model}: image {image.name}'
@@ -106,11 +132,12 @@ def read_colmap_model(model: Path, image_folder: Path) -> Capture:
                          f'in {image_folder}')
     if not frames:
         raise SceneError(f'{model}: none of its {len(images)} images is in {image_folder}: '
-                         f'{listed(missing) or "the model is empty"}')
+                         f'{listed(missing) or "the model is empty"}; say where they are: '
+                         '--images DIR')
     notes = []
     if missing:
         notes.append(f'{len(missing)} images of the model are missing and left out: '
-                     f'{listed(missing)}')
+                     f'{listed(missing)}; --images DIR says where they are, if elsewhere')
     if lost:
         notes.append(f'{len(lost)} images have no finite pose and are left out: {listed(lost)}')
     return Capture(tuple(frames), tuple(notes))
@@ -132,6 +159,10 @@ def _lens(model: str, width: int, height: int, params: Sequence[float], where: s
         raise SceneError(f'{where}: {error}') from error
 
 
+def _read_model(model: Path) -> tuple[dict[int, Lens], list[_ModelImage]]:
+    return _read_binary(model) if (model / 'cameras.bin').is_file() else _read_text(model)
+
+
 def _read_text(model: Path) -> tuple[dict[int, Lens], list[_ModelImage]]:
     cameras = {}
     for number, line in _lines(model / 'cameras.txt'):
@@ -150,11 +181,14 @@ def _read_text(model: Path) -> tuple[dict[int, Lens], list[_ModelImage]]:
         except ValueError as error:
             raise SceneError(f'{where}: expected ID MODEL WIDTH HEIGHT PARAMS: {error}') from error
     images = []
-    lines = _lines(model / 'images.txt', keep_empty=True)
-    for number, line in lines:
-        if not line:
+    points_follow = False
+    for number, line in _lines(model / 'images.txt', keep_empty=True):
+        # Every image has a second line with its points, which may be empty; some writers leave
+        # it out.
+        if points_follow and _lists_points(line) or not line:
+            points_follow = False
             continue
-        next(lines, None)  # Every image has a second line with its points, which may be empty.
+        points_follow = True
         words = line.split(maxsplit=9)
         try:
             numbers = tuple(float(word) for word in words[1:8])
@@ -163,6 +197,15 @@ def _read_text(model: Path) -> tuple[dict[int, Lens], list[_ModelImage]]:
             raise SceneError(f'{model / "images.txt"}:{number}: expected ID QW QX QY QZ TX TY TZ '
                              f'CAMERA NAME: {error}') from error
     return cameras, images
+
+
+def _lists_points(line: str) -> bool:
+    """Whether a line is empty or of X Y POINT3D_ID, and not of an image."""
+    words = line.split()
+    try:
+        return len(words) % 3 == 0 and bool([float(word) for word in words] or not words)
+    except ValueError:
+        return False
 
 
 def _lines(path: Path, keep_empty: bool = False) -> Iterator[tuple[int, str]]:

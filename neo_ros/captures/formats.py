@@ -1,13 +1,20 @@
 """Tell the format of a capture by the files that are there."""
+from collections.abc import Callable
 from enum import Enum
 from pathlib import Path
 
+from neo_ros.captures.capture import Capture
 from neo_ros.captures.colmap import find_model, read_colmap
+from neo_ros.captures.euroc import find_euroc, read_euroc
 from neo_ros.captures.nerfstudio import read_transforms_capture, TRANSFORMS_FILE
 from neo_ros.captures.photos import find_photos, read_photos
+from neo_ros.captures.polycam import find_keyframes, read_polycam
+from neo_ros.captures.record3d import find_record3d, read_record3d, SUFFIX as RECORD3D_SUFFIX
 from neo_ros.captures.scannet import is_scannet, read_scannet
 from neo_ros.captures.seven_scenes import is_seven_scenes, read_seven_scenes
 from neo_ros.captures.trajectory import read_trajectory, TRAJECTORY_FILE
+from neo_ros.captures.tum import is_tum, read_tum
+from neo_ros.captures.unread import find_unread
 from neo_ros.captures.video import VIDEO_SUFFIXES
 from neo_ros.errors import SceneError
 from neo_ros.pictures.photo import PHOTO_SUFFIXES
@@ -21,6 +28,10 @@ class CaptureFormat(str, Enum):
     COLMAP = 'colmap'
     SCANNET = 'scannet'
     SEVEN_SCENES = '7scenes'
+    TUM = 'tum'
+    EUROC = 'euroc'
+    RECORD3D = 'record3d'
+    POLYCAM = 'polycam'
     TRAJECTORY = 'trajectory'
     BAG = 'bag'
     PHOTOS = 'photos'
@@ -29,13 +40,24 @@ class CaptureFormat(str, Enum):
 
 # Readers of folders and files; scenes are copied, bags are read in their own room, and videos,
 # which take long, show their progress.
-FOLDER_READERS = {
+FOLDER_READERS: dict[CaptureFormat, Callable[..., Capture]] = {
     CaptureFormat.TRANSFORMS: read_transforms_capture,
     CaptureFormat.COLMAP: read_colmap,
     CaptureFormat.SCANNET: read_scannet,
     CaptureFormat.SEVEN_SCENES: read_seven_scenes,
+    CaptureFormat.TUM: read_tum,
+    CaptureFormat.EUROC: read_euroc,
+    CaptureFormat.RECORD3D: read_record3d,
+    CaptureFormat.POLYCAM: read_polycam,
     CaptureFormat.TRAJECTORY: read_trajectory,
     CaptureFormat.PHOTOS: read_photos,
+}
+# Which readers take which options of `neo import`, as keywords.
+FOLDER_OPTIONS = {
+    'images': (CaptureFormat.COLMAP,),
+    'model': (CaptureFormat.COLMAP,),
+    'camera_info': (CaptureFormat.TUM, CaptureFormat.EUROC, CaptureFormat.TRAJECTORY,
+                    CaptureFormat.PHOTOS),
 }
 _BAG_SUFFIXES = ('.mcap', '.db3', '.mcap.zstd', '.db3.zstd')
 
@@ -45,7 +67,8 @@ def detect_format(source: Path) -> CaptureFormat:
     Return the format of a file or folder.
 
     The order decides: nerfstudio keeps COLMAP's files beside its own, and all have photos.
-    Raises SceneError for empty folders and for folders of nothing known.
+    Photos come last: where something beside them looks like poses, SceneError names it. Raises
+    SceneError for empty folders and for folders of nothing known.
     """
     if source.is_file():
         if source.suffix == '.json':
@@ -54,10 +77,15 @@ def detect_format(source: Path) -> CaptureFormat:
             return CaptureFormat.BAG
         if source.suffix.lower() in VIDEO_SUFFIXES:
             return CaptureFormat.VIDEO
+        if source.suffix.lower() == RECORD3D_SUFFIX:
+            return CaptureFormat.RECORD3D
+        if source.suffix.lower() == '.zip':
+            raise SceneError(f'{source}: expected a folder; unpack it: unzip {source}')
         if source.suffix == '.bag':
             raise SceneError(f'{source}: expected a bag of ROS 2, got one of ROS 1; convert it: '
                              f'rosbags-convert --src {source} --dst {source.stem}')
-        raise SceneError(f'{source}: expected a folder, a .json, a bag (.mcap, .db3) or a video '
+        raise SceneError(f'{source}: expected a folder, a .json, a .r3d, a bag (.mcap, .db3) or a '
+                         'video '
                          f'({", ".join(VIDEO_SUFFIXES)})')
     if not source.is_dir():
         raise SceneError(f'{source}: no such file or folder (and not the word "demo")')
@@ -67,16 +95,26 @@ def detect_format(source: Path) -> CaptureFormat:
             (find_model(source) is not None, CaptureFormat.COLMAP),
             (is_scannet(source), CaptureFormat.SCANNET),
             (is_seven_scenes(source), CaptureFormat.SEVEN_SCENES),
+            (is_tum(source), CaptureFormat.TUM),
+            (find_euroc(source) is not None, CaptureFormat.EUROC),
+            (find_record3d(source) is not None, CaptureFormat.RECORD3D),
+            (find_keyframes(source) is not None, CaptureFormat.POLYCAM),
             ((source / TRAJECTORY_FILE).is_file(), CaptureFormat.TRAJECTORY),
             (any(next(source.glob(f'*{suffix}'), None) for suffix in _BAG_SUFFIXES),
-             CaptureFormat.BAG),
-            (bool(find_photos(source)), CaptureFormat.PHOTOS)):
+             CaptureFormat.BAG)):
         if found:
             return format_
+    unread, photos = find_unread(source), find_photos(source)
+    if unread:
+        raise SceneError(f'{source}: no poses that can be read, but files that look like some: '
+                         f'{unread}. To compute others instead: --format photos')
+    if photos:
+        return CaptureFormat.PHOTOS
     if not any(source.iterdir()):
         raise SceneError(f'{source}: the folder is empty')
     raise SceneError(
         f'{source}: no capture found; looked for transforms_train.json, transforms.json, a COLMAP '
         'model (cameras.bin or .txt), color/ with pose/ (ScanNet), frame-*.color.png '
-        '(7-Scenes), traj.txt, a bag (.mcap, .db3) and photos ('
+        '(7-Scenes), groundtruth.txt (TUM RGB-D), mav0/ (EuRoC), metadata.json (Record3D), '
+        'keyframes/ (Polycam), traj.txt, a bag (.mcap, .db3) and photos ('
         f'{", ".join(PHOTO_SUFFIXES)})')

@@ -4,7 +4,7 @@ import math
 from neo_ros.captures.capture import Capture
 from neo_ros.errors import ConfigError, SceneError
 from neo_ros.geometry import CameraPose
-from neo_ros.geometry.camera_pose import rotation_vector
+from neo_ros.geometry.camera_pose import rotation_angle
 from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.pictures.sharpness import sharpness
 import numpy as np
@@ -46,8 +46,8 @@ def split_steps(poses: list[CameraPose], path_ids: list[int], distance: float,
     for index, pose in enumerate(poses):
         if starts:
             first = poses[starts[-1]]
-            turned = np.linalg.norm(
-                rotation_vector(first.T_world_cam[:3, :3].T @ pose.T_world_cam[:3, :3]))
+            turned = rotation_angle(
+                first.T_world_cam[:3, :3].T @ pose.T_world_cam[:3, :3])
             moved = np.linalg.norm(pose.position - first.position)
             if (moved < distance and turned < angle
                     and path_ids[starts[-1]] == path_ids[index]):

@@ -1,8 +1,10 @@
 """From what was recorded to a scene folder: read, place, level, scale, choose, write, report."""
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 import math
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 from neo_ros.captures.bag import BagOptions, read_bag_capture
 from neo_ros.captures.capture import Capture
@@ -29,6 +31,7 @@ class ImportOptions:
     What the user says of a capture; each is an option of `neo import`.
 
     bag                                 of bags
+    folder                              of folders, those of FOLDER_OPTIONS that were given
     keyframe_distance, keyframe_angle   metres, degrees: keep the sharpest frame of every step
     level                               turn the world so that z points up
     scale                               multiply all lengths by this
@@ -36,6 +39,7 @@ class ImportOptions:
     """
 
     bag: BagOptions = BagOptions()
+    folder: Mapping[str, Any] = MappingProxyType({})
     keyframe_distance: float | None = None
     keyframe_angle: float | None = None
     level: bool = False
@@ -70,7 +74,11 @@ def import_capture(source: Path, scene: Path, format_: CaptureFormat, options: I
     if options.fisheye_view is not None:
         capture = _with_fisheye_view(capture, options.fisheye_view)
     if not capture.posed:
-        capture, verdict = reconstruct(capture, scene / 'sfm', progress)
+        try:
+            capture, verdict = reconstruct(capture, scene / 'sfm', progress)
+        except SceneError as error:
+            # What was left out may be why it failed.
+            raise SceneError('; '.join([str(error), *capture.notes])) from error
         notes.append(str(verdict))
     elif options.level:
         capture = level_world(capture)
@@ -112,7 +120,7 @@ def _read(source: Path, format_: CaptureFormat, options: ImportOptions,
         return read_bag_capture(source, options.bag, of_stage(progress, 'messages'))
     if format_ == CaptureFormat.VIDEO:
         return read_video(source, of_stage(progress, 'video frames'))
-    return FOLDER_READERS[format_](source)
+    return FOLDER_READERS[format_](source, **options.folder)
 
 
 def _with_fisheye_view(capture: Capture, degrees: float) -> Capture:

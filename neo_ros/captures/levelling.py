@@ -25,6 +25,21 @@ def level_world(capture: Capture) -> Capture:
         for frame, pose in zip(capture.frames, poses)))
 
 
+def stood_up_from_y(capture: Capture) -> Capture:
+    """
+    Turn a world whose y axis points up, as ARKit's does, so that z points up.
+
+    Where the photos were held otherwise, someone has turned the world: it stays as it is.
+    """
+    poses = [frame.pose for frame in capture.frames if frame.pose is not None]
+    if estimate_up(poses)[1] < math.cos(CLEARLY_TILTED):
+        return capture
+    T = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+    return replace(capture, z_up=True, frames=tuple(
+        replace(frame, pose=CameraPose(T @ pose.T_world_cam))
+        for frame, pose in zip(capture.frames, poses)))
+
+
 def scaled(capture: Capture, factor: float) -> Capture:
     """Multiply all lengths of the world of a posed capture, which are metres then."""
     poses = [frame.pose for frame in capture.frames if frame.pose is not None]

@@ -2,13 +2,17 @@
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from neo_ros.captures.camera_file import read_camera_file
 from neo_ros.captures.capture import Capture, CapturedFrame, origin_of
 from neo_ros.errors import SceneError
 from neo_ros.machine.names import listed
-from neo_ros.pictures.photo import list_photos, read_photo
+from neo_ros.pictures.photo import heic_advice, list_photos, read_photo
 import numpy as np
 
 PHOTO_FOLDERS = ('images', 'photos', 'rgb')
+# Pictures that are not read: raw ones, and newer or moving ones.
+UNREAD_SUFFIXES = ('.dng', '.cr2', '.cr3', '.nef', '.arw', '.raf', '.orf', '.rw2', '.avif', '.jxl',
+                   '.gif', '.exr', '.jp2')
 # Cameras write into these how they were held.
 EXIF_SUFFIXES = ('.jpg', '.jpeg', '.tif', '.tiff', '.webp')
 
@@ -19,9 +23,9 @@ def find_photos(source: Path) -> list[Path]:
                  if (found := list_photos(folder))), [])
 
 
-def read_photos(source: Path) -> Capture:
+def read_photos(source: Path, camera_info: Path | None = None) -> Capture:
     """
-    List photos without poses and without calibration.
+    List photos without poses; camera_info is their calibration, else they have none.
 
     Files that cannot be read are named in the notes and left out. Where a camera noted that it was
     turned (EXIF), the photos are shown upright: their up becomes the world's; but not where only
@@ -48,7 +52,8 @@ def read_photos(source: Path) -> Capture:
     readable = list(stored)
     unreadable = [file.name for file in files if file not in stored]
     if not readable:
-        raise SceneError(f'{source}: none of the {len(files)} images can be read')
+        raise SceneError(f'{source}: none of the {len(files)} images can be read'
+                         f'{heic_advice(files)}')
     by_size: dict[tuple[int, int], list[str]] = {}
     mixed = len(set(shown.values())) > 1 and len(set(stored.values())) == 1
     for file, size in (stored if mixed else shown).items():
@@ -61,18 +66,25 @@ def read_photos(source: Path) -> Capture:
     notes: list[str] = []
     if unreadable:
         notes.append(f'{len(unreadable)} images cannot be read and are left out: '
-                     f'{listed(unreadable)}')
+                     f'{listed(unreadable)}'
+                     f'{heic_advice(file for file in files if file not in stored)}')
+    others = sorted(path.name for path in readable[0].parent.iterdir()
+                    if path.suffix.lower() in UNREAD_SUFFIXES)
+    if others:
+        notes.append(f'{len(others)} files are of kinds that are not read, and are left out: '
+                     f'{listed(others)}; export them as JPEG, PNG or TIFF')
     if mixed:
         notes.append(f'{turned} of {len(readable)} photos are stored turned (EXIF); upright they '
                      'would be of another size than the others, so all stay as they are stored')
+    lens = None if camera_info is None else read_camera_file(camera_info)
     if mixed or not turned:
-        return Capture(tuple(CapturedFrame(f'images/{file.name}', None, None, file=file)
+        return Capture(tuple(CapturedFrame(f'images/{file.name}', None, lens, file=file)
                              for file in readable), tuple(notes))
 
     def read(indices: Sequence[int]) -> Iterator[tuple[int, np.ndarray | None]]:
         return ((index, read_photo(readable[index], upright=True)) for index in indices)
 
     return Capture(
-        tuple(CapturedFrame(f'images/{file.name}', None, None) for file in readable),
+        tuple(CapturedFrame(f'images/{file.name}', None, lens) for file in readable),
         (*notes, f'{turned} photos are stored turned (EXIF); all are written upright, as PNG'),
         read, origin_of(readable[0].parent))

@@ -14,7 +14,7 @@ from neo_ros.geometry.lens import common_pinhole, Lens, Straightener
 from neo_ros.machine.files import whole_file
 from neo_ros.machine.names import listed
 from neo_ros.machine.progress import no_progress, Progress
-from neo_ros.pictures.photo import photo_size
+from neo_ros.pictures.photo import heic_advice, HEIC_SUFFIXES, photo_size
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.scene import clear_earlier_import
 from neo_ros.scenes.transforms_json import write_transforms
@@ -96,16 +96,19 @@ def write_images(capture: Capture, folder: Path,
         done += 1
         progress(done, len(names))
     if len(unreadable) == len(names):
-        raise SceneError(f'{folder}: none of the {len(names)} images can be read')
+        files = [frame.file for frame in capture.frames if frame.file is not None]
+        raise SceneError(f'{folder}: none of the {len(names)} images can be read'
+                         f'{heic_advice(files)}')
     return [None if index in set(unreadable) else name
             for index, name in enumerate(names)], straightener.pinhole
 
 
 def unreadable_note(capture: Capture, names: Sequence[str | None]) -> tuple[str, ...]:
     """Name the images that `write_images` could not read, if there are any."""
-    unreadable = [_where(frame) for frame, name in zip(capture.frames, names) if name is None]
-    return (f'{len(unreadable)} images cannot be read and are left out: {listed(unreadable)}',
-            ) if unreadable else ()
+    unreadable = [frame for frame, name in zip(capture.frames, names) if name is None]
+    advice = heic_advice(frame.file for frame in unreadable if frame.file is not None)
+    return (f'{len(unreadable)} images cannot be read and are left out: '
+            f'{listed([_where(frame) for frame in unreadable])}{advice}',) if unreadable else ()
 
 
 def _with_lenses(capture: Capture) -> Capture:
@@ -140,8 +143,9 @@ def _check_names(capture: Capture, folder: Path) -> None:
 
 
 def _copied(frame: CapturedFrame, straightener: Straightener) -> bool:
-    return frame.file is not None and frame.lens is not None and (
-        straightener.is_identity(frame.lens))
+    # A scene is read without any extra: HEIC becomes PNG.
+    return (frame.file is not None and frame.file.suffix.lower() not in HEIC_SUFFIXES
+            and frame.lens is not None and straightener.is_identity(frame.lens))
 
 
 def _written_name(frame: CapturedFrame, straightener: Straightener) -> str:

@@ -18,6 +18,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+from neo_ros.captures.camera_file import read_camera_file
 from neo_ros.captures.capture import Capture, CapturedFrame
 from neo_ros.captures.pose_files import parse_matrix, pose_or_lost
 from neo_ros.errors import SceneError
@@ -31,8 +32,12 @@ IMAGE_FOLDERS = ('rgb', 'results', 'color', 'images')
 CAMERA_FILES = ('cam_params.json', 'camera.json', 'intrinsics.json')
 
 
-def read_trajectory(source: Path) -> Capture:
-    """Read the images with their poses; lost poses (not finite) are counted and left out."""
+def read_trajectory(source: Path, camera_info: Path | None = None) -> Capture:
+    """
+    Read the images with their poses; lost poses (not finite) are counted and left out.
+
+    camera_info: the calibration, where the folder has no camera file; poses have OpenCV axes then.
+    """
     folder = next((source / name for name in IMAGE_FOLDERS if (source / name).is_dir()), None)
     if folder is None:
         raise SceneError(f'{source}: expected a folder {", ".join(IMAGE_FOLDERS)} beside '
@@ -50,7 +55,8 @@ def read_trajectory(source: Path) -> Capture:
     if len(lines) != len(photos) or not photos:
         raise SceneError(f'{path}: expected one line per image, got {len(lines)} lines and '
                          f'{len(photos)} images in {folder}')
-    intrinsics, opengl = _camera(source)
+    lens, opengl = (_camera(source) if camera_info is None
+                    else (read_camera_file(camera_info), False))
     frames, lost = [], []
     for number, (line, (photo, path_id)) in enumerate(zip(lines, photos), start=1):
         name = photo.relative_to(folder).as_posix()
@@ -59,7 +65,7 @@ def read_trajectory(source: Path) -> Capture:
             lost.append(name)
             continue
         frames.append(
-            CapturedFrame(f'images/{name}', pose, Lens(intrinsics), path_id, file=photo))
+            CapturedFrame(f'images/{name}', pose, lens, path_id, file=photo))
     if not frames:
         raise SceneError(f'{path}: none of the {len(lines)} poses is finite')
     notes = ((f'{len(lost)} frames with a lost pose are left out: {listed(lost)}',)
@@ -67,13 +73,14 @@ def read_trajectory(source: Path) -> Capture:
     return Capture(tuple(frames), notes)
 
 
-def _camera(source: Path) -> tuple[Intrinsics, bool]:
+def _camera(source: Path) -> tuple[Lens, bool]:
     files = [folder / name for folder in (source, source.resolve().parent)
              for name in CAMERA_FILES]
     file = next((file for file in files if file.is_file()), None)
     if file is None:
         raise SceneError(f'{source}: expected the camera in one of {", ".join(CAMERA_FILES)} '
-                         'with w, h, fx, fy, cx, cy or w, h, hfov (degrees)')
+                         'with w, h, fx, fy, cx, cy or w, h, hfov (degrees); or give a file '
+                         'with the calibration: --camera-info FILE')
     try:
         document: dict[str, Any] = json.loads(file.read_text())
         values = {**document, **document.get('camera', {})}
@@ -93,4 +100,4 @@ def _camera(source: Path) -> tuple[Intrinsics, bool]:
         raise SceneError(f'{file}: {error}') from error
     if axes not in ('opencv', 'opengl'):
         raise SceneError(f'{file}: axes: expected "opencv" or "opengl", got {axes!r}')
-    return intrinsics, axes == 'opengl'
+    return Lens(intrinsics), axes == 'opengl'

@@ -40,17 +40,17 @@ def bench(
 
 def _print_table(results: dict[str, Any]) -> None:
     """Show the figures, a line each."""
-    import rich
+    from rich.console import Console
     from rich.markup import escape
     from rich.table import Table
 
-    host = results['host']
+    console, host = Console(), results['host']
     best = ', '.join(f'{max(host[key].values()):.0f} {unit}' for key, unit in (
         ('matmul_gflops', 'GFLOP/s'), ('memory_gb_s', 'GB/s in memory'),
         ('cache_gb_s', 'GB/s in the cache')))
-    rich.print(f'{host["cpu"]}, load {host["load_average_1min"]:.1f}; at its best {best}')
+    console.print(f'{host["cpu"]}, load {host["load_average_1min"]:.1f}; at its best {best}')
     if host['busy']:
-        rich.print('[yellow]The machine is busy: these figures should not be quoted.[/yellow]')
+        console.print('[yellow]The machine is busy: these figures should not be quoted.[/yellow]')
     table = Table('measured', 'note')
     for column in ('median ms', 'p95', 'p99', 'max', 'per s', 'floor ms', 'x floor'):
         table.add_column(column, justify='right')
@@ -60,7 +60,7 @@ def _print_table(results: dict[str, Any]) -> None:
             'measured_over_floor'))
         table.add_row(escape(f'{record["benchmark"]}: {record["name"]}'), escape(_note(record)),
                       *('' if figure is None else f'{figure:.3g}' for figure in figures))
-    rich.print(table)
+    console.print(table)
 
 
 def _note(record: dict[str, Any]) -> str:

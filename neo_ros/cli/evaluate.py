@@ -1,7 +1,7 @@
 """`neo evaluate`: score a model on the wide test frames of a scene, beside the floors."""
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated, Any, Optional
 
 import typer
 
@@ -18,8 +18,8 @@ def evaluate(
     """
     Score a model on the test frames of a scene, beside edge replication and the mean photo.
 
-    Of a model with a scene memory, the network alone is scored, too. Also says how true the
-    confidence is.
+    Of a model with a scene memory, the network alone is scored, too, and how true pose, covariance
+    and depth are goes into geometry.json. Also says how true the confidence is.
     """
     from neo_ros.cli.progress import stage_progress
     from neo_ros.evaluation.baselines import EdgeReplication, MeanImage, Method, NeoModel
@@ -51,6 +51,10 @@ def evaluate(
         show('confidence', 0, 1)
         confidence = write_evaluation(folder, scene_data.name, truth, results, model)
         show('confidence', 1, 1)
+        geometry = None
+        if neo.guided:
+            geometry = _score_geometry(scene, scene_data.name, model, truth, folder, lambda done:
+                                       show('geometry', done, len(truth)))
     columns = {'ring_psnr': ('ring dB', 2), 'ring_ssim': ('ring SSIM', 3),
                'whole_psnr': ('whole dB', 2), 'whole_ssim': ('whole SSIM', 3),
                'latency_ms_median': ('ms', 1)}
@@ -67,4 +71,28 @@ def evaluate(
         rich.print(f'{name.replace("_", " ")}: off by '
                    f'{figures["expected_calibration_error"]:.1f} of 255 (expected calibration '
                    f'error), AUSE {figures["sparsification_error"]:.2f}')
-    rich.print(f'Written: {escape(str(folder))}/scores.json and report.html')
+    if geometry is not None and geometry['pose_share']:
+        rich.print(f'pose: off by {geometry["position_cm_median"]:.2f} cm and '
+                   f'{geometry["rotation_deg_median"]:.3f} degrees (medians); within the stated '
+                   f'95 %: {geometry["position_covered_95"]:.1%} and '
+                   f'{geometry["rotation_covered_95"]:.1%} of the frames')
+    also = ', geometry.json' if geometry is not None else ''
+    rich.print(f'Written: {escape(str(folder))}/scores.json{also} and report.html')
+
+
+def _score_geometry(scene: Path, name: str, model: Path, truth: Any, folder: Path,
+                    progress: Callable[[int], None]) -> dict[str, Any]:
+    """Score pose and depth, write geometry.json, return its row."""
+    import json
+
+    from neo_ros.benchmark.true_depth import demo_depth, is_demo_flat
+    from neo_ros.evaluation.geometry import OccupancyGrid, score_geometry
+    from neo_ros.machine.files import write_bytes
+    from neo_ros.runtime import FovExtrapolator
+
+    exact = is_demo_flat(scene)
+    row = score_geometry(name, truth, FovExtrapolator.load(model),
+                         demo_depth(truth) if exact else None, OccupancyGrid() if exact else None,
+                         progress)
+    write_bytes(folder / 'geometry.json', json.dumps([row], indent=1, allow_nan=False).encode())
+    return row

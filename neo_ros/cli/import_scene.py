@@ -5,14 +5,15 @@ from typing import Annotated, Any, Optional
 from neo_ros.errors import ConfigError
 import typer
 
-FORMATS = 'scene, transforms, colmap, scannet, 7scenes, trajectory, bag, photos or video'
+FORMATS = ('scene, transforms, colmap, scannet, 7scenes, tum, euroc, record3d, polycam, '
+           'trajectory, bag, photos or video')
 
 
 def import_scene(
     source: Annotated[str, typer.Argument(
         help='What was captured: nerfstudio or instant-ngp (transforms.json), COLMAP, ScanNet, '
-             '7-Scenes, images with traj.txt, a ROS 2 bag, photos or a video without poses; or '
-             'the word "demo" for the built-in flat.')],
+             '7-Scenes, TUM RGB-D, EuRoC, Record3D, Polycam, images with traj.txt, a ROS 2 bag, '
+             'photos or a video without poses; or the word "demo" for the built-in flat.')],
     scene: Annotated[Path, typer.Argument(help='Scene folder to write.')],
     format_name: Annotated[Optional[str], typer.Option(
         '--format', help=f'{FORMATS}; by default told from the files.')] = None,
@@ -25,8 +26,12 @@ def import_scene(
     info_topic: Annotated[Optional[str], typer.Option(
         help='Bags: the CameraInfo of the images, where it is not beside them.')] = None,
     camera_info: Annotated[Optional[Path], typer.Option(
-        help="Bags: a file with the calibration: camera_calibration's YAML, or the keys of a "
-             'transforms.json.')] = None,
+        help="Bags and folders without calibration: a file with it, camera_calibration's YAML or "
+             'the keys of a transforms.json.')] = None,
+    images: Annotated[Optional[Path], typer.Option(
+        help='COLMAP: the folder that the names of the images start from.')] = None,
+    model: Annotated[Optional[int], typer.Option(
+        help='COLMAP: the number of one of several models; default: the largest.')] = None,
     base_to_camera: Annotated[Optional[str], typer.Option(
         help='Bags without /tf_static: where the frame of the images is on the body, "x y z roll '
              'pitch yaw" in metres and radians, as the origin of a URDF joint.')] = None,
@@ -48,6 +53,9 @@ def import_scene(
         help='Degrees of the widest view that is cut out of a fisheye; default: 120.')] = None,
     size: Annotated[Optional[int], typer.Option(
         help='Demo only: edge of the training photos in pixels; default: 128.', min=16)] = None,
+    depth: Annotated[bool, typer.Option(
+        '--depth', help='Demo only: depth maps as well, with the faults of a depth camera.',
+    )] = False,
     photos: Annotated[Optional[int], typer.Option(
         help='Demo only: number of photos; default: 1000.', min=1)] = None,
 ) -> None:
@@ -59,7 +67,7 @@ def import_scene(
     goes on where it stopped.
     """
     from neo_ros.captures.bag import BagOptions
-    from neo_ros.captures.formats import CaptureFormat, detect_format
+    from neo_ros.captures.formats import CaptureFormat, detect_format, FOLDER_OPTIONS
     from neo_ros.captures.importing import finish_scene, import_capture, ImportOptions
     from neo_ros.captures.report import REPORT_FILE
     from neo_ros.cli.options import refuse, tell_next
@@ -69,28 +77,38 @@ def import_scene(
     from rich.markup import escape
 
     of_bags: dict[str, Any] = {
-        'image_topic': image_topic, 'info_topic': info_topic, 'camera_info': camera_info,
+        'image_topic': image_topic, 'info_topic': info_topic,
         'pose_topic': pose_topic, 'base_to_camera': base_to_camera, 'x_forward': x_forward}
+    of_folders: dict[str, Any] = {'images': images, 'model': model, 'camera_info': camera_info}
     with stage_progress() as show:
         notes: list[str] = []
         if source == 'demo':
             refuse('the demo has its own', test_runs=test_runs or None, format=format_name,
                    keyframe_distance=keyframe_distance, keyframe_angle=keyframe_angle,
-                   level=level, scale=scale, fisheye_view=fisheye_view, **of_bags)
-            write_demo_scene(scene, image_size=size or 128, n_train=photos or 1000,
+                   level=level, scale=scale, fisheye_view=fisheye_view, **of_bags, **of_folders)
+            write_demo_scene(scene, image_size=size or 128, n_train=photos or 1000, depth=depth,
                              progress=lambda done, total: show('images', done, total))
         else:
-            refuse('expected only with "demo"', size=size, photos=photos)
+            refuse('expected only with "demo"', size=size, photos=photos,
+                   depth=depth)
             format_ = (detect_format(Path(source)) if format_name is None
                        else _named_format(format_name))
             if format_ != CaptureFormat.BAG:
                 refuse('expected only with a bag', **of_bags)
+            for name, value in of_folders.items():
+                if format_ not in FOLDER_OPTIONS[name] and not (
+                        format_ == CaptureFormat.BAG and name == 'camera_info'):
+                    refuse('expected only with ' + ', '.join(
+                        one.value for one in FOLDER_OPTIONS[name]), **{name: value})
             if format_ == CaptureFormat.SCENE:
                 refuse(f'for captures, {source} is a scene already and is copied as it is',
                        keyframe_distance=keyframe_distance, keyframe_angle=keyframe_angle,
                        level=level, scale=scale, fisheye_view=fisheye_view)
             notes = import_capture(Path(source), scene, format_, ImportOptions(
-                BagOptions(**of_bags), keyframe_distance, keyframe_angle, level, scale,
+                BagOptions(**of_bags, camera_info=camera_info),
+                {} if format_ == CaptureFormat.BAG else
+                {name: value for name, value in of_folders.items() if value is not None},
+                keyframe_distance, keyframe_angle, level, scale,
                 fisheye_view), show)
         found, notes = finish_scene(scene, notes, test_runs, show)
     camera = found.train.intrinsics
@@ -100,10 +118,10 @@ def import_scene(
     rich.print(f'{escape(str(scene))}: {len(found.train)} photos of '
                f'{camera.width}x{camera.height} pixels, {tests}')
     rich.print(f'Report on the capture: {escape(str(scene / REPORT_FILE))}')
-    model = Path('out', found.name)
-    if model.resolve() == scene.resolve():  # A training wants a folder of its own.
-        model = Path('out', f'{found.name}_model')
-    tell_next('neo', 'train', scene, '--out', model)
+    out = Path('out', found.name)
+    if out.resolve() == scene.resolve():  # A training wants a folder of its own.
+        out = Path('out', f'{found.name}_model')
+    tell_next('neo', 'train', scene, '--out', out)
 
 
 def _named_format(name: str) -> Any:

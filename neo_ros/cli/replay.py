@@ -29,6 +29,9 @@ def replay(
                         "against the camera's own border.")] = False,
     truth_topic: Annotated[Optional[str], typer.Option(
         help='Wide images to score against; default: the only ones of that size.')] = None,
+    output: Annotated[Optional[list[str]], typer.Option(
+        help='Also write what the scene memory knows: pose, status, depth, points, panorama, '
+             'panorama_mask; may be given several times; default: pose and status.')] = None,
     copy: Annotated[bool, typer.Option(
         help='Copy the other topics of the bag into the new one.')] = True,
 ) -> None:
@@ -38,6 +41,7 @@ def replay(
     With --score also scores.csv, scores.json and report.html in the new folder.
     """
     from neo_ros.bags import replay as replay_bag, Section
+    from neo_ros.bags.replay_outputs import DEFAULT_OUTPUTS
     from neo_ros.cli.options import tell_next
     from neo_ros.cli.progress import stage_progress
     from neo_ros.machine.files import share_dir
@@ -66,7 +70,8 @@ def replay(
         result = replay_bag(
             bag, extrapolator, out, image_topic, truth_topic, copy, section,
             rectify, on_frame if takers else None, None if scores is None else scores.add_pair,
-            lambda done, total: show('replaying, messages', done, total))
+            lambda done, total: show('replaying, messages', done, total),
+            DEFAULT_OUTPUTS if output is None else output)
     for damage in result.damages:
         rich.print(f'[yellow]{escape(str(damage))}[/yellow]')
     for reason, count in sorted(result.rejected.items()):

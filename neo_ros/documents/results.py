@@ -86,6 +86,20 @@ OUTSIDE = (
     Column('known by the memory', 'known', '{:.0f} %', 100), Column('score', 'score', DB),
     Column('AUROC', 'auroc', RATIO), Column('score, network alone', 'network_score', DB),
     Column('AUROC, network alone', 'network_auroc', RATIO))
+GEOMETRY_POSE = (
+    Column('scene', 'scene'), Column('camera', 'camera'), Column('frames', 'n_frames'),
+    Column('found', 'pose_share', '{:.0f} %', 100),
+    Column('position, cm', 'position_cm_median', DB), Column('p95', 'position_cm_p95', DB),
+    Column('rotation, degrees', 'rotation_deg_median', RATIO),
+    Column('p95', 'rotation_deg_p95', RATIO),
+    Column('position within the stated 95 %', 'position_covered_95', '{:.1f} %', 100),
+    Column('rotation within it', 'rotation_covered_95', '{:.1f} %', 100))
+GEOMETRY_DEPTH = (
+    Column('scene', 'scene'), Column('median error', 'depth_error_median', '{:.1f} %', 100),
+    Column('within 5 %', 'depth_within_5_percent', '{:.0f} %', 100),
+    Column('more than 10 % too far', 'depth_too_far_10_percent', '{:.1f} %', 100),
+    Column('occupied cells marked', 'occupied_marked', '{:.1f} %', 100),
+    Column('free cells marked', 'free_marked_occupied', '{:.1f} %', 100))
 
 TABLES: dict[str, Rows] = {
     **{name: Rows(name, METHOD) for name in (
@@ -97,6 +111,9 @@ TABLES: dict[str, Rows] = {
     'field_curve': Rows('field_curve', FIELD),
     'node': Rows('node', NODE), 'networks': Rows('networks', TIMED),
     'stream': Rows('stream', TIMED), 'soak': Rows('soak', SOAK), 'hogs': Rows('hogs', SOAK),
+    'geometry_pose': Rows('geometry', GEOMETRY_POSE),
+    'geometry_depth': Rows('geometry', GEOMETRY_DEPTH,
+                           lambda row: row['depth_error_median'] is not None),
     'hard_times': Rows('hard_times', HARD), 'out_of_scene': Rows('out_of_scene', OUTSIDE),
 }
 # Over all scenes of a suite: the key of a row, its format and a factor.

@@ -11,7 +11,7 @@ LIMITS = {
     'voxels': (1000, 1_000_000_000), 'steps': (10, 1_000_000_000), 'minutes': (1e-6, 1_000_000),
     'rays_per_step': (4, 10_000_000), 'margin': (1e-6, 1000), 'shell': (0, 10), 'near': (0, 100),
     'learning_rate': (1e-6, 10), 'distortion': (0, 1000), 'pointwise': (0, 1000),
-    'sparsity': (0, 1000)}
+    'sparsity': (0, 1000), 'depth': (0, 1000)}
 
 
 @dataclass(frozen=True)
@@ -36,6 +36,7 @@ class FieldConfig:
     distortion: float = 0.01        # weight of the distortion loss
     pointwise: float = 0.05         # weight of the samples' own colour error
     sparsity: float = 1e-3          # weight of the samples' opacity: clears the air
+    depth: float = 0.1              # weight of measured depth, of photos that have a depth map
     # One gain per photo and channel, for cameras with automatic exposure.
     exposure: bool = False
     # cpu: compiled kernels; cuda; auto: cuda where there is one; torch: what cuda does, on the CPU

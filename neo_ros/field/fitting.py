@@ -13,6 +13,7 @@ from neo_ros.field.radiance_field import RadianceField
 from neo_ros.field.rendering import render_rays
 from neo_ros.field.voxel_field import packed, unpacked, VoxelField
 from neo_ros.geometry import Intrinsics
+from neo_ros.pictures.depth import MM_PER_M
 from numba import get_num_threads
 import numpy as np
 
@@ -39,8 +40,14 @@ class FieldTrainer:
     """The optimiser's state; one call of `train_step` is one batch."""
 
     def __init__(self, images: np.ndarray, intrinsics: Intrinsics, T_world_cam: np.ndarray,
-                 config: FieldConfig, seed: int, rules: FitRules = FitRules()) -> None:
-        self.images, self.config, self.rules = images, config, rules
+                 config: FieldConfig, seed: int, rules: FitRules = FitRules(),
+                 depths: np.ndarray | None = None) -> None:
+        """
+        Take photos uint8 (N, H, W, 3), their camera and T_world_cam (N, 4, 4).
+
+        depths: uint16 (N, H, W), millimetres along the optical axis, 0 = unknown.
+        """
+        self.images, self.config, self.rules, self.depths = images, config, rules, depths
         self.rotations = T_world_cam[:, :3, :3].astype(np.float32)
         self.origins = T_world_cam[:, :3, 3].astype(np.float32)
         # Through the pixels' centres, and those of their quarters: (H, W, 3), (2 H, 2 W, 3).
@@ -76,9 +83,9 @@ class FieldTrainer:
             np.empty((rays, limit), np.float32), np.empty((rays, limit, 3), np.float32),
             np.empty(rays, np.int64))
 
-    def sample_rays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def sample_rays(self) -> tuple[np.ndarray, ...]:
         """
-        Draw pixels; returns photo index (P,), target (P, 3), rays_o and rays_d (R, 3).
+        Draw pixels; returns photo index (P,), target (P, 3), distance (P,), rays_o, rays_d (R, 3).
 
         A ray goes through its pixel's centre: rays through all of a pixel, each fitted to the
         pixel's colour, would blur the field by a pixel once more. Where voxels are finer than
@@ -96,7 +103,16 @@ class FieldTrainer:
         directions = np.einsum('pij,pj->pi', self.rotations[each],
                                self.rays[across][rows, columns])
         directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
-        return photo, target, self.origins[each], directions
+        return (photo, target, self._distances(photo, row, column), self.origins[each],
+                directions)
+
+    def _distances(self, photo: np.ndarray, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+        """Return float32 (P,), metres along the rays of pixels to measured depth, 0 = unknown."""
+        if self.depths is None:
+            return np.zeros(len(photo), np.float32)
+        # Pixel rays have length 1 along the optical axis.
+        stretch = np.linalg.norm(self.rays[1][row, column], axis=-1)
+        return (self.depths[photo, row, column] / MM_PER_M * stretch).astype(np.float32)
 
     @property
     def rays_across(self) -> int:
@@ -131,7 +147,7 @@ class FieldTrainer:
         self.random = np.random.default_rng([self.seed, self.step])
         self._refine_when_due()
         config, field = self.config, self.field
-        photo, target, rays_o, rays_d = self.sample_rays()
+        photo, target, distance, rays_o, rays_d = self.sample_rays()
         pixels = len(target)
         error = np.empty(pixels, np.float32)
         d_gain = np.empty((pixels, 3), np.float32)
@@ -140,9 +156,9 @@ class FieldTrainer:
         jitter = self.random.random(len(rays_o), np.float32)
         background = self.random.random((pixels, 3), np.float32)
         weights = LossWeights(np.float32(config.distortion), np.float32(self.pointwise),
-                              np.float32(config.sparsity))
-        differentiate_rays(Batch(rays_o, rays_d, jitter, target, gain, background), arrays,
-                           weights, self.slopes, error, d_gain)
+                              np.float32(config.sparsity), np.float32(config.depth))
+        differentiate_rays(Batch(rays_o, rays_d, jitter, target, gain, background, distance),
+                           arrays, weights, self.slopes, error, d_gain)
         scatter_gradients(
             rays_d, self.slopes, arrays, get_num_threads(), self.gradient, self.touched)
         rate = np.float32(config.learning_rate * 0.1 ** self.share)

@@ -16,13 +16,17 @@ import numpy as np
 # Adam's corrections of the moments by the number of updates; in the end there is none.
 CORRECTION = 1 - np.array([0.9, 0.99]) ** np.arange(4000)[:, None]
 
+# Of the distance: what a depth camera is off by, and voxels are wide. The compiler needs it here.
+DEPTH_SHARE = np.float32(0.02)
+
 
 class Batch(NamedTuple):
     """
     What a step of the fit works on: R rays of P pixels, float32.
 
     The R / P rays of a pixel follow one another, and their mean is its colour. rays_o and rays_d
-    (R, 3), jitter (R,) in [0, 1); per pixel (P, 3) target, gain of its photo, and background.
+    (R, 3), jitter (R,) in [0, 1); per pixel (P, 3) target, gain of its photo, and background, and
+    distance (P,), metres along the ray to what a depth camera saw there, 0 = unknown.
     """
 
     rays_o: np.ndarray
@@ -31,6 +35,7 @@ class Batch(NamedTuple):
     target: np.ndarray
     gain: np.ndarray
     background: np.ndarray
+    distance: np.ndarray
 
 
 class LossWeights(NamedTuple):
@@ -39,6 +44,7 @@ class LossWeights(NamedTuple):
     distortion: np.float32
     pointwise: np.float32
     sparsity: np.float32
+    depth: np.float32
 
 
 class SampleSlopes(NamedTuple):
@@ -57,12 +63,13 @@ class SampleSlopes(NamedTuple):
 
 
 class _Pixel(NamedTuple):
-    """A pixel's slope of its own colour error, and its part of the batch, (3,) each."""
+    """A pixel's slope of its own colour error, (3,), and its part of the batch."""
 
     slope: np.ndarray
     gain: np.ndarray
     target: np.ndarray
     background: np.ndarray
+    distance: np.float32
 
 
 @njit(parallel=True, **FAST)
@@ -73,10 +80,11 @@ def differentiate_rays(batch, field, weights, slopes, error, d_gain):
     Takes a Batch, FieldArrays and LossWeights. Loss per ray: squared error of the pixel's colour,
     `distortion` times the distortion loss of mip-NeRF 360 (eq. 15, its first sum),
     `pointwise` times the samples' own weighted squared error (DirectVoxGO, section 4), and
-    `sparsity` times the sum of the samples' opacities.
+    `sparsity` times the sum of the samples' opacities. Where depth was measured, less `depth`
+    times the share of the ray's weight that is near it, see `near_measured`.
     Fills SampleSlopes, and per pixel error (P,) and d_gain (P, 3).
     """
-    rays_o, rays_d, jitter, target, gain, background = batch
+    rays_o, rays_d, jitter, target, gain, background, distance = batch
     cell, frac, d_density, d_rgb, count = slopes
     terms = field.terms
     pixels = target.shape[0]
@@ -124,7 +132,7 @@ def differentiate_rays(batch, field, weights, slopes, error, d_gain):
                 error[p] += difference * difference
                 d_gain[p, channel] = 2 * difference * colour
                 slope[channel] = 2 * difference * gain[p, channel]
-            pixel = _Pixel(slope, gain[p], target[p], background[p])
+            pixel = _Pixel(slope, gain[p], target[p], background[p], distance[p])
             for k in range(each):
                 r = p * each + k
                 samples = RaySamples(cell[r], frac[r], alpha[k], depth[k], raw[k])
@@ -133,11 +141,23 @@ def differentiate_rays(batch, field, weights, slopes, error, d_gain):
 
 
 @njit(**FAST)
+def near_measured(depth, distance):
+    """
+    Tell how well a sample agrees with measured depth: 1 at it, 0 far from it.
+
+    Geman and McClure's function of the difference over a share of the distance, as a sensor's
+    noise grows: a reading that is all wrong (glass, an edge) hardly pulls.
+    """
+    off = (depth - distance) / (DEPTH_SHARE * distance)
+    return 1 / (1 + off * off)
+
+
+@njit(**FAST)
 def _ray_gradient(n, light, samples, rgb, pixel, weights, step, value, d_density, d_rgb):
     """Fill d_density and d_rgb of one ray; `value` is dL/dweight of each sample."""
     _, _, alpha, depth, raw = samples
-    slope, gain, target, background = pixel
-    distortion, pointwise, sparsity = weights
+    slope, gain, target, background, distance = pixel
+    distortion, pointwise, sparsity, measured = weights
     # Distances enter the distortion loss as t / (t + 1): near and far count alike.
     total_w = np.float32(0)
     total_ws = np.float32(0)
@@ -162,6 +182,8 @@ def _ray_gradient(n, light, samples, rgb, pixel, weights, step, value, d_density
         before_w += weight
         before_ws += weight * s
         v = distortion * 2 * spread
+        if distance > 0:
+            v -= measured * near_measured(depth[i], distance)
         if rgb[i, 0] >= 0:
             for channel in range(3):
                 c = rgb[i, channel]

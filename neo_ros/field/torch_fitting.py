@@ -12,6 +12,7 @@ from typing import Any
 
 from neo_ros.field.config import FieldConfig
 from neo_ros.field.fitting import FieldTrainer, FitRules
+from neo_ros.field.fitting_kernels import DEPTH_SHARE
 from neo_ros.field.kernels import MIN_WEIGHT
 from neo_ros.field.torch_field import (
     colours, corner_weights, Samples, sh_basis, torch_device, TorchField)
@@ -27,9 +28,9 @@ class TorchFieldTrainer(FieldTrainer):
 
     def __init__(self, images: np.ndarray, intrinsics: Intrinsics, T_world_cam: np.ndarray,
                  config: FieldConfig, seed: int, device: str,
-                 rules: FitRules = FitRules()) -> None:
+                 rules: FitRules = FitRules(), depths: np.ndarray | None = None) -> None:
         self.device = device
-        super().__init__(images, intrinsics, T_world_cam, config, seed, rules)
+        super().__init__(images, intrinsics, T_world_cam, config, seed, rules, depths)
 
     @property
     def placed(self) -> TorchField:
@@ -50,7 +51,7 @@ class TorchFieldTrainer(FieldTrainer):
         self.random = np.random.default_rng([self.seed, self.step])
         self._refine_when_due()
         config = self.config
-        photo, target, rays_o, rays_d = self.sample_rays()
+        photo, target, distance, rays_o, rays_d = self.sample_rays()
         pixels = len(target)
         gain = np.exp(self.log_gain[photo])
         jitter = self.random.random(len(rays_o), np.float32)
@@ -62,7 +63,7 @@ class TorchFieldTrainer(FieldTrainer):
         own = (torch.from_numpy(
             array.reshape(pixels, -1, *array.shape[1:])[mine].reshape(-1, *array.shape[1:])
         ).to(self.arrays.device)
-            for array in (rays_o, rays_d, jitter, target, gain, background))
+            for array in (rays_o, rays_d, jitter, target, gain, background, distance))
         error, d_gain = self._differentiate(*own)
         totals = torch.zeros(pixels, 4, device=self.arrays.device)
         totals[mine, 0], totals[mine, 1:] = error, d_gain
@@ -104,7 +105,8 @@ class TorchFieldTrainer(FieldTrainer):
         return shared.cpu().numpy()
 
     def _differentiate(self, rays_o: Tensor, rays_d: Tensor, jitter: Tensor, target: Tensor,
-                       gain: Tensor, background: Tensor) -> tuple[Tensor, Tensor]:
+                       gain: Tensor, background: Tensor, distance: Tensor
+                       ) -> tuple[Tensor, Tensor]:
         """
         Add the loss's gradient to `slope` and mark rows in `hit`.
 
@@ -128,6 +130,10 @@ class TorchFieldTrainer(FieldTrainer):
         own = gain[ray // each] * shown - target[ray // each]
         rest = (config.distortion * distortion + config.sparsity * alpha.sum()
                 + self.pointwise * (coloured * own ** 2).sum())
+        measured = distance[ray // each]
+        off = (samples.t - measured) / (float(DEPTH_SHARE) * measured).clamp_min(1e-6)
+        near = torch.where(measured > 0, 1 / (1 + off ** 2), 0.0)
+        rest = rest - config.depth * (weight * near).sum()
         slope = torch.autograd.grad(each * error.sum() + rest, values)[0]
         rows = arrays.rows(samples.base)
         spread = corner_weights(samples.frac)[..., None] * slope[:, None]

@@ -11,8 +11,11 @@ from typing import Any, TypeVar
 import cv2
 from neo_ros.errors import SceneError
 from neo_ros.flat.demo_flat import build_demo_flat, DemoFlat, sample_training_poses, walking_paths
+from neo_ros.flat.depth_sensor import DepthSensor
+from neo_ros.flat.raycast import camera_directions, cast_camera
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
 from neo_ros.machine.progress import no_progress, Progress
+from neo_ros.pictures.depth import to_millimetres, write_depth
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.scene import DEMO_NOTE
 from neo_ros.scenes.transforms_json import write_transforms
@@ -25,14 +28,15 @@ Result = TypeVar('Result')
 
 def write_demo_scene(folder: Path, *, image_size: int = 128, n_train: int = 1000,
                      n_paths: int = 8, frames_per_path: int = 25, seed: int = 0,
-                     progress: Progress = no_progress,
+                     depth: bool = False, progress: Progress = no_progress,
                      workers: int | None = None) -> None:
     """
     Write the demo flat in the layout of the paper's 3-DoF protocol (section 4.1).
 
     train/*.png        image_size square, 90 degrees, poses uniform over the free floor
     test/pPATH_FRAME.png  twice that size at the same focal length, 126.87 degrees, along walks
-    and transforms_train.json, transforms_test.json (with `input_crop`), walkable.json.
+    and transforms_train.json, transforms_test.json (with `input_crop`), walkable.json; with
+    `depth` depth/*.png beside the photos, as a depth camera reads it (`depth_sensor.py`).
     progress(done, total) counts images; workers are processes, all cores by default.
     A run that was broken off goes on where it stopped. Raises SceneError where the folder
     holds a demo scene of other settings or cannot be written.
@@ -57,14 +61,31 @@ def write_demo_scene(folder: Path, *, image_size: int = 128, n_train: int = 1000
     written = _map(_render_to_file, missing, workers or len(os.sched_getaffinity(0)))
     for done, _ in enumerate(written, start=1):
         progress(len(jobs) - len(missing) + done, len(jobs))
+    depths = _write_depths(folder, names, narrow, train, seed) if depth else ()
     write_walkable(folder / 'walkable.json', flat.walkable())
     if train:
         write_transforms(folder / 'transforms_train.json', PosedImages(
-            narrow, tuple(folder / name for name in names), tuple(train), (0,) * n_train))
+            narrow, tuple(folder / name for name in names), tuple(train), (0,) * n_train,
+            depth_paths=depths))
     if test:
         paths, poses, path_ids = zip(*test)
         write_transforms(folder / 'transforms_test.json', PosedImages(
             expansion.target, tuple(folder / path for path in paths), poses, path_ids), expansion)
+
+
+def _write_depths(folder: Path, names: Sequence[str], camera: Intrinsics,
+                  poses: Sequence[CameraPose], seed: int) -> tuple[Path, ...]:
+    """Write what a depth camera reads at each pose, where it is not there yet."""
+    sensor, solids = DepthSensor(), build_demo_flat().solids
+    paths: list[Path] = []
+    for index, (name, pose) in enumerate(zip(names, poses)):
+        path = folder / 'depth' / Path(name).name
+        if not path.exists():
+            true = cast_camera(solids, camera, pose, camera_directions(camera, pose, 1)).distance
+            read = sensor.reading(true, np.random.default_rng([seed, 7, index]))
+            write_depth(path, to_millimetres(read))
+        paths.append(path)
+    return tuple(paths)
 
 
 def _claim(folder: Path, settings: dict[str, int | str]) -> None:

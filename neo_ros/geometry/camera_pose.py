@@ -160,6 +160,11 @@ def rotation_vector(R: np.ndarray) -> np.ndarray:
     return scale * np.array([x, y, z])
 
 
+def rotation_angle(R: np.ndarray) -> float:
+    """Return the angle of a (3, 3) rotation, radians in [0, pi]."""
+    return float(np.linalg.norm(rotation_vector(R)))
+
+
 def rotation_from_vector(vector: np.ndarray) -> np.ndarray:
     """Return the (3, 3) rotation of axis * angle (3,), radians (Rodrigues)."""
     angle = float(np.linalg.norm(vector))

@@ -1,7 +1,7 @@
 """What the runtime needs of the memory: a wide view that shows the scene, or none."""
 from pathlib import Path
 
-from neo_ros.geometry import ViewExpansion
+from neo_ros.geometry import CameraPose, ViewExpansion
 from neo_ros.memory.fusion import fuse, FusionThresholds
 from neo_ros.memory.scene_guide import SceneGuide
 from neo_ros.memory.scene_memory import SceneMemory
@@ -24,9 +24,10 @@ class GuidedView:
         guide.warm_up()
         return cls(guide)
 
-    def guide(self, image: np.ndarray) -> Guide | None:
+    def guide(self, image: np.ndarray, prior: CameraPose | None = None,
+              motion: np.ndarray | None = None) -> Guide | None:
         """Find the camera and draw what is around it; None while it is lost."""
-        return self._guide.guide(image)
+        return self._guide.guide(image, prior, motion)
 
     def needs_network(self, guide: Guide) -> bool:
         """Tell whether the memory has gaps that are worth the time of the network."""

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import cv2
 from neo_ros.geometry import CameraPose, ViewExpansion
+from neo_ros.geometry.camera_pose import rotation_angle
 from neo_ros.memory.kernels import Pinhole
 from neo_ros.memory.recent_kernels import bring_differences, SeenImages
 import numpy as np
@@ -112,8 +113,7 @@ class RecentImages:
         T = self._poses[one].inverse() @ self._poses[other].T_world_cam
         known = self._depths[one][self._depths[one] > 0]
         away = float(np.median(known)) if len(known) else 1.0
-        angle = np.arccos(np.clip((np.trace(T[:3, :3]) - 1) / 2, -1, 1))
-        return float((np.linalg.norm(T[:3, 3]) / away + angle)
+        return float((np.linalg.norm(T[:3, 3]) / away + rotation_angle(T[:3, :3]))
                      * self._source.fx / self._source.width)
 
     def bring(self, depth: np.ndarray, pose: CameraPose, gain: np.ndarray) -> SeenBefore | None:

@@ -1,6 +1,7 @@
 """Where is the camera, and what does the memory show around its image: frame after frame."""
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 import threading
 
@@ -9,9 +10,12 @@ from neo_ros.geometry import CameraPose, ViewExpansion
 from neo_ros.machine.compiled import ALL_THREADS
 from neo_ros.memory.alignment import agreement, Aligner
 from neo_ros.memory.alignment_kernels import GuideLevel, PhotoLevel
+from neo_ros.memory.glancing import GlanceFinder
 from neo_ros.memory.landmarks import Location, Locator
 from neo_ros.memory.local_features import Features
-from neo_ros.memory.pose_covariance import aligned_covariance, in_world, located_covariance
+from neo_ros.memory.panorama import draw_panorama, Panorama
+from neo_ros.memory.pose_covariance import (
+    aligned_covariance, in_world, located_covariance, with_floor)
 from neo_ros.memory.recent_images import RecentImages
 from neo_ros.memory.rendering import GuideView, MemoryRenderer
 from neo_ros.memory.scene_memory import SceneMemory
@@ -41,10 +45,7 @@ class SceneGuide:
         self._recent = RecentImages(expansion, thresholds.recent)
         self._locator = (None if memory.landmarks is None
                          else Locator(memory.landmarks, expansion.source, thresholds.landmarks))
-        pictures = memory.glances.pictures
-        self._glances = normalized(pictures.reshape(len(pictures), -1))
-        self._glance_size = (pictures.shape[2], pictures.shape[1])
-        self._poses = memory.glances.T_world_cam
+        self._glances = GlanceFinder(memory.glances, thresholds)
         self.reset()
 
     def reset(self) -> None:
@@ -56,10 +57,17 @@ class SceneGuide:
         self._since_landmarks = self.thresholds.landmarks_every
         self._led = 0  # Images for which landmarks alone still say where the camera is.
 
-    def guide(self, image: np.ndarray) -> Guide | None:
-        """Find the pose of an image, uint8 RGB (h, w, 3), and draw the wide view; None if lost."""
+    def guide(self, image: np.ndarray, prior: CameraPose | None = None,
+              motion: np.ndarray | None = None) -> Guide | None:
+        """
+        Find the pose of an image, uint8 RGB (h, w, 3), and draw the wide view; None if lost.
+
+        prior: where somebody says that the camera is, within metres; motion: (4, 4), the camera's
+        pose in the axes of the image before, as odometry measures it. Both only say where to look
+        first: without the image's agreement they are dropped.
+        """
         with _parallel_loops(self._threads):
-            return self._guide(self._camera_image(image))
+            return self._guide(self._camera_image(image), prior, motion)
 
     def _camera_image(self, pixels: np.ndarray) -> CameraImage:
         return CameraImage(pixels, self.aligner.photo(pixels), self._find_features)
@@ -68,10 +76,19 @@ class SceneGuide:
         assert self._locator is not None
         return self._locator.features(pixels)
 
-    def _guide(self, image: CameraImage) -> Guide | None:
+    def _guide(self, image: CameraImage, prior: CameraPose | None, motion: np.ndarray | None
+               ) -> Guide | None:
         # Whatever goes wrong with this image, the next one starts anew.
         last, self._last = self._last, None
+        if motion is not None:
+            self._motion = motion
         best = followed = self._follow(image, last) if last is not None else None
+        told = self._try(image, prior) if prior is not None else None
+        if told is not None and told.believed and not (
+                followed is not None and followed.believed
+                and self._is_near(followed.pose, told.pose, self.thresholds.expected_metres,
+                                  self.thresholds.expected_cosine)):
+            best = told
         self._since_search += 1
         if self._search_is_due(best):
             self._since_search = 0
@@ -92,7 +109,8 @@ class SceneGuide:
         self._recent.keep(image.pixels, view.image, solid, best.pose, gain)
         return Guide(view.image, known, view.stretched, best.pose, best.agreement, seen_before,
                      best.found, len(best.location.points) if best.location else 0, view.depth,
-                     partial(self._covariance, best, image.photo[0]))
+                     partial(self._covariance, best, image.photo[0]), self.expansion.observed,
+                     partial(self._panorama, best.pose, gain))
 
     def _search_is_due(self, best: Sight | None) -> bool:
         if best is None:
@@ -104,7 +122,7 @@ class SceneGuide:
 
     def warm_up(self) -> None:
         """Compile what is compiled at first use, which takes seconds on a new machine."""
-        pose = CameraPose(self._poses[0])
+        pose = CameraPose(self._glances.poses[0])
         with _parallel_loops(self._threads):
             view = self.renderer.render(pose, self.expansion.source, self.thresholds.shown)
             image = self._camera_image(view.image)
@@ -185,14 +203,23 @@ class SceneGuide:
         return grey, depth
 
     def _covariance(self, sight: Sight, photo: PhotoLevel) -> np.ndarray:
-        """Return how exactly a sight's pose is known; its view has the photo's exposure."""
+        covariance = self._covariance_of(sight, photo)
+        return in_world(with_floor(covariance, self.thresholds.covariance), sight.pose)
+
+    def _covariance_of(self, sight: Sight, photo: PhotoLevel) -> np.ndarray:
+        """Return how exactly the image tells a sight's pose; its view has the photo's exposure."""
         limits, location = self.thresholds, sight.location
         if location is not None and sight.pose is location.pose:  # Alignment had no say.
-            return in_world(located_covariance(location, limits.covariance), sight.pose)
+            return located_covariance(location, limits.covariance)
         camera = self.aligner.levels[0]
         shown = GuideLevel(*self._observed(sight.view), self.aligner.rays[0])
-        return in_world(aligned_covariance(photo, shown, camera, limits.alignment.geman_mcclure,
-                                           limits.covariance), sight.pose)
+        return aligned_covariance(photo, shown, camera, limits.alignment.geman_mcclure,
+                                  limits.covariance)
+
+    def _panorama(self, pose: CameraPose, gain: np.ndarray, wide_image: np.ndarray, width: int
+                  ) -> Panorama:
+        with _parallel_loops(self._threads):
+            return draw_panorama(self.renderer, pose, gain, wide_image, self.expansion, width)
 
     def _search(self, image: CameraImage) -> Sight | None:
         """
@@ -205,32 +232,36 @@ class SceneGuide:
             found = self._look_from(location, image)
             if found.believed:
                 return found
-        grey = cv2.cvtColor(image.pixels, cv2.COLOR_RGB2GRAY)
-        small = cv2.resize(grey, self._glance_size, interpolation=cv2.INTER_AREA)
-        alike = self._glances @ normalized(small.reshape(1, -1))[0]
+        return self._best_of(image, self._glances.find(image.pixels), 'searched')
+
+    def _try(self, image: CameraImage, prior: CameraPose) -> Sight | None:
+        """Look around where somebody says that the camera is; None: nothing is like it."""
+        limits = self.thresholds
+        location = self._locate(image, prior)
+        if location is not None and self._is_near(location.pose, prior, limits.prior_metres,
+                                                  limits.prior_cosine):
+            return replace(self._look_from(location, image), found='prior')
+        # A click on a map tells no height: the places around it do.
+        return self._best_of(image, [prior, *self._glances.find(image.pixels, prior)], 'prior')
+
+    @staticmethod
+    def _is_near(pose: CameraPose, other: CameraPose, metres: float, cosine: float) -> bool:
+        return bool(np.linalg.norm((pose.position - other.position)[:2]) < metres
+                    and pose.forward @ other.forward > cosine)
+
+    def _best_of(self, image: CameraImage, starts: Sequence[CameraPose], found: Found
+                 ) -> Sight | None:
+        """Align with the memory from each start; look from the pose that agrees most."""
         best, most = None, 0.0
-        for index in self._candidates(alike):
-            pose = self.aligner.align(image.photo, CameraPose(self._poses[index]), rounds=3)
+        for start in starts:
+            pose = self.aligner.align(image.photo, start, rounds=3)
             agrees = self.aligner.agreement(image.photo, pose)
             if agrees > most:
                 best, most = pose, agrees
             if most > self.thresholds.sure:
                 break
-        return self._look(image, best, searched=True) if best is not None else None
-
-    def _candidates(self, alike: np.ndarray) -> list[int]:
-        """Return the glances most alike that differ in place or direction."""
-        limits, chosen = self.thresholds, list[int]()
-        for index in np.argsort(-alike, kind='stable')[:40 * limits.candidates]:
-            pose = self._poses[index]
-            near = [other for other in self._poses[chosen]
-                    if np.linalg.norm(other[:3, 3] - pose[:3, 3]) < limits.apart_metres
-                    and other[:3, 2] @ pose[:3, 2] > limits.apart_cosine]
-            if not near:
-                chosen.append(int(index))
-                if len(chosen) == limits.candidates:
-                    break
-        return chosen
+        return (replace(self._look(image, best, searched=True), found=found)
+                if best is not None else None)
 
     def _expose(self, guide: np.ndarray, known: np.ndarray, image: np.ndarray) -> np.ndarray:
         """Give the guide, float32 RGB (H, W, 3), the image's exposure; return the gain (3,)."""
@@ -257,11 +288,3 @@ def _parallel_loops(threads: int) -> Iterator[None]:
             yield
         finally:
             set_num_threads(before)
-
-
-def normalized(pictures: np.ndarray) -> np.ndarray:
-    """Return rows of mean 0 and norm 1, float32; rows of one colour become 0."""
-    rows = pictures.astype(np.float32)
-    rows -= rows.mean(1, keepdims=True)
-    norm = np.linalg.norm(rows, axis=1, keepdims=True)
-    return rows / np.maximum(norm, 1)

@@ -2,8 +2,9 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
+from typing import Literal, TYPE_CHECKING
 
+import cv2
 from neo_ros.geometry import CameraPose
 from neo_ros.memory.alignment import AlignmentThresholds
 from neo_ros.memory.alignment_kernels import PhotoLevel
@@ -14,7 +15,10 @@ from neo_ros.memory.recent_images import RecentThresholds, SeenBefore
 from neo_ros.memory.rendering import GuideView
 import numpy as np
 
-Found = Literal['tracked', 'searched', 'landmarks']
+if TYPE_CHECKING:
+    from neo_ros.memory.panorama import Panorama
+
+Found = Literal['tracked', 'searched', 'landmarks', 'prior']
 
 
 @dataclass(frozen=True)
@@ -53,6 +57,9 @@ class GuideThresholds:
     candidates: int = 8
     apart_metres: float = 0.25
     apart_cosine: float = 0.97
+    # Where a camera may be that somebody says is at a place: a click on a map is not exact.
+    prior_metres: float = 1.5
+    prior_cosine: float = 0.7
     # At most some 64 by 64 pixels of an image tell its exposure.
     samples: int = 64
     alignment: AlignmentThresholds = AlignmentThresholds()
@@ -80,6 +87,18 @@ class CameraImage:
         return self._find_features(self.pixels)
 
 
+@dataclass(frozen=True)
+class TrustThresholds:
+    """Which remembered depth is told."""
+
+    # Grey levels by which the present image or the last ones differ from the memory where
+    # something else stands there now. The mean over squares of so many pixels counts.
+    contradiction: float = 24.0
+    around: int = 9
+    # 0 ... 255. Where the colours are not sure, neither is the depth.
+    least_confidence: int = 64
+
+
 @dataclass(frozen=True, eq=False)
 class Guide:
     """
@@ -89,7 +108,7 @@ class Guide:
     (H, W), see GuideView; pose of the camera; agreement of memory and image in [-1, 1];
     seen_before: by how much the last images differ from it, None if none shows any of it.
     found: what the pose comes from; landmarks: how many of them were matched with this image,
-    which are looked for now and then.
+    which are looked for now and then. observed: rows and columns of the image in the wide view.
     """
 
     image: np.ndarray
@@ -102,6 +121,8 @@ class Guide:
     landmarks: int = 0
     remembered_depth: np.ndarray | None = None
     find_covariance: Callable[[], np.ndarray] | None = None
+    observed: tuple[slice, slice] = (slice(0, 0), slice(0, 0))
+    draw_panorama: 'Callable[[np.ndarray, int], Panorama] | None' = None
 
     @cached_property
     def covariance(self) -> np.ndarray:
@@ -123,6 +144,43 @@ class Guide:
         """
         assert self.remembered_depth is not None
         return np.where(self.known & ~self.stretched, self.remembered_depth, np.float32(np.nan))
+
+    def trusted_depth(self, wide_image: np.ndarray, confidence: np.ndarray,
+                      thresholds: TrustThresholds = TrustThresholds()) -> np.ndarray:
+        """
+        Return `depth()` without what the last images contradict or what is not sure, float32.
+
+        wide_image uint8 RGB (H, W, 3) and confidence uint8 (H, W) that this guide led to.
+        """
+        depth, limits = self.depth(), thresholds
+        window = depth[self.observed]
+        if window.size:
+            off = cv2.absdiff(self.image[self.observed],
+                              wide_image[self.observed].astype(np.float32))
+            window[_large(off, limits)] = np.nan
+        doubted = confidence < limits.least_confidence
+        if self.seen_before is not None:
+            difference, weight = self.seen_before
+            # Both are weighted: that compares without a division.
+            doubted |= _large(cv2.absdiff(difference, np.zeros(1)), limits, weight)
+        depth[doubted] = np.nan
+        return depth
+
+    def panorama(self, wide_image: np.ndarray, width: int) -> 'Panorama':
+        """Draw the whole sphere around the camera, so many pixels wide, the live image in it."""
+        assert self.draw_panorama is not None
+        return self.draw_panorama(wide_image, width)
+
+
+def _large(off: np.ndarray, limits: TrustThresholds, weight: np.ndarray | None = None
+           ) -> np.ndarray:
+    """Tell where float32 (h, w, 3) differences, times their weight, contradict, bool (h, w)."""
+    grey = cv2.transform(off, np.full((1, 3), 1 / 3, np.float32))
+    grey = cv2.blur(grey, (limits.around, limits.around))
+    if weight is None:
+        return np.asarray(grey > limits.contradiction)
+    share = cv2.blur(weight, (limits.around, limits.around))
+    return np.asarray(grey > limits.contradiction * np.maximum(share, 0.1))
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,11 +7,52 @@ from typing import Any, Protocol
 
 import cv2
 from neo_ros.errors import ImageRejected
-from neo_ros.geometry import ViewExpansion
+from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
 from neo_ros.messages.camera_fit import camera_key, CameraFit
 from neo_ros.messages.compressed_image import compressed_size, read_compressed_image
 from neo_ros.messages.image import read_image
+from neo_ros.messages.stamps import stamp_of
 import numpy as np
+
+
+class Guide(Protocol):
+    """What the scene memory knows of a frame, as memory's Guide."""
+
+    @property
+    def pose(self) -> CameraPose:
+        """Where the camera is in the scene."""
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Of the pose, float64 (6, 6), see memory's Guide."""
+
+    @property
+    def agreement(self) -> float:
+        """Correlation of memory and image, in [-1, 1]."""
+
+    @property
+    def found(self) -> str:
+        """What the pose comes from."""
+
+    @property
+    def landmarks(self) -> int:
+        """How many of them were matched with this image."""
+
+    def trusted_depth(self, wide_image: np.ndarray, confidence: np.ndarray) -> np.ndarray:
+        """Return float32 (H, W), metres along the optical axis, NaN = unknown."""
+
+    def panorama(self, wide_image: np.ndarray, width: int) -> Any:
+        """Draw the whole sphere, see memory's Panorama."""
+
+
+class Hints(Protocol):
+    """Where the camera may be, as `hints.PoseHints`."""
+
+    def take_prior(self) -> CameraPose | None:
+        """Return where somebody says that the camera is, once."""
+
+    def motion(self, from_ns: int, to_ns: int) -> np.ndarray | None:
+        """Return how the camera has moved between two stamps, (4, 4)."""
 
 
 class View(Protocol):
@@ -28,6 +69,10 @@ class View(Protocol):
     @property
     def guided(self) -> bool:
         """Whether the scene memory knew where the camera is."""
+
+    @property
+    def guide(self) -> Guide | None:
+        """What it knows; None while the network works alone."""
 
 
 class SceneScorer(Protocol):
@@ -48,8 +93,9 @@ class Extrapolator(Protocol):
     def scene_check(self) -> SceneScorer | None:
         """What knows the scene; None where the model's card holds no reference."""
 
-    def expand(self, image: np.ndarray) -> View:
-        """Widen one camera image, uint8 RGB (h, w, 3)."""
+    def expand(self, image: np.ndarray, prior: CameraPose | None = None,
+               motion: np.ndarray | None = None) -> View:
+        """Widen one camera image, uint8 RGB (h, w, 3); the hints say where it may be from."""
 
     def reset(self) -> None:
         """Forget where the camera was."""
@@ -65,7 +111,8 @@ class WideFrame:
     fields of the wide CameraInfo. out_of_scene: 0 = an image of the trained scene, 1 = nothing
     like it; None where the network did not run or its card holds no reference. guided: the scene
     memory knew where the camera is. camera_note: what was done to the image to make it the
-    model's view. stages_ms: milliseconds spent in 'decode', 'infer' and 'check'.
+    model's view. stages_ms: milliseconds spent in 'decode', 'infer' and 'check'. view: the wide
+    camera, pixels. guide: what the memory knows; it computes what it is asked for.
     """
 
     image: np.ndarray | None
@@ -76,18 +123,23 @@ class WideFrame:
     guided: bool
     camera_note: str
     stages_ms: dict[str, float]
+    view: Intrinsics
+    guide: Guide | None = None
 
 
 class FrameProcessor:
     """
     Checks and decodes a frame, widens it, and says how long that took.
 
-    `rectify`, which may change at any time, takes the distortion out of the images first. One
+    `rectify`, which may change at any time, takes the distortion out of the images first; `hints`
+    say where the camera may be. One
     frame at a time: a second thread waits, because an extrapolator serves one only.
     """
 
     def __init__(self, extrapolator: Extrapolator, rectify: bool = False) -> None:
         self.rectify = rectify
+        self.hints: Hints | None = None
+        self._stamp_ns: int | None = None
         self._extrapolator = extrapolator
         self._expansion = extrapolator.expansion
         self._mask = np.where(self._expansion.extrapolated_mask, 255, 0).astype(np.uint8)
@@ -97,6 +149,7 @@ class FrameProcessor:
     def reset(self) -> None:
         """Forget where the camera was; the next image may be from anywhere."""
         with self._busy:
+            self._stamp_ns = None
             self._extrapolator.reset()
 
     def process(self, image_message: Any, camera_info_message: Any | None,
@@ -122,7 +175,7 @@ class FrameProcessor:
         decoded = checked = inferred = time.perf_counter()
         wide = confidence = score = None
         if infer:
-            wide = self._extrapolator.expand(image)
+            wide = self._extrapolator.expand(image, **self._take_hints(image_message))
             inferred = time.perf_counter()
             score = self._score(image, wide)
             confidence = self._lowered(wide.confidence, score or 0.0)
@@ -132,7 +185,16 @@ class FrameProcessor:
             extrapolated_mask=self._mask, camera_info=fit.camera_info, out_of_scene=score,
             guided=wide is not None and wide.guided, camera_note=fit.note,
             stages_ms={'decode': 1e3 * (decoded - started), 'infer': 1e3 * (inferred - decoded),
-                       'check': 1e3 * (checked - inferred)})
+                       'check': 1e3 * (checked - inferred)},
+            view=self._expansion.target, guide=wide.guide if wide else None)
+
+    def _take_hints(self, message: Any) -> dict[str, Any]:
+        if self.hints is None:
+            return {}
+        before, self._stamp_ns = self._stamp_ns, stamp_of(message.header)
+        motion = None if before is None else self.hints.motion(before, self._stamp_ns)
+        found = {'prior': self.hints.take_prior(), 'motion': motion}
+        return {name: hint for name, hint in found.items() if hint is not None}
 
     def _find_fit(self, message: Any | None) -> CameraFit:
         key = (self.rectify, camera_key(message))

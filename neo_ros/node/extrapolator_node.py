@@ -10,7 +10,7 @@ from neo_ros.node.camera_inputs import CameraInputs
 from neo_ros.node.diagnostics import build_array, build_status, Health
 from neo_ros.node.frame_statistics import Statistics
 from neo_ros.node.frame_worker import Frame, FrameWorker
-from neo_ros.node.interface import DIAGNOSTICS, ENABLE, RELOAD_MODEL
+from neo_ros.node.interface import DIAGNOSTICS, ENABLE, RELOAD_MODEL, RELOCALIZE
 from neo_ros.node.loaded_model import Load, load_model, LoadedModel
 from neo_ros.node.parameters import (
     declare_parameters,
@@ -19,6 +19,8 @@ from neo_ros.node.parameters import (
     NodeParameters,
     read_parameters,
 )
+from neo_ros.node.pose_inputs import PoseInputs
+from neo_ros.node.robot_frames import RobotFrames
 from neo_ros.node.transitions import answer_every_request, logged
 from neo_ros.node.wide_publishers import WidePublishers
 from neo_ros.runtime import FovExtrapolator
@@ -62,6 +64,8 @@ class ExtrapolatorNode(LifecycleNode):
         self._model: LoadedModel | None = None
         self._candidate: LoadedModel | None = None
         self._outputs: WidePublishers | None = None
+        self._frames: RobotFrames | None = None
+        self._pose_inputs: PoseInputs | None = None
         self._worker: FrameWorker | None = None
         self._lingering: list[FrameWorker] = []  # stopped, but in the middle of a frame
         self._inputs = CameraInputs(self, self._on_image)
@@ -71,6 +75,7 @@ class ExtrapolatorNode(LifecycleNode):
         self.add_post_set_parameters_callback(self._use_parameters)
         self.create_service(ENABLE.kind, ENABLE.name, self._on_enable)
         self.create_service(RELOAD_MODEL.kind, RELOAD_MODEL.name, self._on_reload_model)
+        self.create_service(RELOCALIZE.kind, RELOCALIZE.name, self._on_relocalize)
         self._diagnostics = self.create_publisher(DIAGNOSTICS.kind, DIAGNOSTICS.name, 10)
         # Steady, so that a paused simulation is still diagnosed.
         self._diagnosed_s = time.monotonic()
@@ -98,7 +103,11 @@ class ExtrapolatorNode(LifecycleNode):
             self.fault = f'cannot configure: {error}'
             self.get_logger().error(self.fault)
             return TransitionCallbackReturn.FAILURE
-        self._outputs = WidePublishers(self, values.jpeg_quality)
+        self._frames = RobotFrames(self, values) if values.base_frame else None
+        self._outputs = WidePublishers(self, values, self._model.arbitrary_scale, self._frames)
+        self._pose_inputs = PoseInputs(self, self._outputs.scene_frame, values.base_frame,
+                                       self._frames)
+        self._use_hints()
         self.fault = ''
         self._log_model('configured')
         return super().on_configure(state)
@@ -156,9 +165,15 @@ class ExtrapolatorNode(LifecycleNode):
         self.stop()
         if self._outputs is not None:
             self._outputs.destroy()
-        self._outputs = self._model = self._candidate = None
+        if self._pose_inputs is not None:
+            self._pose_inputs.destroy()
+        if self._frames is not None:
+            self._frames.destroy()
+        self._outputs = self._model = self._candidate = self._pose_inputs = self._frames = None
 
     def _on_image(self, message: Any, camera_info: Any | None) -> None:
+        if self._pose_inputs is not None:
+            self._pose_inputs.camera_frame = message.header.frame_id
         if self._worker is not None:
             self._worker.submit(Frame(message, camera_info, time.perf_counter()))
 
@@ -173,6 +188,24 @@ class ExtrapolatorNode(LifecycleNode):
         response.success = True
         response.message = f'{"enabled" if self._enabled else "disabled"}, {self.state_label}'
         return response
+
+    def _on_relocalize(self, request: Trigger.Request, response: Trigger.Response
+                       ) -> Trigger.Response:
+        response.success = self._worker is not None
+        response.message = f'{self.state_label}: no image is taken'
+        if self._worker is not None:
+            self._worker.forget()
+            response.message = 'the next image is searched for in the whole scene'
+        return response
+
+    def _use_hints(self) -> None:
+        """Let the model's memory hear priors and odometry; say where its poses are no map's."""
+        assert self._model and self._outputs and self._pose_inputs
+        self._model.processor.hints = self._pose_inputs.hints
+        if self._model.arbitrary_scale:
+            self.get_logger().warning(
+                'nobody knows the scale of this scene: poses, depth and points are not in metres; '
+                f'their frame is {self._outputs.scene_frame}')
 
     def _on_reload_model(self, request: Trigger.Request, response: Trigger.Response
                          ) -> Trigger.Response:
@@ -210,7 +243,8 @@ class ExtrapolatorNode(LifecycleNode):
         if self._model is not None:
             self._model.processor.rectify = values.rectify
         if self._outputs is not None:
-            self._outputs.jpeg_quality = values.jpeg_quality
+            assert self._model
+            self._outputs.use(values, self._model.arbitrary_scale)
         if self._worker is not None:
             self._worker.max_fps = values.max_fps
             if any(parameter.name in INPUT_PARAMETERS for parameter in parameters):
@@ -246,6 +280,9 @@ class ExtrapolatorNode(LifecycleNode):
         self._model = model
         self._statistics.forget_model()
         self._scene_watch = SceneWatch()
+        if self._outputs is not None:
+            self._outputs.use(read_parameters(self), model.arbitrary_scale)
+            self._use_hints()
         if self._worker is not None:
             self._worker.processor = model.processor
         self._log_model('the model is now')

@@ -31,6 +31,19 @@ class Wanted(NamedTuple):
     mask: bool = True
     confidence: bool = True
     camera_info: bool = True
+    pose: bool = False
+    base_pose: bool = False
+    status: bool = False
+    depth: bool = False
+    points: bool = False
+    panorama: bool = False
+    panorama_mask: bool = False
+    transform: bool = False
+
+    @property
+    def infer(self) -> bool:
+        """Whether an image has to be widened for it."""
+        return any(self._replace(mask=False, camera_info=False))
 
 
 class Outputs(Protocol):
@@ -113,8 +126,7 @@ class FrameWorker:
                 self._forgets = False
                 self.processor.reset()
             wide = self.processor.process(
-                frame.image, frame.camera_info,
-                infer=wanted.image or wanted.compressed or wanted.confidence)
+                frame.image, frame.camera_info, infer=wanted.infer)
             processed = time.perf_counter()
             with self._publishing:
                 if self._stopped.is_set():

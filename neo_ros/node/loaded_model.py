@@ -15,10 +15,11 @@ Load = Callable[[str, int, list[str]], Any]
 
 @dataclass(frozen=True)
 class LoadedModel:
-    """The frame processor of a model, whether it has a memory, and lines that describe it."""
+    """The frame processor of a model, what of its card matters, and lines that describe it."""
 
     processor: FrameProcessor
     memory: bool
+    arbitrary_scale: bool
     description: dict[str, str]
 
 
@@ -32,7 +33,8 @@ def load_model(values: NodeParameters, load: Load = FovExtrapolator.load) -> Loa
                    if PROVIDERS[name] not in extrapolator.providers]:
         description['not here'] = ', '.join(missing)
     return LoadedModel(FrameProcessor(extrapolator, values.rectify),
-                       extrapolator.card.memory is not None, description)
+                       extrapolator.card.memory is not None, extrapolator.card.arbitrary_scale,
+                       description)
 
 
 def _describe_size(extrapolator: Extrapolator) -> dict[str, str]:

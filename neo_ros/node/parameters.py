@@ -1,6 +1,7 @@
 """The node's parameters: names, defaults, ranges, and when they may change."""
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from importlib.util import find_spec
 from typing import Any
 
 from neo_ros.errors import ConfigError
@@ -33,6 +34,13 @@ class NodeParameters:
     rectify: bool
     max_fps: float
     jpeg_quality: int
+    scene_frame: str
+    base_frame: str
+    odom_frame: str
+    publish_tf: bool
+    points_every: int
+    panorama_width: int
+    panorama_fps: float
 
 
 def declare_parameters(node: Node) -> None:
@@ -60,6 +68,20 @@ def declare_parameters(node: Node) -> None:
              floating_point_range=[FloatingPointRange(from_value=0.0, to_value=1000.0)])
     _declare(node, 'jpeg_quality', 80, 'Quality of wide/image/compressed',
              integer_range=[IntegerRange(from_value=1, to_value=100, step=1)])
+    _declare(node, 'scene_frame', '',
+             'Frame of the poses; empty: map, or scene where the scale of the scene is arbitrary')
+    _declare(node, 'base_frame', '',
+             "The robot's frame, such as base_link: then its pose is published, too, and priors "
+             'and odometry are of it. Needs tf2_ros; configure takes it, as the next two')
+    _declare(node, 'odom_frame', 'odom', 'What publish_tf places in scene_frame')
+    _declare(node, 'publish_tf', False,
+             'Send the transform from scene_frame to odom_frame. Needs base_frame and tf2_ros')
+    _declare(node, 'points_every', 2, 'Of so many pixels and rows one becomes a point',
+             integer_range=[IntegerRange(from_value=1, to_value=32, step=1)])
+    _declare(node, 'panorama_width', 1024, 'Pixels of wide/panorama',
+             integer_range=[IntegerRange(from_value=64, to_value=8192, step=2)])
+    _declare(node, 'panorama_fps', 1.0, 'Most panoramas per second',
+             floating_point_range=[FloatingPointRange(from_value=0.01, to_value=30.0)])
 
 
 def read_parameters(node: Node, changed: Sequence[Parameter] = ()) -> NodeParameters:
@@ -78,6 +100,12 @@ def read_parameters(node: Node, changed: Sequence[Parameter] = ()) -> NodeParame
     if unknown := [name for name in values['providers'] if name not in PROVIDERS]:
         raise ConfigError(f'providers: expected some of {", ".join(PROVIDERS)}, got '
                           f'{", ".join(unknown)}')
+    if values['publish_tf'] and not values['base_frame']:
+        raise ConfigError('publish_tf: expected a base_frame, such as base_link, got none')
+    if values['base_frame'] and find_spec('tf2_ros') is None:
+        raise ConfigError(
+            f'base_frame: {values["base_frame"]!r} needs tf2_ros, which is missing here (it is '
+            'not among the wheels of PyPI); run the node in a ROS installation, or leave it empty')
     values['model'] = values['model'] or str(share_dir() / 'models' / 'demo_flat.onnx')
     return NodeParameters(**values)
 

@@ -1,17 +1,22 @@
 """The topics that the node publishes."""
-from array import array
 import functools
 from typing import Any
 
 from neo_ros.messages import image_fields, jpeg_fields
 from neo_ros.messages.frame_processor import WideFrame
+from neo_ros.messages.memory_messages import MEMORY_OUTPUTS, MemoryMessages, MemorySettings
+from neo_ros.messages.scene_outputs import default_scene_frame, pose_message
 from neo_ros.node.frame_worker import Wanted
 from neo_ros.node.interface import OUTPUTS
+from neo_ros.node.message_types import as_array, make_message
+from neo_ros.node.parameters import NodeParameters
+from neo_ros.node.robot_frames import RobotFrames
 import numpy as np
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.lifecycle import LifecycleNode
 from rclpy.qos import qos_policy_name_from_kind, QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.time import Time
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 # Reliable: Fast DDS loses large best-effort messages. Ten, so that a recorder may fall behind.
@@ -22,13 +27,14 @@ class WidePublishers:
     """
     Publishers of the topics in `interface.OUTPUTS`.
 
-    Reliable; every policy can be overridden by the `qos_overrides` parameters. `jpeg_quality`
-    may change at any time.
+    Reliable; every policy can be overridden by the `qos_overrides` parameters. `frames` tell
+    where the camera is on the robot.
     """
 
-    def __init__(self, node: LifecycleNode, jpeg_quality: int) -> None:
-        self.jpeg_quality = jpeg_quality
-        self._node = node
+    def __init__(self, node: LifecycleNode, values: NodeParameters, arbitrary_scale: bool,
+                 frames: RobotFrames | None = None) -> None:
+        self._node, self._frames = node, frames
+        self.use(values, arbitrary_scale)
         self._publishers = {
             name: node.create_lifecycle_publisher(
                 output.kind, output.name, QoSProfile(depth=DEPTH),
@@ -38,10 +44,19 @@ class WidePublishers:
             for name, output in OUTPUTS.items()}
         self._messages: dict[str, Image] = {}
 
+    def use(self, values: NodeParameters, arbitrary_scale: bool) -> None:
+        """Go by these parameters, and by the scale of the model's scene, from now on."""
+        self._jpeg_quality, self._publish_tf = values.jpeg_quality, values.publish_tf
+        self.scene_frame = values.scene_frame or default_scene_frame(arbitrary_scale)
+        self._memory = MemoryMessages(make_message, MemorySettings(
+            self.scene_frame, self._node.get_fully_qualified_name(), values.points_every,
+            values.panorama_width, values.panorama_fps))
+
     def wanted(self) -> Wanted:
         """Say which topics have subscribers."""
-        return Wanted(**{name: publisher.get_subscription_count() > 0
-                         for name, publisher in self._publishers.items()})
+        return Wanted(transform=self._frames is not None and self._publish_tf, **{
+            name: publisher.get_subscription_count() > 0
+            for name, publisher in self._publishers.items()})
 
     def publish(self, header: Any, frame: WideFrame, wanted: Wanted) -> None:
         """Send the wanted outputs with the header of their image, unchanged."""
@@ -56,14 +71,38 @@ class WidePublishers:
         if wanted.image and frame.image is not None:
             self._publish_image('image', header, frame.image)
         if wanted.compressed and frame.image is not None:
-            fields = jpeg_fields(frame.image, self.jpeg_quality)
+            fields = jpeg_fields(frame.image, self._jpeg_quality)
             self._publishers['compressed'].publish(CompressedImage(
-                header=header, format=fields['format'], data=_as_array(fields['data'])))
+                header=header, format=fields['format'], data=as_array(fields['data'])))
+
+        names = {name for name in MEMORY_OUTPUTS if getattr(wanted, name)}
+        if names:
+            for name, message in self._memory.of(header, frame, names, self._age_ms(header)):
+                self._publishers[name].publish(message)
+        if wanted.base_pose or wanted.transform:
+            self._publish_base(header, frame, wanted)
 
     def destroy(self) -> None:
         """Take the topics out of the graph."""
         for publisher in self._publishers.values():
             self._node.destroy_lifecycle_publisher(publisher)
+
+    def _age_ms(self, header: Any) -> float:
+        now = self._node.get_clock().now().nanoseconds
+        return (now - Time.from_msg(header.stamp).nanoseconds) / 1e6
+
+    def _publish_base(self, header: Any, frame: WideFrame, wanted: Wanted) -> None:
+        guide = frame.guide
+        if guide is None or self._frames is None:
+            return
+        found = self._frames.base_pose(header.frame_id, guide.pose, guide.covariance)
+        if found is None:
+            return
+        if wanted.base_pose:
+            self._publishers['base_pose'].publish(
+                pose_message(make_message, header, *found, self.scene_frame))
+        if wanted.transform:
+            self._frames.send_transform(header, self.scene_frame, found[0])
 
     def _publish_image(self, name: str, header: Any, image: np.ndarray) -> None:
         # One message per topic, filled in place: assigning an ndarray to `data` takes 1000 times
@@ -71,7 +110,7 @@ class WidePublishers:
         message = self._messages.get(name)
         if message is None or (message.height, message.width) != image.shape[:2]:
             fields = image_fields(image)
-            message = Image(**(fields | {'data': _as_array(fields['data'])}))
+            message = Image(**(fields | {'data': as_array(fields['data'])}))
             self._messages[name] = message
         else:
             np.copyto(np.frombuffer(message.data, np.uint8), image.reshape(-1))
@@ -83,9 +122,3 @@ class WidePublishers:
             f'a subscriber of {self._node.resolve_topic_name(topic)} asks for another '
             f'{qos_policy_name_from_kind(event.last_policy_kind)} than I offer: change its QoS, '
             'or mine with the qos_overrides parameters')
-
-
-def _as_array(data: np.ndarray) -> array:
-    copy = array('B')
-    copy.frombytes(data.tobytes())
-    return copy

@@ -30,7 +30,7 @@ class NetworkConfig:
     patch: int = 0          # pixels a side of the finest grid's cells; 0 = as the sizes ask for
     width: int = 64         # channels on the finest grid; neo_fast and lama double them downwards
     depth: int = 2          # number of grids, each half as fine as the one before
-    memory: int = 1024      # neo_fast: units of the fully connected middle
+    hidden: int = 1024      # neo_fast: units of the fully connected middle
     recall: int = 0         # neo_fast: channels that the middle gives each cell; 0 = all of them
     blocks: int = 2         # mat, lama: blocks in a stage
     window: int = 8         # mat: cells a side of an attention window
@@ -39,7 +39,7 @@ class NetworkConfig:
         if self.name not in NETWORKS:
             raise ConfigError(
                 f'network.name: expected one of {", ".join(NETWORKS)}, got {self.name!r}')
-        for name, least in (('width', 1), ('depth', 1), ('memory', 1), ('blocks', 1),
+        for name, least in (('width', 1), ('depth', 1), ('hidden', 1), ('blocks', 1),
                             ('window', 1), ('patch', 0), ('recall', 0)):
             if getattr(self, name) < least:
                 raise ConfigError(
@@ -106,9 +106,9 @@ class Outpainter(nn.Module):
         outputs = recalled * self.wide_grid[0] * self.wide_grid[1]
         self.squeeze = nn.Conv2d(coarse, coarse // 4, 1)
         self.recall = nn.Sequential(
-            nn.Linear(inputs, config.memory), nn.SiLU(),
-            nn.Linear(config.memory, config.memory), nn.SiLU(),
-            nn.Linear(config.memory, outputs))
+            nn.Linear(inputs, config.hidden), nn.SiLU(),
+            nn.Linear(config.hidden, config.hidden), nn.SiLU(),
+            nn.Linear(config.hidden, outputs))
         self.join = nn.ModuleList(
             nn.Conv2d(c + 1 + (recalled if level == config.depth - 1 else c),
                       c, 3, padding=1)
@@ -128,8 +128,8 @@ class Outpainter(nn.Module):
                 x = self.shrink[level - 1](x)
             x = self.encode[level](x)
             seen.append(x)
-        memory = self.recall(self.squeeze(x).flatten(1))
-        wide = memory.unflatten(1, (-1, *self.wide_grid))
+        middle = self.recall(self.squeeze(x).flatten(1))
+        wide = middle.unflatten(1, (-1, *self.wide_grid))
         for level in reversed(range(self.depth)):
             if level < self.depth - 1:
                 wide = F.pixel_shuffle(self.grow[level](wide), 2)

@@ -41,7 +41,7 @@ def check_network(expansion: ViewExpansion, config: NetworkConfig) -> None:
         raise ConfigError(
             f'network: expected weights of at most {MAX_BYTES >> 20} MB, as in a model file, '
             f'got {size >> 20} MB; choose a larger network.patch, or a smaller '
-            'network.memory, network.recall or scale')
+            'network.hidden, network.recall or scale')
 
 
 def fitting_patch(expansion: ViewExpansion, config: NetworkConfig) -> int:
@@ -88,4 +88,4 @@ def _is_light(expansion: ViewExpansion, patch: int, config: NetworkConfig) -> bo
     seen, wide = (view.width * view.height // cell ** 2
                   for view in (expansion.source, expansion.target))
     channels = coarse // 4 * seen + (config.recall or coarse // 2) * wide
-    return config.memory * channels <= MOST_WEIGHTS
+    return config.hidden * channels <= MOST_WEIGHTS

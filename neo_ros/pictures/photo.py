@@ -1,5 +1,7 @@
 """Photos as files: which there are in a folder, and their pixels."""
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+import importlib.util
+import io
 from pathlib import Path
 
 import cv2
@@ -8,7 +10,10 @@ from neo_ros.machine.names import natural_key
 from neo_ros.pictures.header import jpeg_is_whole, JPEG_START
 import numpy as np
 
-PHOTO_SUFFIXES = ('.jpg', '.jpeg', '.png', '.bmp', '.tif', '.tiff', '.webp', '.ppm', '.pgm')
+# What phones write; read with the extra `heic`.
+HEIC_SUFFIXES = ('.heic', '.heif')
+PHOTO_SUFFIXES = ('.jpg', '.jpeg', '.png', '.bmp', '.tif', '.tiff', '.webp', '.ppm', '.pgm',
+                  *HEIC_SUFFIXES)
 # Pixels lie as the intrinsics describe them: a viewer's rotation (EXIF) must not turn them.
 READ_FLAGS = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
 
@@ -18,18 +23,46 @@ def read_photo(path: Path, upright: bool = False) -> np.ndarray | None:
     Read an image file as RGB uint8 (H, W, 3), None if it cannot be read or was cut off.
 
     16-bit photos are scaled to 8 bit (full scale stays full scale), grayscale becomes three
-    equal channels, transparency is dropped; upright: turned as a viewer shows it (EXIF).
+    equal channels, transparency is dropped; upright: turned as a viewer shows it (EXIF). HEIC
+    photos are always upright, and need the extra `heic`.
     """
     try:
         data = path.read_bytes()
     except OSError:
         return None
+    return _decode_heic(data) if path.suffix.lower() in HEIC_SUFFIXES else (
+        decode_photo(data, upright))
+
+
+def decode_photo(data: bytes, upright: bool = False) -> np.ndarray | None:
+    """Decode what an image file holds, as `read_photo`; HEIC is not taken."""
     # OpenCV fills with grey what a file that was cut off lacks.
     if not data or data.startswith(JPEG_START) and not jpeg_is_whole(data):
         return None
     image = cv2.imdecode(np.frombuffer(data, np.uint8),
                          cv2.IMREAD_COLOR if upright else READ_FLAGS)
     return None if image is None else cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+
+
+def _decode_heic(data: bytes) -> np.ndarray | None:
+    try:
+        import pillow_heif
+    except ImportError:
+        return None
+    try:
+        image = np.asarray(pillow_heif.open_heif(io.BytesIO(data), convert_hdr_to_8bit=True))
+    except (ValueError, OSError, RuntimeError, EOFError, SyntaxError):
+        return None
+    return np.ascontiguousarray(
+        image[..., :3] if image.ndim == 3 else np.repeat(image[..., None], 3, axis=-1))
+
+
+def heic_advice(paths: Iterable[Path]) -> str:
+    """Return how HEIC photos would be read, where there are some and the extra is missing."""
+    if not any(path.suffix.lower() in HEIC_SUFFIXES for path in paths) or (
+            importlib.util.find_spec('pillow_heif') is not None):
+        return ''
+    return "; HEIC photos need: pip install 'neo_ros[heic]'"
 
 
 def photo_size(path: Path) -> tuple[int, int] | None:
@@ -44,7 +77,7 @@ def first_photo_size(paths: Sequence[Path], source: Path) -> tuple[int, int]:
         size = photo_size(path)
         if size is not None:
             return size
-    raise SceneError(f'{source}: none of the {len(paths)} images can be read')
+    raise SceneError(f'{source}: none of the {len(paths)} images can be read{heic_advice(paths)}')
 
 
 def list_photos(folder: Path) -> list[Path]:

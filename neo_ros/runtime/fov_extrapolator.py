@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from neo_ros.errors import ImageRejected, ModelError
-from neo_ros.geometry import ViewExpansion
+from neo_ros.geometry import CameraPose, ViewExpansion
 from neo_ros.runtime.confidence import confidence_of
 from neo_ros.runtime.model_card import MemoryFile, ModelCard
 from neo_ros.runtime.model_file import open_model
@@ -98,10 +98,12 @@ class FovExtrapolator:
         """The source and target views of the model."""
         return self.card.expansion
 
-    def expand(self, image: np.ndarray) -> WideView:
+    def expand(self, image: np.ndarray, prior: CameraPose | None = None,
+               motion: np.ndarray | None = None) -> WideView:
         """
         Widen one camera image, uint8 RGB (h, w, 3).
 
+        prior, motion: hints where the camera may be, see `SceneGuide.guide`.
         Raises ImageRejected('size') for another shape or dtype than the model's.
         """
         source = self.expansion.source
@@ -111,7 +113,7 @@ class FovExtrapolator:
                 'size', f'image: the model takes uint8 {expected} (height, width, RGB), got '
                 f'{image.dtype} {image.shape}; resize or train a model for this camera')
         guided = self._guided_view
-        guide = guided.guide(image) if guided is not None else None
+        guide = guided.guide(image, prior, motion) if guided is not None else None
         if guided is None or guide is None:
             return WideView(*self._run_network(image))
         network = self._run_network(image) if guided.needs_network(guide) else None

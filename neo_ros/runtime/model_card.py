@@ -124,6 +124,7 @@ class ModelCard:
     # What images of the scene look like; None: the model cannot tell other scenes apart.
     scene_reference: SceneReference | None = None
     memory: MemoryFile | None = None    # the scene memory; None: the network works alone
+    arbitrary_scale: bool = False       # nobody knows how long a unit of the scene is
 
     def __post_init__(self) -> None:
         check_same('schema_version', self.schema_version, SCHEMA_VERSION)
@@ -141,6 +142,7 @@ class ModelCard:
             check_number('gflop', self.gflop)
         if self.scene_reference is not None:
             check_part('scene_reference', self.scene_reference, SceneReference)
+        check_part('arbitrary_scale', self.arbitrary_scale, bool)
         if self.memory is not None:
             check_part('memory', self.memory, MemoryFile)
 

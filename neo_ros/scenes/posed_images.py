@@ -6,6 +6,7 @@ from pathlib import Path
 import cv2
 from neo_ros.errors import SceneError
 from neo_ros.geometry import CameraPose, Intrinsics
+from neo_ros.pictures.depth import read_depth
 from neo_ros.pictures.photo import read_photo
 import numpy as np
 
@@ -20,6 +21,8 @@ class PosedImages:
     path_ids         which walk or run each image belongs to; scores are averaged over these
     z_up             the world's z axis points up by definition, however the photos were held
     arbitrary_scale  nobody knows how long a unit of the poses is
+    depth_paths      a depth map of each image (see `pictures/depth.py`), None where it has none;
+                     empty: no image has one
     """
 
     intrinsics: Intrinsics
@@ -28,8 +31,12 @@ class PosedImages:
     path_ids: tuple[int, ...]
     z_up: bool = False
     arbitrary_scale: bool = False
+    depth_paths: tuple[Path | None, ...] = ()
 
     def __post_init__(self) -> None:
+        if self.depth_paths and len(self.depth_paths) != len(self.image_paths):
+            raise SceneError(f'posed images: expected as many depth maps as images, got '
+                             f'{len(self.image_paths)} images, {len(self.depth_paths)} maps')
         counts = {len(self.image_paths), len(self.poses), len(self.path_ids)}
         if len(counts) != 1:
             raise SceneError(
@@ -52,7 +59,8 @@ class PosedImages:
         return replace(
             self, image_paths=tuple(self.image_paths[i] for i in indices),
             poses=tuple(self.poses[i] for i in indices),
-            path_ids=tuple(self.path_ids[i] for i in indices))
+            path_ids=tuple(self.path_ids[i] for i in indices),
+            depth_paths=tuple(self.depth_paths[i] for i in indices) if self.depth_paths else ())
 
     def read_image(self, index: int, scale: float = 1.0) -> np.ndarray:
         """Read image `index` as RGB uint8 (H, W, 3), resampled by area if scale < 1."""
@@ -68,6 +76,21 @@ class PosedImages:
             images[index] = self.read_image(index, scale)
             progress(index + 1)
         return images
+
+    def read_depths(self, scale: float = 1.0) -> np.ndarray | None:
+        """
+        Read all depth maps as uint16 (N, H, W), millimetres along the optical axis.
+
+        0 = unknown; None where no image has one.
+        """
+        if not any(self.depth_paths):
+            return None
+        size = self.intrinsics.scaled(scale)
+        depths = np.zeros((len(self), size.height, size.width), np.uint16)
+        for index, path in enumerate(self.depth_paths):
+            if path is not None:
+                depths[index] = read_depth(path, size.width, size.height)
+        return depths
 
 
 def read_rgb_image(path: Path, intrinsics: Intrinsics) -> np.ndarray:

@@ -18,7 +18,7 @@ from neo_ros.speed.runtime import measure_expand
 import torch
 
 VIEW = ViewExpansion.to_size(Intrinsics.from_hfov(256, 256, math.pi / 2), 512, 512)
-NETWORK = NetworkConfig(patch=16, memory=2048)  # As the full suite has it.
+NETWORK = NetworkConfig(patch=16, hidden=2048)  # As the full suite has it.
 FORMATS: tuple[Format, ...] = ('fp32', 'int8')
 
 

@@ -52,8 +52,29 @@ def measure_node(model: Path, machine: Machine, effort: Effort) -> Iterator[Reco
     with tempfile.TemporaryDirectory() as folder:
         model = write_guided_stand_in(Path(folder), PAPER_VIEW, walk_at_30_hz(effort.frames))
         record = measure_graph(model, machine, effort)
+        outputs = list(measure_outputs(model, effort))
     record.name = name
     yield record
+    yield from outputs
+
+
+def measure_outputs(model: Path, effort: Effort) -> Iterator[Record]:
+    """Time what the memory's outputs cost beside the images: made and given to a publisher."""
+    with tempfile.TemporaryDirectory() as folder:
+        images = Path(folder) / 'images.npy'
+        np.save(images, camera_images(model, effort.frames))
+        probe = subprocess.run(
+            [sys.executable, '-m', 'neo_ros.node.output_probe', '--model', str(model.resolve()),
+             '--images', str(images)], env=_environment(), capture_output=True, text=True,
+            timeout=90 + effort.frames, check=False)
+    if probe.returncode:
+        raise NeoError(f'node: the measurement of the outputs failed:\n{probe.stderr[-2000:]}')
+    size = size_name(read_model_card(model).expansion)
+    for name, milliseconds in json.loads(probe.stdout.splitlines()[-1]).items():
+        if not milliseconds:
+            raise NeoError(f'node: expected messages of wide/{name}, got none: the memory did not '
+                           'know the images')
+        yield Record.of('node', f'{size}, wide/{name}', milliseconds)
 
 
 def measure_graph(model: Path, machine: Machine, effort: Effort) -> Record:
@@ -91,9 +112,7 @@ def measure_graph(model: Path, machine: Machine, effort: Effort) -> Record:
 def run_graph(model: Path, images: np.ndarray, seconds: float,
               rate: float = RATE_HZ) -> dict[str, Any]:
     """Run node and camera probe for a while; return what the probe prints."""
-    # Never within reach of a robot on the same network.
-    environment = os.environ | {'ROS_DOMAIN_ID': str(1 + os.getpid() % 100),
-                                'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
+    environment = _environment()
     with tempfile.TemporaryFile('w+') as log, tempfile.TemporaryDirectory() as folder:
         np.save(Path(folder) / 'images.npy', images)
         node = subprocess.Popen(
@@ -114,6 +133,12 @@ def run_graph(model: Path, images: np.ndarray, seconds: float,
             raise NeoError(f'node: the measurement failed (probe {probe.returncode}, node '
                            f'{ended}):\n{log.read()[-2000:]}')
     return json.loads(probe.stdout.splitlines()[-1])
+
+
+def _environment() -> dict[str, str]:
+    """Never within reach of a robot on the same network."""
+    return os.environ | {'ROS_DOMAIN_ID': str(1 + os.getpid() % 100),
+                         'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
 
 
 def _stages(diagnostics: dict[str, str]) -> dict[str, dict[str, float]]:

@@ -10,6 +10,7 @@ from mcap.reader import make_reader
 from mcap.writer import Writer as McapWriter
 from neo_ros.bags import BagReader, replay
 from neo_ros.bags.bag_info import read_bag_info
+from neo_ros.bags.replay_outputs import DIAGNOSTICS
 from neo_ros.cli.main import app
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.runtime import FovExtrapolator
@@ -63,11 +64,13 @@ def _write_mixed(path: Path) -> Path:
 
 
 def _messages(path: Path) -> list[tuple[Any, ...]]:
+    # What the replay itself says of the camera is not of the input.
     with BagReader(path) as bag:
         return [(message.topic.name, message.topic.recorded_type, message.topic.encoding,
                  message.topic.qos, message.topic.digest, message.topic.msgdef,
                  message.stamp_ns, message.publish_ns, message.sequence, message.cdr)
                 for message in bag.messages() if not message.topic.name.startswith(WIDE)
+                and message.topic.name != DIAGNOSTICS
                 or message.topic.name == f'{WIDE}image_raw']
 
 

@@ -14,7 +14,7 @@ from neo_ros.messages import FrameProcessor, read_image
 import numpy as np
 import pytest
 from rosbags.typesys import get_types_from_msg
-from tiny_model import TINY_EXPANSION
+from tiny_model import tiny_card, TINY_EXPANSION
 from video_messages import video_packets
 
 SOURCE = TINY_EXPANSION.source
@@ -32,10 +32,12 @@ PACKET_FIELDS = ('std_msgs/Header header\nint32 width\nint32 height\nstring enco
 class Remembering(QuickExtrapolator):
     """Keeps the images that it is given."""
 
+    card = tiny_card()
+
     def __init__(self) -> None:
         self.images: list[np.ndarray] = []
 
-    def expand(self, image: np.ndarray) -> Any:
+    def expand(self, image: np.ndarray, prior=None, motion=None) -> Any:
         self.images.append(image.copy())
         return super().expand(image)
 

@@ -16,6 +16,7 @@ EXPANSION = ViewExpansion.to_size(Intrinsics.from_hfov(32, 24, math.pi / 2), 64,
 IMAGE, TRUTH = '/camera/image_raw', '/camera/wide/image_raw'
 WIDE = {'/camera/wide/image', '/camera/wide/mask', '/camera/wide/confidence',
         '/camera/wide/camera_info'}
+TOLD = {'/camera/wide/status', '/diagnostics'}
 IMAGE_TYPE, INFO_TYPE = 'sensor_msgs/msg/Image', 'sensor_msgs/msg/CameraInfo'
 
 
@@ -74,7 +75,7 @@ def test_output_has_the_wide_view_and_everything_that_was_there(
     result = replay(walk_bag, extrapolator, tmp_path / 'out')
     assert (result.image_topic, result.frames, result.rejected) == (IMAGE, 6, {})
     before, after = _contents(walk_bag), _contents(tmp_path / 'out')
-    assert set(after) == set(before) | WIDE
+    assert set(after) == set(before) | WIDE | TOLD
     assert {name: after[name] for name in before} == before
     mask = EXPANSION.extrapolated_mask
     inputs = _read(walk_bag, IMAGE)
@@ -106,7 +107,7 @@ def test_two_replays_are_bit_identical(tmp_path, walk_bag, extrapolator) -> None
 
 def test_without_copy_only_the_wide_topics_are_written(tmp_path, walk_bag, extrapolator) -> None:
     replay(walk_bag, extrapolator, tmp_path / 'out', copy=False)
-    assert set(_contents(tmp_path / 'out')) == WIDE
+    assert set(_contents(tmp_path / 'out')) == WIDE | TOLD
 
 
 def test_a_replay_of_a_replay_replaces_the_wide_topics(tmp_path, walk_bag, extrapolator) -> None:

@@ -16,6 +16,8 @@ from neo_ros.scenes.pose_sampling import PoseSampler
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.slow
+
 POSITION = np.array([2.0, 2.0, HEIGHT])
 SMALL = BAND.rays(44, 126)
 

@@ -11,6 +11,9 @@ from neo_ros.runtime import FovExtrapolator
 from neo_ros.speed.guided import exact_keyframe, level_pose, measure_guided, write_guided_stand_in
 from neo_ros.speed.record import Effort
 import numpy as np
+import pytest
+
+pytestmark = pytest.mark.slow
 
 VIEW = ViewExpansion.to_size(Intrinsics.from_hfov(64, 64, np.pi / 2), 128, 128)
 # Along the living room, past the armchair and the dining chairs, looking around.

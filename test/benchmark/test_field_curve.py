@@ -17,6 +17,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+pytestmark = pytest.mark.slow
+
 EXPERIMENT = experiment_from({'field': {'voxels': 20_000, 'rays_per_step': 512}}, 'test')
 
 

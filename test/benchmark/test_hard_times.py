@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from tiny_model import write_tiny_model
 
+pytestmark = pytest.mark.slow
+
 VIEW = ViewExpansion.to_size(Intrinsics.from_hfov(64, 64, np.pi / 2), 128, 128)
 WALKS = [[level_pose(np.array([x + 0.03 * step, 1.55, 1.5]), yaw + 0.1 * step)
           for step in range(12)] for x, yaw in ((2.9, 2.0), (3.4, 4.0))]

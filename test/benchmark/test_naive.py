@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 import torch
 
+pytestmark = pytest.mark.slow
+
 EXPANSION = ViewExpansion.to_size(Intrinsics.from_hfov(16, 16, 1.5), 32, 32)
 
 

@@ -18,6 +18,8 @@ import pytest
 from scene_files import write_picture
 from tiny_model import TINY_EXPANSION, write_tiny_model
 
+pytestmark = pytest.mark.slow
+
 # Wider than the tiny model's view in one direction, narrower in the other.
 OTHER_CAMERA = Intrinsics.from_hfov(80, 48, 1.8)
 

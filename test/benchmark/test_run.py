@@ -27,9 +27,11 @@ from neo_ros.scenes.transforms_json import read_input_crop, read_transforms, wri
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.slow
+
 SETTINGS = {
     'field': {'voxels': 20_000, 'rays_per_step': 512},
-    'sampling': {'positions': 8}, 'network': {'width': 8, 'memory': 32},
+    'sampling': {'positions': 8}, 'network': {'width': 8, 'hidden': 32},
     'outpaint': {'batch': 4}, 'memory': {'distance': 0.6}}
 # Photos of 32 pixels have hardly a point that B3 could triangulate.
 TRAINED = [name for name in METHODS if not name.startswith('relocalized')]
@@ -186,6 +188,17 @@ def test_a_working_folder_belongs_to_one_benchmark(flat_scene, tmp_path):
     Workbench(job(flat_scene), tmp_path, quiet)
     with pytest.raises(ConfigError, match='other minutes'):
         Workbench(job(flat_scene, minutes=3.0), tmp_path, quiet)
+
+
+def test_a_working_folder_that_says_the_old_name_of_a_setting_is_continued(flat_scene, tmp_path):
+    Workbench(job(flat_scene), tmp_path, quiet)
+    note = tmp_path / 'job.json'
+    assert '"hidden"' in note.read_text()
+    note.write_text(note.read_text().replace('"hidden"', '"memory"'))
+    Workbench(job(flat_scene), tmp_path, quiet)
+    wider = {**SETTINGS, 'network': {'width': 8, 'hidden': 64}}
+    with pytest.raises(ConfigError, match='other settings, experiments'):
+        Workbench(job(flat_scene, settings=wider), tmp_path, quiet)
 
 
 def test_what_a_network_was_scored_with_is_not_changed_below_it(

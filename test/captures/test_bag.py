@@ -9,7 +9,7 @@ from camera_bags import as_sqlite, CameraBag
 from capture_files import demo_photos, write_bag
 import cv2
 from neo_ros.bags import BagReader, BagWriter
-from neo_ros.bags.transforms import PoseTrack
+from neo_ros.bags.tf_tree import PoseTrack
 from neo_ros.captures.bag import BagOptions, read_bag_capture
 from neo_ros.captures.scene_writing import write_capture
 from neo_ros.errors import BagError, SceneError

@@ -1,10 +1,12 @@
 """Every format gives back the same photos and poses, and says clearly what is wrong."""
 from collections.abc import Callable
 from dataclasses import astuple
+import importlib.util
 import json
 import math
 from pathlib import Path
 import shutil
+import sys
 
 from capture_files import (
     CAMERA, demo_photos, START_NS, STEP_NS, write_bag, write_colmap_binary, write_colmap_text,
@@ -27,6 +29,7 @@ from neo_ros.machine.names import natural_key
 from neo_ros.pictures.photo import read_photo
 from neo_ros.scenes.scene import read_scene
 import numpy as np
+from phone_files import write_camera_info
 import pytest
 import zstandard
 
@@ -174,14 +177,74 @@ def test_blank_lines_do_not_shift_the_pairs_of_lines_of_colmap(tmp_path: Path) -
     assert [frame.name for frame in capture.frames] == [f'images/{i}.png' for i in range(5)]
 
 
-def test_other_parts_of_a_colmap_scene_are_told(tmp_path: Path) -> None:
+def test_the_largest_of_several_colmap_models_is_read(tmp_path: Path) -> None:
     source = write_colmap_text(tmp_path / 's', demo_photos())
     (source / 'sparse/7').mkdir()  # no model
     assert not read_colmap(source).notes
     shutil.copytree(source / 'sparse/0', source / 'sparse/1')
-    note, = read_colmap(source).notes
-    assert 'only 0 is read' in note and note.endswith(f'neo import {source / "sparse/1"} SCENE')
-    assert len(read_colmap(source / 'sparse/1')) == 5
+    small = source / 'sparse/0/images.txt'
+    small.write_text('\n'.join(small.read_text().splitlines()[:5]))
+    capture = read_colmap(source)
+    assert len(capture) == 5
+    assert capture.notes == (f'{source / "sparse"} holds 2 models: 1 is read, with 5 images; '
+                             'others by --model: 0 (2)',)
+    assert len(read_colmap(source, model=0)) == len(read_colmap(source / 'sparse/0')) == 2
+    with pytest.raises(SceneError, match='--model: expected one of 0, 1 in .*, got 4'):
+        read_colmap(source, model=4)
+
+
+def test_images_of_a_colmap_model_may_be_elsewhere(tmp_path: Path) -> None:
+    source = write_colmap_text(tmp_path / 's', demo_photos())
+    (source / 'images').rename(tmp_path / 'elsewhere')
+    with pytest.raises(SceneError, match='none of its 5 images .*--images DIR'):
+        read_colmap(source)
+    assert len(read_colmap(source, images=tmp_path / 'elsewhere')) == 5
+
+
+def test_no_image_is_lost_where_images_txt_has_no_lines_of_points(tmp_path: Path) -> None:
+    source = write_colmap_text(tmp_path / 's', demo_photos())
+    path = source / 'sparse/0/images.txt'
+    path.write_text('\n'.join(line for line in path.read_text().splitlines() if '.png' in line))
+    assert [frame.name for frame in read_colmap(source).frames] == [
+        f'images/{index}.png' for index in range(5)]
+
+
+def test_a_trajectory_takes_a_calibration_from_elsewhere(tmp_path: Path) -> None:
+    source = write_trajectory(tmp_path / 's', demo_photos())
+    (source / 'camera.json').unlink()
+    with pytest.raises(SceneError, match='--camera-info FILE'):
+        read_trajectory(source)
+    lens = read_trajectory(source, write_camera_info(tmp_path / 'c.yaml')).frames[0].lens
+    assert lens is not None and astuple(lens.intrinsics) == astuple(CAMERA)
+
+
+def test_heic_photos_are_read_and_written_as_png(tmp_path: Path) -> None:
+    pillow_heif = pytest.importorskip('pillow_heif')
+    image = demo_photos().images[0]
+    source = tmp_path / 'in'
+    write_image(source / 'a.png', image)
+    pillow_heif.from_bytes('RGB', (64, 48), image.tobytes()).save(
+        source / 'b.HEIC', quality=100, chroma=444)
+    (source / 'c.dng').write_bytes(b'raw')
+    capture = read_photos(source)
+    assert '1 files are of kinds that are not read, and are left out: c.dng' in capture.notes[0]
+    names, _ = write_images(capture, tmp_path / 'out')
+    assert names == ['images/a.png', 'images/b.HEIC.png']
+    found = read_photo(tmp_path / 'out/images/b.HEIC.png')
+    assert found is not None and np.abs(found.astype(int) - image).mean() < 2
+
+
+def test_heic_photos_without_the_extra_are_named_with_it(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, 'pillow_heif', None)
+    monkeypatch.setattr(importlib.util, 'find_spec', lambda name: None)
+    (tmp_path / 'b.heic').write_bytes(b'heic')
+    assert detect_format(tmp_path) == CaptureFormat.PHOTOS
+    with pytest.raises(SceneError, match=r"pip install 'neo_ros\[heic\]'"):
+        read_photos(tmp_path)
+    write_image(tmp_path / 'a.png', demo_photos().images[0])
+    note, = read_photos(tmp_path).notes
+    assert '1 images cannot be read and are left out: b.heic; HEIC photos need' in note
 
 
 def test_instant_ngp_states_an_angle_and_leaves_the_ending_out(tmp_path: Path) -> None:

@@ -20,6 +20,8 @@ from neo_ros.scenes.scene import read_scene
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.slow
+
 CAMERA = Intrinsics.from_hfov(240, 180, math.radians(75))
 COUNT = 15
 

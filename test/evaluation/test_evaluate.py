@@ -1,5 +1,4 @@
 import json
-import subprocess
 import sys
 from types import SimpleNamespace
 
@@ -247,25 +246,3 @@ def test_an_unwritable_folder_is_named(frames, tmp_path):
     model = write_tiny_model(tmp_path / 'tiny.onnx')
     with pytest.raises(NeoError, match='cannot write.*another output folder'):
         write_evaluation(tmp_path / 'file/out', 'tiny', frames, results, model)
-
-
-def test_a_commit_is_dirty_by_code_and_settings_alone(tmp_path, monkeypatch):
-    def git(*arguments):
-        subprocess.run(['git', '-c', 'user.name=n', '-c', 'user.email=e@x', *arguments],
-                       cwd=tmp_path, check=True, capture_output=True)
-
-    monkeypatch.setattr(evaluate_module, '__file__', str(tmp_path / 'neo_ros/evaluation/x.py'))
-    assert evaluate_module.commit() is None
-    for name in ('neo_ros', 'config', 'results'):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / 'file').write_text('before')
-    git('init')
-    assert evaluate_module.commit() is None
-    git('add', '.')
-    git('commit', '-m', 'first')
-    clean = evaluate_module.commit()
-    assert clean and '-' not in clean
-    (tmp_path / 'results/file').write_text('after')
-    assert evaluate_module.commit() == clean
-    (tmp_path / 'config/file').write_text('after')
-    assert evaluate_module.commit() == f'{clean}-dirty'

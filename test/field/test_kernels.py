@@ -2,7 +2,8 @@
 from typing import NamedTuple
 
 from neo_ros.field.fitting_kernels import (
-    adam_step, Batch, differentiate_rays, LossWeights, SampleSlopes, scatter_gradients)
+    adam_step, Batch, DEPTH_SHARE, differentiate_rays, LossWeights, SampleSlopes,
+    scatter_gradients)
 from neo_ros.field.voxel_field import VoxelField
 import numpy as np
 from plain_field import plain_samples, random_rays, room_field
@@ -24,8 +25,12 @@ class Gradients(NamedTuple):
 @pytest.fixture
 def batch() -> Batch:
     random = np.random.default_rng(3)
-    return Batch(*random_rays(RAYS, 2), random.random(RAYS, np.float32),
-                 *(random.random((RAYS, 3), np.float32) for _ in range(3)))
+    rays_o, rays_d = random_rays(RAYS, 2)
+    jitter = random.random(RAYS, np.float32)
+    target, gain, background = (random.random((RAYS, 3), np.float32) for _ in range(3))
+    # Every other ray has measured depth.
+    distance = np.where(np.arange(RAYS) % 2, random.uniform(0.3, 2, RAYS), 0).astype(np.float32)
+    return Batch(rays_o, rays_d, jitter, target, gain, background, distance)
 
 
 def foggy_field(sh_degree: int) -> VoxelField:
@@ -38,7 +43,7 @@ def foggy_field(sh_degree: int) -> VoxelField:
 
 
 def differentiate(field: VoxelField, batch: Batch, distortion: float = 0,
-                  pointwise: float = 0, sparsity: float = 0
+                  pointwise: float = 0, sparsity: float = 0, depth: float = 0
                   ) -> tuple[Gradients, SampleSlopes]:
     rays, limit = len(batch.rays_o), field.sample_limit
     cell, count = np.empty((rays, limit), np.int64), np.empty(rays, np.int64)
@@ -46,7 +51,8 @@ def differentiate(field: VoxelField, batch: Batch, distortion: float = 0,
     d_density = np.empty((rays, limit), np.float32)
     error, d_gain = np.empty(RAYS, np.float32), np.empty((RAYS, 3), np.float32)
     slopes = SampleSlopes(cell, frac, d_density, d_rgb, count)
-    weights = LossWeights(np.float32(distortion), np.float32(pointwise), np.float32(sparsity))
+    weights = LossWeights(np.float32(distortion), np.float32(pointwise), np.float32(sparsity),
+                          np.float32(depth))
     differentiate_rays(batch, field.arrays, weights, slopes, error, d_gain)
     gradient, touched = scatter(field, batch, slopes, 2)
     return Gradients(gradient, touched, error, d_gain), slopes
@@ -60,7 +66,8 @@ def scatter(field: VoxelField, batch: Batch, slopes: SampleSlopes, threads: int
 
 
 def plain_loss(field: VoxelField, grid: torch.Tensor, gain: torch.Tensor, batch: Batch,
-               distortion: float, pointwise: float, sparsity: float) -> torch.Tensor:
+               distortion: float = 0, pointwise: float = 0, sparsity: float = 0,
+               depth: float = 0) -> torch.Tensor:
     """Sum over rays of the loss that the kernel's docstring states."""
     samples = plain_samples(field, grid, batch.rays_o, batch.rays_d, batch.jitter)
     target, background = (torch.from_numpy(values).double()
@@ -72,23 +79,25 @@ def plain_loss(field: VoxelField, grid: torch.Tensor, gain: torch.Tensor, batch:
     away = (place[:, :, None] - place[:, None, :]).abs()
     spread = torch.einsum('ri,rij,rj->', samples.weight, away, samples.weight)
     own = (gain[:, None] * samples.colour - target[:, None]).square().sum(-1)
+    measured = torch.from_numpy(batch.distance).double()[:, None]
+    off = (samples.depth - measured) / (float(DEPTH_SHARE) * measured).clamp_min(1e-9)
+    near = torch.where(measured > 0, 1 / (1 + off ** 2), 0.0)
     return (error + distortion * spread + pointwise * (samples.weight * own).sum()
-            + sparsity * samples.alpha.sum())
+            + sparsity * samples.alpha.sum() - depth * (samples.weight * near).sum())
 
 
 @pytest.mark.parametrize('sh_degree', [0, 1], ids=['matt', 'shiny'])
 @pytest.mark.parametrize('terms', [
     {}, {'distortion': 0.3}, {'pointwise': 0.2}, {'sparsity': 0.1},
-    {'distortion': 0.3, 'pointwise': 0.2, 'sparsity': 0.1},
-], ids=['colour', 'distortion', 'pointwise', 'sparsity', 'all'])
+    {'depth': 0.4}, {'distortion': 0.3, 'pointwise': 0.2, 'sparsity': 0.1, 'depth': 0.4},
+], ids=['colour', 'distortion', 'pointwise', 'sparsity', 'depth', 'all'])
 def test_gradients_agree_with_autograd(
         batch: Batch, terms: dict[str, float], sh_degree: int) -> None:
     field = foggy_field(sh_degree)
     found, _ = differentiate(field, batch, **terms)
     grid = torch.from_numpy(field.grid).double().requires_grad_()
     gain = torch.from_numpy(batch.gain).double()
-    weights = {'distortion': 0.0, 'pointwise': 0.0, 'sparsity': 0.0, **terms}
-    plain_loss(field, grid, gain, batch, **weights).backward()
+    plain_loss(field, grid, gain, batch, **terms).backward()
     assert grid.grad is not None
     expected = grid.grad.numpy()
     for columns in (slice(0, 1), slice(1, None)):
@@ -104,7 +113,7 @@ def test_gain_gradient_agrees_with_autograd(batch: Batch) -> None:
     found, _ = differentiate(field, batch)
     grid = torch.from_numpy(field.grid).double()
     gain = torch.from_numpy(batch.gain).double().requires_grad_()
-    loss = plain_loss(field, grid, gain, batch, 0, 0, 0)
+    loss = plain_loss(field, grid, gain, batch)
     loss.backward()
     assert gain.grad is not None
     expected = gain.grad.numpy()

@@ -21,7 +21,7 @@ from plain_field import CENTRE, random_rays, room_field, standing
 import pytest
 import torch
 
-pytestmark = pytest.mark.usefixtures('one_thread')
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures('one_thread')]
 
 CAMERA = Intrinsics.from_hfov(24, 20, 1.6)
 POSES = np.stack([standing(0.4 * np.cos(3 * yaw), 0.3 * np.sin(2 * yaw), yaw).T_world_cam

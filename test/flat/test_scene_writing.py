@@ -98,3 +98,17 @@ def test_an_unwritable_folder_is_named(tmp_path):
     (tmp_path / 'file').write_text('')
     with pytest.raises(SceneError, match='cannot write a demo scene here'):
         write_demo_scene(tmp_path / 'file' / 'flat', **SIZES, workers=1)
+
+
+def test_depth_maps_lie_beside_the_photos_where_they_are_asked_for(scene_folder, tmp_path):
+    assert read_scene(scene_folder).train.read_depths() is None
+    write_demo_scene(tmp_path, **SIZES, seed=4, workers=1, depth=True)
+    train = read_scene(tmp_path).train
+    depths = train.read_depths()
+    assert depths.shape == (5, 16, 16) and depths.dtype == np.uint16
+    flat = build_demo_flat()
+    for depth, pose in zip(depths, train.poses):
+        true = flat.render(train.intrinsics, pose)[1]
+        known = depth > 0
+        assert known.any() and np.abs(depth / 1000 - true)[known].max() < 0.25
+    assert train.subset([3]).read_depths(0.5).shape == (1, 8, 8)

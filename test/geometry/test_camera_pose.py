@@ -4,7 +4,8 @@ from hypothesis import given, strategies as st
 from neo_ros.errors import GeometryError
 from neo_ros.geometry import CameraPose
 from neo_ros.geometry.camera_pose import (
-    quaternion_from_rotation, rotation_from_vector, rotation_vector, transform_from_quaternion)
+    quaternion_from_rotation, rotation_angle, rotation_from_vector, rotation_vector,
+    transform_from_quaternion)
 import numpy as np
 import pytest
 
@@ -75,7 +76,7 @@ def test_interpolation_runs_from_end_to_end(
     way = np.linalg.norm(second.position - first.position)
     assert np.linalg.norm(middle.position - first.position) == pytest.approx(
         fraction * way, abs=1e-9)
-    turn = [np.linalg.norm(rotation_vector(first.T_world_cam[:3, :3].T @ R))
+    turn = [rotation_angle(first.T_world_cam[:3, :3].T @ R)
             for R in (middle.T_world_cam[:3, :3], second.T_world_cam[:3, :3])]
     assert turn[0] == pytest.approx(fraction * turn[1], abs=1e-6)
 

@@ -3,6 +3,7 @@ from pathlib import Path
 from typing import Any
 
 from neo_ros.geometry import Band, CameraPose, Intrinsics, ViewExpansion
+from neo_ros.geometry.camera_pose import rotation_angle
 from neo_ros.memory.scene_memory import Glances, Keyframe, SceneMemory
 from neo_ros.runtime.model_card import MemoryFile
 import numpy as np
@@ -67,9 +68,9 @@ def planar(x: float, y: float, yaw_deg: float) -> CameraPose:
 
 def apart(one: CameraPose, other: CameraPose) -> tuple[float, float]:
     """Return how far two poses are apart: metres and degrees."""
-    cosine = (np.trace(one.T_world_cam[:3, :3].T @ other.T_world_cam[:3, :3]) - 1) / 2
+    turn = one.T_world_cam[:3, :3].T @ other.T_world_cam[:3, :3]
     return (float(np.linalg.norm(one.position - other.position)),
-            float(np.degrees(np.arccos(np.clip(cosine, -1, 1)))))
+            float(np.degrees(rotation_angle(turn))))
 
 
 def box_walk(count: int) -> list[CameraPose]:

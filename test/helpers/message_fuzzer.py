@@ -137,7 +137,7 @@ class QuickExtrapolator:
     def reset(self) -> None:
         """Have nothing to forget."""
 
-    def expand(self, image: np.ndarray) -> WideView:
+    def expand(self, image: np.ndarray, prior=None, motion=None) -> WideView:
         """Check what comes in; return black."""
         assert image.shape == (SOURCE.height, SOURCE.width, 3) and image.dtype == np.uint8
         shape = (TARGET.height, TARGET.width)

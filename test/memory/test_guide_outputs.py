@@ -11,6 +11,8 @@ from neo_ros.runtime import FovExtrapolator
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.slow
+
 FLAT = build_demo_flat()
 CHI_SQUARED_95 = 7.815  # of three degrees of freedom
 Walk = list[tuple[CameraPose, Guide]]

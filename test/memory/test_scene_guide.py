@@ -19,6 +19,8 @@ from numba import get_num_threads
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.slow
+
 MEMORY = box_memory()
 TRUE_POSE = planar(1.9, 1.7, 35)
 PATTERN = np.random.default_rng(0).random((4, 4))

@@ -10,7 +10,11 @@ import neo_ros
 from neo_ros.outpaint.distributed import from_first, process_group, processes, wait_for_all
 from neo_ros.runtime import FovExtrapolator
 import numpy as np
+import pytest
 
+pytestmark = pytest.mark.slow
+
+HELPERS = Path(__file__).parents[1] / 'helpers'
 RANK = """
 import sys
 import numpy as np, torch
@@ -26,7 +30,7 @@ fitting.THREADS = 1
 def learn(rank):
     trainer = OutpaintTrainer(
         ViewExpansion.to_size(Intrinsics(8, 8, 4, 4, 4, 4), 16, 16),
-        NetworkConfig(patch=4, width=8, depth=1, memory=8),
+        NetworkConfig(patch=4, width=8, depth=1, hidden=8),
         OutpaintConfig(batch=4, precision='fp32', minutes=60.0, device='cpu', photometric=0,
                        occluders=0), seed=0)
     share = 4 // trainer.world
@@ -71,12 +75,12 @@ def run_ranks(folder: Path, count: int, script: str = RANK,
     environment = {**os.environ, 'WORLD_SIZE': str(count), 'MASTER_ADDR': '127.0.0.1',
                    'MASTER_PORT': str(port), 'OMP_NUM_THREADS': '1', 'CUDA_VISIBLE_DEVICES': '',
                    'PYTHONPATH': os.pathsep.join(map(str, (
-                       Path(neo_ros.__file__).parent.parent, Path(__file__).parent)))}
+                       Path(neo_ros.__file__).parent.parent, HELPERS)))}
     running = [subprocess.Popen(
         [sys.executable, '-c', script, str(folder), *arguments], stderr=subprocess.PIPE, text=True,
         env={**environment, 'RANK': str(rank), 'LOCAL_RANK': str(rank)}) for rank in range(count)]
     try:
-        errors = [process.communicate(timeout=100)[1] for process in running]
+        errors = [process.communicate(timeout=250)[1] for process in running]
     finally:
         for process in running:
             process.kill()

@@ -23,7 +23,7 @@ EXPANSIONS = {'square': ViewExpansion.to_size(CAMERA, 32, 32),
 def randomised(expansion: ViewExpansion) -> Outpainter:
     """Return a network none of whose weights is zero, as after some training."""
     torch.manual_seed(1)
-    network = Outpainter(expansion, NetworkConfig(patch=4, width=8, depth=2, memory=16))
+    network = Outpainter(expansion, NetworkConfig(patch=4, width=8, depth=2, hidden=16))
     with torch.no_grad():
         for parameter in network.parameters():
             parameter.add_(torch.randn_like(parameter) * 0.1)

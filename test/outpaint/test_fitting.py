@@ -14,7 +14,7 @@ import pytest
 import torch
 
 EXPANSION = ViewExpansion.to_size(Intrinsics(16, 16, 8, 8, 8, 8), 32, 32)
-NETWORK = NetworkConfig(patch=4, width=8, depth=2, memory=16)
+NETWORK = NetworkConfig(patch=4, width=8, depth=2, hidden=16)
 
 
 @pytest.fixture(scope='module', autouse=True)

@@ -6,7 +6,7 @@ from neo_ros.outpaint.network import check_fits, NetworkConfig, Outpainter
 import pytest
 import torch
 
-SMALL = NetworkConfig(patch=2, width=8, depth=3, memory=16)  # cells of 8 pixels
+SMALL = NetworkConfig(patch=2, width=8, depth=3, hidden=16)  # cells of 8 pixels
 
 
 def expansion(width: int, height: int, *growth: int) -> ViewExpansion:
@@ -27,7 +27,7 @@ def randomised(view: ViewExpansion, config: NetworkConfig = SMALL) -> Outpainter
     expansion(16, 16, 8, 8, 8, 8), expansion(16, 24, 8, 8, 0, 0), expansion(16, 8, 24, 0, 8, 16),
 ], ids=['symmetric', 'horizontal', 'arbitrary'])
 @pytest.mark.parametrize('config', [
-    SMALL, NetworkConfig(patch=8, width=4, depth=1, memory=8)], ids=['three grids', 'one grid'])
+    SMALL, NetworkConfig(patch=8, width=4, depth=1, hidden=8)], ids=['three grids', 'one grid'])
 def test_every_expansion_has_a_network(view: ViewExpansion, config: NetworkConfig) -> None:
     image = torch.rand(2, 3, view.source.height, view.source.width)
     network = randomised(view, config)
@@ -74,7 +74,7 @@ def test_sizes_that_do_not_fit_are_named(size: tuple[int, ...], message: str) ->
 
 
 @pytest.mark.parametrize('name, value, least', [
-    ('patch', -1, 0), ('width', 0, 1), ('depth', 0, 1), ('memory', -1, 1)])
+    ('patch', -1, 0), ('width', 0, 1), ('depth', 0, 1), ('hidden', -1, 1)])
 def test_settings_out_of_range(name: str, value: int, least: int) -> None:
     changes: dict[str, Any] = {name: value}
     with pytest.raises(ConfigError, match=f'{name}: expected {least} or more, got {value}'):

@@ -20,11 +20,11 @@ import onnxruntime
 import pytest
 import torch
 
-pytestmark = pytest.mark.usefixtures('one_thread')
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures('one_thread')]
 
 CONFIGS = {
-    'neo_fast': NetworkConfig(patch=4, width=8, depth=2, memory=16),
-    'neo_fast, few recalled': NetworkConfig(patch=4, width=8, depth=2, memory=16, recall=2),
+    'neo_fast': NetworkConfig(patch=4, width=8, depth=2, hidden=16),
+    'neo_fast, few recalled': NetworkConfig(patch=4, width=8, depth=2, hidden=16, recall=2),
     'mat': NetworkConfig(name='mat', patch=4, width=16, depth=2, window=4),
     'lama': NetworkConfig(name='lama', width=8, depth=2, blocks=2)}
 
@@ -113,7 +113,7 @@ def test_exports_agree_with_torch_and_use_allowed_operators(name: str, tmp_path:
 
 def test_the_parameters_of_neo_fast_keep_their_names() -> None:
     """A checkpoint that was trained with an earlier version must load."""
-    state = build_network(SQUARE, NetworkConfig(patch=4, width=8, depth=2, memory=16)).state_dict()
+    state = build_network(SQUARE, NetworkConfig(patch=4, width=8, depth=2, hidden=16)).state_dict()
     assert sum(value.numel() for value in state.values()) == 34268
     assert {name.split('.')[0] for name in state} == {
         'stem', 'encode', 'shrink', 'squeeze', 'recall', 'join', 'decode', 'grow', 'head'}
@@ -129,7 +129,7 @@ def test_fewer_recalled_channels_make_a_smaller_network() -> None:
 @pytest.mark.parametrize('changes, message', [
     ({'name': 'gan'}, "network.name: expected one of neo_fast, mat, lama, got 'gan'"),
     ({'recall': -1}, 'network.recall: expected 0 or more, got -1'),
-    ({'memory': 1 << 24}, 'at most 1024 MB, .* got .* larger network.patch'),
+    ({'hidden': 1 << 24}, 'at most 1024 MB, .* got .* larger network.patch'),
     ({'blocks': 0}, 'network.blocks: expected 1 or more, got 0'),
     ({'name': 'mat', 'patch': 6}, 'network.patch: mat expects a power of two, got 6'),
     ({'name': 'mat', 'width': 48}, 'network.width: mat expects a multiple of 32, got 48'),

@@ -12,11 +12,13 @@ import onnxruntime
 import pytest
 import torch
 
+pytestmark = pytest.mark.slow
+
 EXPANSION = ViewExpansion.to_size(Intrinsics(16, 16, 8.0, 8.0, 8.0, 8.0), 32, 32)
 
 
 # With as much noise on the weights as makes pictures that differ from each other.
-NETWORKS = {'neo_fast': (NetworkConfig(patch=4, width=16, depth=2, memory=64), 0.05),
+NETWORKS = {'neo_fast': (NetworkConfig(patch=4, width=16, depth=2, hidden=64), 0.05),
             'mat': (NetworkConfig(name='mat', patch=4, width=32, depth=2, window=4), 0.1),
             'lama': (NetworkConfig(name='lama', width=16, depth=2, blocks=1), 0.08)}
 

@@ -23,6 +23,8 @@ from tiny_model import write_tiny_model
 import typer
 from typer.testing import CliRunner
 
+pytestmark = pytest.mark.slow
+
 MACHINE = Machine({1: 100.0, 2: 150.0}, {1: 10.0, 2: 8.0}, {1: 50.0, 2: 90.0})
 APP = typer.Typer()
 APP.command()(bench)
@@ -202,7 +204,7 @@ def test_a_gpu_is_measured_as_the_cpu_is_or_skipped_with_a_reason():
 def test_the_network_of_a_training_is_measured_in_float_and_integers():
     view = ViewExpansion.to_size(Intrinsics.from_hfov(16, 16, 1.5), 32, 32)
     records = list(speed_networks.measure_networks(
-        MACHINE, Effort(seconds=0.0), view, NetworkConfig(patch=4, width=4, memory=8)))
+        MACHINE, Effort(seconds=0.0), view, NetworkConfig(patch=4, width=4, hidden=8)))
     assert [(record.benchmark, record.name) for record in records] == [
         ('networks', f'neo_fast, {number_format}, 16x16 to 32x32, {threads}')
         for number_format in ('fp32', 'int8') for threads in ('1 thread', 'all threads')]

@@ -10,6 +10,8 @@ from tiny_model import write_tiny_model
 import typer
 from typer.testing import CliRunner
 
+pytestmark = pytest.mark.slow
+
 APP = typer.Typer()
 APP.command()(soak_command)
 SECONDS, RATE = 60.0, 30.0

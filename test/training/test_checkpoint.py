@@ -62,7 +62,7 @@ def test_a_checkpoint_that_cannot_be_written_leaves_the_old_one(tmp_path: Path) 
 def outpainter(width: int = 8) -> OutpaintTrainer:
     return OutpaintTrainer(
         ViewExpansion.to_size(Intrinsics(8, 8, 4, 4, 4, 4), 16, 16),
-        NetworkConfig(patch=4, width=width, depth=1, memory=8),
+        NetworkConfig(patch=4, width=width, depth=1, hidden=8),
         OutpaintConfig(steps=1, batch=1, device='cpu'), seed=0)
 
 

@@ -16,6 +16,8 @@ import numpy as np
 import pytest
 from viewer_process import HEIGHT, INSIDE, RING, WIDTH
 
+pytestmark = pytest.mark.slow
+
 CHROMIUM = shutil.which('chromium') or shutil.which('chromium-browser')
 if CHROMIUM is None:
     pytest.skip('needs a browser: apt install chromium', allow_module_level=True)

@@ -6,7 +6,7 @@ from typing import Any
 
 from neo_ros.errors import GeometryError
 from neo_ros.geometry import CameraPose
-from neo_ros.geometry.camera_pose import rotation_vector, transform_from_quaternion
+from neo_ros.geometry.camera_pose import rotation_angle, transform_from_quaternion
 from neo_ros.messages.stamps import NS_PER_S, stamp_of
 import numpy as np
 
@@ -56,6 +56,11 @@ class PoseTrack:
             return None
         fraction = (stamp_ns - before) / (after - before)
         return CameraPose(T0).interpolated(CameraPose(T1), fraction).T_world_cam
+
+    def neighbours(self, stamp_ns: int) -> list[int]:
+        """Return the stamps of the poses right before a time and at or after it, if there."""
+        place = self._place(stamp_ns)
+        return self._stamps[max(place - 1, 0):place + 1]
 
     def gap_ns(self, stamp_ns: int) -> int:
         """Return how far the poses around a time are apart if that is too far, else 0."""
@@ -200,5 +205,5 @@ def frame_name(frame_id: str) -> str:
 
 def _still(T0: np.ndarray, T1: np.ndarray) -> bool:
     moved = np.linalg.norm(T0[:3, 3] - T1[:3, 3])
-    turned = np.linalg.norm(rotation_vector(T0[:3, :3].T @ T1[:3, :3]))
+    turned = rotation_angle(T0[:3, :3].T @ T1[:3, :3])
     return bool(moved <= STILL_M and turned <= STILL_RAD)

@@ -1,0 +1,85 @@
+"""Where the camera may be, from others than its image: a prior, and what odometry measured."""
+from bisect import bisect_left
+from collections import deque
+import threading
+from typing import Any
+
+from neo_ros.geometry import CameraPose
+from neo_ros.messages.stamps import stamp_of
+import numpy as np
+
+# Odometry is kept for so many messages, and believed over a hole of so long.
+KEPT, LONGEST_HOLE_NS = 400, 200_000_000
+
+
+def read_pose(pose: Any) -> CameraPose:
+    """Return a `geometry_msgs/Pose`, in the axes of whatever it is the pose of; GeometryError."""
+    at, turn = pose.position, pose.orientation
+    return CameraPose.from_quaternion(np.array([at.x, at.y, at.z]),
+                                      np.array([turn.x, turn.y, turn.z, turn.w]))
+
+
+class PoseHints:
+    """
+    A prior that is used once, and the newest odometry; for a thread that gives and one that takes.
+
+    All poses are of the camera's optical frame: of the prior in the scene, of odometry in any
+    frame that does not jump.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._prior: CameraPose | None = None
+        self._odometry: deque[tuple[int, CameraPose]] = deque(maxlen=KEPT)
+
+    def set_prior(self, pose: CameraPose) -> None:
+        """Keep a prior for the next image; it takes the place of one that still waits."""
+        with self._lock:
+            self._prior = pose
+
+    def add_odometry(self, header: Any, pose: CameraPose) -> None:
+        """Keep a pose that odometry has measured; time that runs back forgets all before."""
+        stamp_ns = stamp_of(header)
+        with self._lock:
+            if self._odometry and stamp_ns <= self._odometry[-1][0]:
+                self._odometry.clear()
+            self._odometry.append((stamp_ns, pose))
+
+    def take_prior(self) -> CameraPose | None:
+        """Return the prior, once."""
+        with self._lock:
+            prior, self._prior = self._prior, None
+        return prior
+
+    def motion(self, from_ns: int, to_ns: int) -> np.ndarray | None:
+        """
+        Return the camera's pose at one stamp in its axes at another, (4, 4), or None.
+
+        None where odometry was silent around one of them.
+        """
+        with self._lock:
+            before, after = self._at(from_ns), self._at(to_ns)
+        if before is None or after is None:
+            return None
+        return before.inverse() @ after.T_world_cam
+
+    def _at(self, stamp_ns: int) -> CameraPose | None:
+        known = self._odometry
+        index = bisect_left(known, stamp_ns, key=lambda entry: entry[0])
+        if index == len(known):
+            # Images are often newer than the newest odometry: by less than one message, it moves
+            # on as it did.
+            if len(known) < 2 or stamp_ns - known[-1][0] > LONGEST_HOLE_NS:
+                return None
+            index -= 1
+        elif index == 0:
+            return known[0][1] if known[0][0] == stamp_ns else None
+        (one_ns, one), (other_ns, other) = known[index - 1], known[index]
+        if other_ns - one_ns > LONGEST_HOLE_NS:
+            return None
+        share = (stamp_ns - one_ns) / (other_ns - one_ns)
+        if share <= 1:
+            return one.interpolated(other, share)
+        step = one.inverse() @ one.interpolated(other, 1.0).T_world_cam
+        onward = CameraPose.nearest(other.T_world_cam @ step)
+        return other.interpolated(onward, share - 1)

@@ -1,0 +1,90 @@
+"""What others say of where the camera is: priors and odometry, for the hints of the next image."""
+from typing import Any
+
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from nav_msgs.msg import Odometry
+from neo_ros.errors import GeometryError
+from neo_ros.geometry import CameraPose
+from neo_ros.geometry.camera_pose import T_BODY_OPTICAL
+from neo_ros.messages.hints import PoseHints, read_pose
+from neo_ros.node.interface import ODOMETRY, PRIOR
+from neo_ros.node.robot_frames import RobotFrames
+import numpy as np
+from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data, QoSProfile
+
+
+class PoseInputs:
+    """
+    Subscribes to PRIOR and ODOMETRY and turns them into `hints` of the camera's optical frame.
+
+    camera_frame: the frame of the images, '' before the first; base_frame: what the messages are
+    of, where `frames` tells how the camera sits on it.
+    """
+
+    def __init__(self, node: Node, scene_frame: str, base_frame: str,
+                 frames: RobotFrames | None) -> None:
+        self.hints = PoseHints()
+        self.camera_frame = ''
+        self._node, self._frames = node, frames
+        self._scene_frame, self._base_frame = scene_frame, base_frame
+        self._told: set[str] = set()
+        self._subscriptions = [
+            node.create_subscription(PRIOR.kind, PRIOR.name, self._on_prior, QoSProfile(depth=1)),
+            node.create_subscription(ODOMETRY.kind, ODOMETRY.name, self._on_odometry,
+                                     qos_profile_sensor_data)]
+
+    def destroy(self) -> None:
+        """Take the subscriptions back."""
+        for subscription in self._subscriptions:
+            self._node.destroy_subscription(subscription)
+
+    def _on_prior(self, message: PoseWithCovarianceStamped) -> None:
+        frame = message.header.frame_id.lstrip('/')
+        if frame not in ('', self._scene_frame):
+            self._tell(f'{PRIOR.name}: expected a pose in {self._scene_frame} (scene_frame), got '
+                       f'{frame}: dropped')
+            return
+        T_camera = T_BODY_OPTICAL if not self._base_frame else self._camera_in_base()
+        pose = self._read(PRIOR.name, message.pose.pose)
+        if pose is not None and T_camera is not None:
+            self.hints.set_prior(CameraPose.nearest(pose.T_world_cam @ T_camera))
+
+    def _on_odometry(self, message: Odometry) -> None:
+        if not self.camera_frame:
+            return
+        child = message.child_frame_id.lstrip('/')
+        T_camera: np.ndarray | None = np.eye(4)
+        if child == self.camera_frame:
+            pass  # As it is.
+        elif self._base_frame and child in ('', self._base_frame):
+            T_camera = self._camera_in_base()
+        else:
+            self._tell(f'{ODOMETRY.name}: is of {child or "no frame"}; to use it, set base_frame '
+                       f'to that, or send it of {self.camera_frame}')
+            return
+        pose = self._read(ODOMETRY.name, message.pose.pose)
+        if pose is not None and T_camera is not None:
+            self.hints.add_odometry(message.header,
+                                    CameraPose.nearest(pose.T_world_cam @ T_camera))
+
+    def _camera_in_base(self) -> np.ndarray | None:
+        T = self._frames.camera_in_base(self.camera_frame) if self._frames else None
+        if T is None:
+            self._tell(f'no transform from {self._base_frame} to '
+                       f'{self.camera_frame or "the camera, which has sent no image yet"}: '
+                       'what is of the base is dropped')
+        return T
+
+    def _read(self, name: str, pose: Any) -> CameraPose | None:
+        try:
+            return read_pose(pose)
+        except GeometryError as error:
+            self._tell(f'{name}: {error}: dropped')
+            return None
+
+    def _tell(self, words: str) -> None:
+        """Log each complaint once: odometry comes many times a second."""
+        if words not in self._told:
+            self._told.add(words)
+            self._node.get_logger().warning(words)

@@ -1,0 +1,86 @@
+"""The robot's frames: its base's pose from the camera's, and the transform for tf."""
+from typing import Any
+
+from neo_ros.geometry import CameraPose
+from neo_ros.geometry.camera_pose import quaternion_from_rotation
+from neo_ros.node.message_types import make_message
+from neo_ros.node.parameters import NodeParameters
+import numpy as np
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.time import Time
+
+# Transforms of maps are dated ahead, or whoever asks for "now" would wait for the next image.
+AHEAD = Duration(seconds=0.5)
+
+
+def moved_covariance(covariance: np.ndarray, offset: np.ndarray) -> np.ndarray:
+    """
+    Return the covariance of a point that is fixed to the camera, `offset` (3,) from it.
+
+    Both (6, 6) as `memory.sight.Guide.covariance`; offset along the world's axes, metres.
+    """
+    x, y, z = offset
+    J = np.eye(6)
+    # A turn moves the point by turn x offset.
+    J[:3, 3:] = [[0, z, -y], [-z, 0, x], [y, -x, 0]]
+    return J @ covariance @ J.T
+
+
+class RobotFrames:
+    """Looks up where the camera is on the robot; needs tf2_ros, which read_parameters checks."""
+
+    def __init__(self, node: Node, values: NodeParameters) -> None:
+        import tf2_ros
+
+        self._tf2, self._values = tf2_ros, values
+        self._buffer = tf2_ros.Buffer()
+        self._listener = tf2_ros.TransformListener(self._buffer, node)
+        self._broadcaster = tf2_ros.TransformBroadcaster(node) if values.publish_tf else None
+
+    def camera_in_base(self, camera_frame: str) -> np.ndarray | None:
+        """Return T_base_camera (4, 4), the newest one; None while nobody has sent it."""
+        return self._lookup(self._values.base_frame, camera_frame, Time())
+
+    def base_pose(self, camera_frame: str, pose: CameraPose, covariance: np.ndarray
+                  ) -> tuple[CameraPose, np.ndarray] | None:
+        """Return the pose of the base and its covariance, from the camera's; None: no tf."""
+        T_base_camera = self.camera_in_base(camera_frame)
+        if T_base_camera is None:
+            return None
+        T = pose.T_world_cam @ np.linalg.inv(T_base_camera)
+        base = CameraPose.nearest(T)
+        return base, moved_covariance(covariance, base.position - pose.position)
+
+    def send_transform(self, header: Any, scene_frame: str, base: CameraPose) -> None:
+        """Say where the odometry's frame is in the scene; nothing where odometry is silent."""
+        stamp = Time.from_msg(header.stamp)
+        T_odom_base = self._lookup(self._values.odom_frame, self._values.base_frame, stamp)
+        if self._broadcaster is None or T_odom_base is None:
+            return
+        T = CameraPose.nearest(base.T_world_cam @ np.linalg.inv(T_odom_base))
+        x, y, z = T.position.tolist()
+        quaternion = quaternion_from_rotation(T.T_world_cam[:3, :3]).tolist()
+        self._broadcaster.sendTransform(make_message(
+            'geometry_msgs/msg/TransformStamped',
+            header=make_message('std_msgs/msg/Header', stamp=(stamp + AHEAD).to_msg(),
+                                frame_id=scene_frame),
+            child_frame_id=self._values.odom_frame, transform=make_message(
+                'geometry_msgs/msg/Transform',
+                translation=make_message('geometry_msgs/msg/Vector3', x=x, y=y, z=z),
+                rotation=make_message('geometry_msgs/msg/Quaternion',
+                                      **dict(zip('xyzw', quaternion))))))
+
+    def destroy(self) -> None:
+        """Stop listening."""
+        self._listener.unregister()
+
+    def _lookup(self, target: str, source: str, stamp: Time) -> np.ndarray | None:
+        try:
+            found = self._buffer.lookup_transform(target, source, stamp).transform
+        except self._tf2.TransformException:
+            return None
+        at, turn = found.translation, found.rotation
+        return CameraPose.from_quaternion(
+            np.array([at.x, at.y, at.z]),
+            np.array([turn.x, turn.y, turn.z, turn.w])).T_world_cam

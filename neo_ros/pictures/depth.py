@@ -1,0 +1,47 @@
+"""Depth maps as files: 16-bit PNG, millimetres along the optical axis, 0 = unknown (REP-118)."""
+from pathlib import Path
+
+import cv2
+from neo_ros.errors import SceneError
+from neo_ros.machine.files import write_bytes
+import numpy as np
+
+MM_PER_M = 1000.0
+# 65.535 m: what the 16 bits of a file hold.
+MOST_MM = 65535
+
+
+def to_millimetres(depth: np.ndarray) -> np.ndarray:
+    """Return uint16 (H, W) millimetres, 0 = unknown, of metres; NaN, inf, <= 0 are unknown."""
+    known = np.isfinite(depth) & (depth > 0) & (depth * MM_PER_M < MOST_MM + 0.5)
+    return np.where(known, np.rint(np.where(known, depth, 0) * MM_PER_M), 0).astype(np.uint16)
+
+
+def encode_depth(millimetres: np.ndarray) -> bytes:
+    """Return the PNG of uint16 (H, W) millimetres."""
+    return cv2.imencode('.png', millimetres)[1].tobytes()
+
+
+def write_depth(path: Path, millimetres: np.ndarray) -> None:
+    """Write uint16 (H, W) millimetres; raises NeoError where the file cannot be written."""
+    write_bytes(path, encode_depth(millimetres))
+
+
+def read_depth(path: Path, width: int, height: int) -> np.ndarray:
+    """
+    Read uint16 (height, width) millimetres; a map of another size takes the nearest pixels.
+
+    Depth of two surfaces must not be averaged. Raises SceneError for what is no 16-bit picture
+    of one channel.
+    """
+    try:
+        found = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED)
+    except (OSError, cv2.error) as error:
+        raise SceneError(f'{path}: expected a depth map: {error}') from error
+    if found is None or found.dtype != np.uint16 or found.ndim != 2:
+        got = 'no picture' if found is None else f'{found.dtype} {found.shape}'
+        raise SceneError(f'{path}: expected a depth map, 16-bit PNG of one channel, '
+                         f'millimetres; got {got}')
+    if found.shape == (height, width):
+        return found
+    return cv2.resize(found, (width, height), interpolation=cv2.INTER_NEAREST)

@@ -1,0 +1,89 @@
+"""What others say of where the camera is."""
+from types import SimpleNamespace
+
+from camera_messages import image_message, noise_image
+from neo_ros.errors import GeometryError
+from neo_ros.geometry import CameraPose
+from neo_ros.messages import FrameProcessor
+from neo_ros.messages.hints import PoseHints, read_pose
+from neo_ros.runtime import WideView
+import numpy as np
+import pytest
+from tiny_model import TINY_EXPANSION
+
+SOURCE, TARGET = TINY_EXPANSION.source, TINY_EXPANSION.target
+
+
+def header(milliseconds):
+    seconds, rest = divmod(milliseconds, 1000)
+    return SimpleNamespace(frame_id='', stamp=SimpleNamespace(
+        sec=seconds, nanosec=rest * 1_000_000))
+
+
+def at(milliseconds):
+    """Return where a robot is that drives a circle at 1 m/s and 0.5 rad/s."""
+    t = milliseconds / 1000
+    return CameraPose.from_planar(2 * np.sin(t / 2), 2 - 2 * np.cos(t / 2), 1, t / 2)
+
+
+@pytest.fixture
+def hints():
+    hints = PoseHints()
+    for milliseconds in range(0, 1000, 50):
+        hints.add_odometry(header(milliseconds), at(milliseconds))
+    return hints
+
+
+@pytest.mark.parametrize(('start', 'end'), [(100, 200), (120, 133), (310, 410), (900, 975)])
+def test_motion_is_read_between_the_messages(hints, start, end):
+    motion = hints.motion(start * 10**6, end * 10**6)
+    expected = at(start).inverse() @ at(end).T_world_cam
+    assert np.allclose(motion, expected, atol=1e-3)
+
+
+@pytest.mark.parametrize(('start', 'end'), [(-20, 100), (500, 1500)])
+def test_where_odometry_is_silent_no_motion_is_made_up(hints, start, end):
+    assert hints.motion(start * 10**6, end * 10**6) is None
+
+
+def test_a_hole_is_not_bridged_and_time_that_runs_back_forgets(hints):
+    hints.add_odometry(header(2000), at(2000))
+    assert hints.motion(900 * 10**6, 1500 * 10**6) is None
+    hints.add_odometry(header(100), at(100))
+    assert hints.motion(300 * 10**6, 400 * 10**6) is None
+
+
+def test_a_prior_is_used_once(hints):
+    hints.set_prior(at(0))
+    assert hints.take_prior() is not None and hints.take_prior() is None
+
+
+def test_a_pose_without_a_rotation_is_refused():
+    zero = SimpleNamespace(x=0.0, y=0.0, z=0.0, w=0.0)
+    with pytest.raises(GeometryError, match='quaternion'):
+        read_pose(SimpleNamespace(position=zero, orientation=zero))
+
+
+def test_the_extrapolator_hears_them(hints):
+    heard = []
+
+    class Listener:
+        expansion, scene_check = TINY_EXPANSION, None
+
+        def reset(self):
+            pass
+
+        def expand(self, image, **given):
+            heard.append(given)
+            return WideView(np.zeros((TARGET.height, TARGET.width, 3), np.uint8),
+                            np.zeros((TARGET.height, TARGET.width), np.uint8))
+
+    processor = FrameProcessor(Listener())
+    processor.hints = hints
+    hints.set_prior(at(0))
+    for milliseconds in (100, 200, 5000):
+        processor.process(image_message(noise_image(SOURCE, 0), header(milliseconds)), None)
+    processor.reset()
+    processor.process(image_message(noise_image(SOURCE, 0), header(300)), None)
+    assert [set(given) for given in heard] == [{'prior'}, {'motion'}, set(), set()]
+    assert np.allclose(heard[1]['motion'], at(100).inverse() @ at(200).T_world_cam)
