@@ -131,7 +131,7 @@ def loaded_by(module: str) -> set[str]:
 
 
 @pytest.mark.parametrize('module', [
-    'neo_ros.runtime', 'neo_ros.node.main', 'neo_ros.node.bag_player',
+    'neo_ros.runtime', 'neo_ros.node.running', 'neo_ros.node.bag_player',
     'neo_ros.node.bag_recorder', 'neo_ros.bags', 'neo_ros.messages', 'neo_ros.cli.main',
     'neo_ros.evaluation.evaluation_report'])
 def test_what_runs_on_a_robot_loads_nothing_of_the_training(module: str) -> None:

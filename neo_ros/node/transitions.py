@@ -16,6 +16,8 @@ def logged(transition: Callable) -> Callable:
         try:
             result = transition(self, state)
         except Exception as error:
+            if not self.context.ok():
+                raise KeyboardInterrupt from error  # The node is ending: not the model's fault.
             self.fault = f'{transition.__name__} failed: {type(error).__name__}: {error}'
             self.get_logger().error(f'{self.fault}\n{traceback.format_exc()}')
             return TransitionCallbackReturn.ERROR

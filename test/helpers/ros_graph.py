@@ -40,8 +40,12 @@ class RosGraph:
 
     def start(self, *arguments: str) -> subprocess.Popen:
         """Start Python with these arguments; close() ends it."""
+        return self.start_program(sys.executable, *arguments)
+
+    def start_program(self, *command: Path | str) -> subprocess.Popen:
+        """Start a program; close() ends it."""
         process = subprocess.Popen(
-            [sys.executable, *arguments], env=os.environ | ENVIRONMENT,
+            command, env=os.environ | ENVIRONMENT,
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
         self._processes.append(process)
         return process

@@ -49,7 +49,7 @@ def loaded(modules, candidates):
 
 
 @pytest.mark.parametrize('modules, candidates', [
-    ('neo_ros.node.main', ('torch', 'onnx', 'matplotlib', 'rosbags')),
+    ('neo_ros.node.running', ('torch', 'onnx', 'matplotlib', 'rosbags')),
     ('neo_ros.node.bag_player, neo_ros.node.bag_recorder', ('torch', 'onnx', 'matplotlib')),
     ('neo_ros.messages', ('torch', 'onnx', 'rclpy', 'rosbags', 'onnxruntime')),
     ('neo_ros.cli.play, neo_ros.cli.record', ('torch', 'rclpy', 'rosbags', 'numpy')),
@@ -59,7 +59,7 @@ def test_only_what_is_needed_is_loaded(modules, candidates):
 
 
 def test_probe_sees_what_is_loaded():
-    assert loaded('neo_ros.node.main', ('rclpy', 'torch')) == ['rclpy']
+    assert loaded('neo_ros.node.running', ('rclpy', 'torch')) == ['rclpy']
 
 
 def test_shipped_parameters_are_the_defaults():

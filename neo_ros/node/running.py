@@ -1,0 +1,101 @@
+"""Run the node from its arguments to its end."""
+from collections.abc import Sequence
+import gc
+import os
+from pathlib import Path
+import signal
+import sys
+from typing import Any
+
+from neo_ros.node.extrapolator_node import ExtrapolatorNode
+from neo_ros.node.fastdds_profile import use_large_image_profile
+from neo_ros.node.main import SIGNALS
+import rclpy
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
+
+WAIT_S = 0.2
+
+
+class _Stop:
+    """Whether a signal came; it takes the context down, which ends the wait for a model, too."""
+
+    def __init__(self) -> None:
+        self.asked = False
+        # rclpy's own handlers would raise in the middle of whatever runs.
+        for number in SIGNALS:
+            signal.signal(number, self._on_signal)
+
+    def _on_signal(self, *_: Any) -> None:
+        self.asked = True
+        rclpy.try_shutdown()
+
+
+def run(arguments: Sequence[str] | None = None) -> None:
+    """Run the node until SIGINT, SIGTERM or a shutdown of its context."""
+    use_large_image_profile()
+    # Threads of numba's loops wait for one another asleep: while they spin, nobody else has their
+    # core, and where other programs want it, too, a frame took six times as long. OpenMP reads it
+    # with the first scene memory.
+    os.environ.setdefault('OMP_WAIT_POLICY', 'PASSIVE')
+    arguments = list(sys.argv if arguments is None else arguments)
+    if not _can_log():
+        print('fov_extrapolator: the folder of the log files cannot be written; logging to the '
+              'console and /rosout only', file=sys.stderr)
+        arguments += ['--ros-args', '--disable-external-lib-logs']
+    stop, idle = _Stop(), True
+    try:
+        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+        idle = _serve(stop)
+    except BaseException:
+        # What runs while the context goes down raises whatever it likes.
+        if not stop.asked:
+            raise
+        idle = False
+    for number in SIGNALS:
+        signal.signal(number, signal.SIG_IGN)  # It is ending.
+    rclpy.try_shutdown()
+    if not idle:
+        # The network is in the middle of a frame and cannot be interrupted; tearing the
+        # interpreter down below it may crash, waiting for it may take seconds.
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(0)
+    # The interpreter's last garbage collections walk through all of numba: two thirds of the time
+    # that ending takes.
+    gc.freeze()
+
+
+def _serve(stop: _Stop) -> bool:
+    """Run a node until the context is down; return whether nothing is at work any more."""
+    try:
+        node = ExtrapolatorNode()
+    except (InvalidParameterTypeException, InvalidParameterValueException) as error:
+        rclpy.try_shutdown()
+        sys.exit(f'fov_extrapolator: {error}')
+    idle = False
+    try:
+        node.autostart()
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        while rclpy.ok() and not stop.asked:
+            # A signal is only seen between waits.
+            executor.spin_once(timeout_sec=WAIT_S)
+    except BaseException:
+        if rclpy.ok():
+            raise
+    finally:
+        idle = node.stop()
+    return idle
+
+
+def _can_log() -> bool:
+    """Say whether ROS can write its log files; where it cannot, rclpy does not even start."""
+    home = Path(os.environ.get('ROS_HOME') or Path(os.environ.get('HOME', '/'), '.ros'))
+    folder = Path(os.environ.get('ROS_LOG_DIR') or home / 'log')
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return False
+    return os.access(folder, os.W_OK)
