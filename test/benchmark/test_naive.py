@@ -1,5 +1,6 @@
 """B1 is as strong as its idea allows: the best weights, no longer than they get better."""
 from types import SimpleNamespace
+from typing import Any
 
 from neo_ros.benchmark import naive
 from neo_ros.benchmark.naive import as_wide, PATIENCE, ResizedPhotos, train_naive, ZOOM
@@ -118,7 +119,7 @@ def test_without_photos_to_validate_on_there_is_no_b1(run):
 
 
 def test_photos_become_wide_views_of_their_middle():
-    photos = SimpleNamespace(read_image=lambda index: np.dstack(
+    photos: Any = SimpleNamespace(read_image=lambda index: np.dstack(
         [np.broadcast_to(np.arange(40), (20, 40))] * 3).astype(np.uint8))
     square = as_wide(photos, 0, 20, 20)
     assert square.shape == (20, 20, 3) and (square[:, 0, 0] == 10).all()
@@ -129,7 +130,7 @@ def test_photos_become_wide_views_of_their_middle():
 
 def test_the_stream_is_the_same_again_and_cuts_a_little():
     ramp = np.dstack([np.broadcast_to(np.linspace(0, 255, 64), (64, 64))] * 3).astype(np.uint8)
-    photos = Photos(1)
+    photos: Any = Photos(1)
     photos.read_image = lambda index: ramp
     stream = ResizedPhotos(photos, 64, 64, seed=3)
     batch = stream.batch(5, 8).numpy()

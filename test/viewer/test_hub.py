@@ -43,12 +43,16 @@ async def collect(socket, into, pause=0.0):
 def test_twenty_viewers_share_one_encode(monkeypatch):
     encoded = []
     encode = EncodedPicture.__init__
-    monkeypatch.setattr(EncodedPicture, '__init__', lambda *arguments: (
-        encoded.append(arguments[1]), encode(*arguments))[1])
+
+    def count(picture, *arguments):
+        encoded.append(arguments[0])
+        encode(picture, *arguments)
+
+    monkeypatch.setattr(EncodedPicture, '__init__', count)
 
     async def test():
         async with running() as (client, hub):
-            received = [[] for _ in range(20)]
+            received: list[list] = [[] for _ in range(20)]
             async with asyncio.timeout(20):
                 stack = [watching(client) for _ in received]
                 sockets = [await entered.__aenter__() for entered in stack]
@@ -71,7 +75,8 @@ def test_a_slow_viewer_gets_fewer_pictures_never_older_ones():
     async def test():
         async with running() as (client, hub):
             async with watching(client) as slow, watching(client) as fast:
-                few, many = [], []
+                few: list = []
+                many: list = []
                 tasks = [asyncio.create_task(collect(slow, few, pause=0.2)),
                          asyncio.create_task(collect(fast, many))]
                 count = await feed(hub, 2.0, 50)
@@ -89,7 +94,7 @@ def test_a_viewer_that_confirms_nothing_costs_nothing():
     async def test():
         async with running() as (client, hub):
             async with watching(client) as dead, watching(client) as good:
-                got = []
+                got: list = []
                 task = asyncio.create_task(collect(good, got))
                 count = await feed(hub, 0.5, 40)
                 await until(lambda: got[-1][0] == count)
@@ -105,7 +110,7 @@ def test_bandwidth_limit_holds():
     async def test():
         async with running(max_mbit=0.4) as (client, hub):
             async with watching(client) as socket:
-                got = []
+                got: list = []
                 task = asyncio.create_task(collect(socket, got))
                 await feed(hub, 2.0, 60)
                 size = got[0][2]
@@ -177,7 +182,9 @@ def test_seen_share_is_the_window_of_the_mask(width, height, data):
     mask = np.full((height, width), 255, np.uint8)
     assert seen_share(mask) is None
     mask[top:bottom, left:right] = 0
-    share = np.multiply(seen_share(mask), [width, height, width, height])
+    seen = seen_share(mask)
+    assert seen is not None
+    share = np.multiply(seen, [width, height, width, height])
     assert np.allclose(share, [left, top, right - left, bottom - top])
 
 
