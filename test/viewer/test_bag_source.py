@@ -22,6 +22,7 @@ from viewer_server import WAIT_S
 
 EXPANSION = ViewExpansion.to_size(Intrinsics.from_hfov(32, 24, math.pi / 2), 64, 48)
 FRAMES = 6
+ROOT = Path(__file__).parents[2]
 SEEN = (0.25, 0.25, 0.5, 0.5)
 
 
@@ -162,24 +163,22 @@ def test_what_cannot_be_shown_is_named(walk_bag, model, tmp_path):
 def test_a_bag_is_shown_without_ros():
     code = ('import sys, neo_ros.viewer.bag_source, neo_ros.viewer.server, neo_ros.cli.view; '
             'print(*[name for name in ("rclpy", "torch", "sensor_msgs") if name in sys.modules])')
-    root = Path(sys.modules['neo_ros'].__file__).parents[1]
-    result = subprocess.run([sys.executable, '-c', code], cwd=root, text=True,
+    result = subprocess.run([sys.executable, '-c', code], cwd=ROOT, text=True,
                             capture_output=True, check=True)
     assert result.stdout.split() == []
 
 
 def test_the_command_prints_its_address_and_ends_cleanly(walk_bag, model):
-    root = Path(sys.modules['neo_ros'].__file__).parents[1]
     process = subprocess.Popen(
         [sys.executable, '-m', 'neo_ros.cli.main', 'view', '--bag', walk_bag, '--model', model,
-         '--port', '0'], cwd=root, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+         '--port', '0'], cwd=ROOT, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     assert process.stdout is not None
     line = process.stdout.readline()
     assert line.startswith('Viewer: http://127.0.0.1:')
     port = line.strip().rstrip('/').rpartition(':')[-1]
     taken = subprocess.run(
         [sys.executable, '-m', 'neo_ros.cli.main', 'view', '--bag', walk_bag, '--model', model,
-         '--port', port], cwd=root, text=True, capture_output=True, timeout=WAIT_S)
+         '--port', port], cwd=ROOT, text=True, capture_output=True, timeout=WAIT_S)
     assert taken.returncode == 2 and 'cannot listen on 127.0.0.1' in taken.stderr
     process.terminate()
-    assert process.wait(WAIT_S) == 0 and process.stderr.read() == ''
+    assert process.wait(WAIT_S) == 0 and process.communicate()[1] == ''

@@ -3,6 +3,7 @@ from contextlib import AsyncExitStack
 import json
 from types import SimpleNamespace
 
+from hand_clock import HandClock
 from hypothesis import given, strategies as st
 from neo_ros.errors import ImageRejected
 from neo_ros.messages import encode_jpeg
@@ -22,8 +23,12 @@ def test_a_picture_that_cannot_be_a_jpeg_is_refused():
 def test_twenty_viewers_share_one_encode(monkeypatch):
     encoded = []
     encode = EncodedPicture.__init__
-    monkeypatch.setattr(EncodedPicture, '__init__', lambda *arguments: (
-        encoded.append(arguments[1]), encode(*arguments))[1])
+
+    def count(picture, *arguments):
+        encoded.append(arguments[0])
+        encode(picture, *arguments)
+
+    monkeypatch.setattr(EncodedPicture, '__init__', count)
 
     async def test():
         async with running() as (client, hub):
@@ -66,6 +71,7 @@ def test_status_and_clock():
                     'type': 'status', 'name': '/wide/image', 'waiting': 'waiting', 'level': 2,
                     'message': 'lens covered', 'out_of_scene': True, 'node_ms': 12.5,
                     'viewers': 1, 'rate': 0.0}
+                assert isinstance(hub.clock, HandClock)
                 hub.clock.turn(0.25)
                 await socket.send_json({'ping': 17.5})
                 pong = await socket.receive_json()
@@ -81,7 +87,9 @@ def test_seen_share_is_the_window_of_the_mask(width, height, data):
     mask = np.full((height, width), 255, np.uint8)
     assert seen_share(mask) is None
     mask[top:bottom, left:right] = 0
-    share = np.multiply(seen_share(mask), [width, height, width, height])
+    seen = seen_share(mask)
+    assert seen is not None
+    share = np.multiply(seen, [width, height, width, height])
     assert np.allclose(share, [left, top, right - left, bottom - top])
 
 

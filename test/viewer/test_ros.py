@@ -114,12 +114,13 @@ def test_behind_the_real_node(graph, tmp_path):
                   SOURCE.width / TARGET.width, SOURCE.height / TARGET.height]
         assert np.allclose(meta['seen'], shares) and meta['timed'] and confidence == b''
         assert 0 <= meta['age_ms']
-        shape = cv2.imdecode(np.frombuffer(image, np.uint8), cv2.IMREAD_COLOR).shape
-        assert shape == (TARGET.height, TARGET.width, 3)
+        shown = cv2.imdecode(np.frombuffer(image, np.uint8), cv2.IMREAD_COLOR)
+        assert shown is not None and shown.shape == (TARGET.height, TARGET.width, 3)
         watcher.send({'confidence': True})
         watcher.until(lambda: watcher.pictures[-1][2], send)
         grey = cv2.imdecode(np.frombuffer(watcher.pictures[-1][2], np.uint8),
                             cv2.IMREAD_UNCHANGED)
+        assert grey is not None
         assert grey.shape == (TARGET.height, TARGET.width) and abs(int(grey[0, 0]) - 64) < 6
         watcher.until(lambda: watcher.status['node_ms'] is not None
                       and watcher.status['rate'] > 1, send)

@@ -12,6 +12,7 @@ import urllib.request
 from aiohttp import WSServerHandshakeError
 import cv2
 from neo_ros.errors import ConfigError
+from neo_ros.viewer import access
 from neo_ros.viewer.access import HEADERS
 from neo_ros.viewer.settings import read_token, TOKEN_VARIABLE, ViewerSettings
 import numpy as np
@@ -70,7 +71,7 @@ def test_every_answer_carries_the_safety_headers():
 
 
 def test_the_page_has_nothing_inline():
-    folder = Path(sys.modules['neo_ros.viewer.access'].__file__).parent / 'page'
+    folder = Path(access.__file__).parent / 'page'
     for page in folder.glob('*.html'):
         text = page.read_text()
         assert '<style' not in text and ' style=' not in text and ' on' + 'click' not in text
@@ -250,6 +251,7 @@ def test_pictures_and_confidence_arrive_as_asked():
                 assert image.startswith(b'\xff\xd8\xff') and confidence == b''
                 _, same, confidence = await receive_picture(full)
                 grey = cv2.imdecode(np.frombuffer(confidence, np.uint8), cv2.IMREAD_UNCHANGED)
+                assert grey is not None
                 assert same == image and grey.shape == CONFIDENCE.shape
                 assert abs(int(grey.mean()) - 64) <= 1 and hub.encoded == 1
                 hub.publish(picture(b'\xff\xd8\xffpassed on'))
