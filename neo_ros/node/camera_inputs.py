@@ -61,11 +61,11 @@ class CameraInputs:
     def subscribe(self) -> None:
         """Take images from now on."""
         self.unsubscribe()
-        # The newest image only; a frame that waits here is as old as one that waits anywhere.
-        qos = QoSProfile(depth=1, reliability=(
-            ReliabilityPolicy.RELIABLE if self._reliable else ReliabilityPolicy.BEST_EFFORT))
         for (topic, endpoint), callback in zip(
                 self._wanted(), (self._pairing.add_image, self._pairing.add_info)):
+            # The newest only; a frame that waits here is as old as one that waits anywhere.
+            qos = QoSProfile(depth=1, reliability=(
+                ReliabilityPolicy.RELIABLE if self._reliable else ReliabilityPolicy.BEST_EFFORT))
             overrides = self._topics.qos_overrides(topic)
             self._subscriptions.append(self._node.create_subscription(
                 endpoint.kind, topic, callback, qos, qos_overriding_options=overrides,
@@ -89,7 +89,7 @@ class CameraInputs:
 
     def forget_lost_camera(self) -> None:
         """Drop the camera_info once nobody publishes it: the next camera may be another one."""
-        if self._pairing.knows_camera and not self._has_camera_info():
+        if self._pairing.newest is not None and not self._has_camera_info():
             self._pairing.forget()
 
     def _wanted(self) -> list[tuple[str, Endpoint]]:

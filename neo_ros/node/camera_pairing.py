@@ -28,17 +28,12 @@ class CameraPairing:
     def forget(self) -> None:
         """Drop what is known: the next camera may be another one."""
         self._infos: dict[str, deque[Any]] = {}
-        self._newest: Any | None = None
+        self.newest: Any | None = None  # The camera_info that came last.
         self._waiting: Any | None = None
         self._waiting_since: float | None = None
         self._last_stamp: tuple[int, int] | None = None
         self._comes_per_image = False
         self.mismatch = ''  # Whose frames do not fit, in words.
-
-    @property
-    def knows_camera(self) -> bool:
-        """Whether a camera_info has come."""
-        return self._newest is not None
 
     @property
     def waits(self) -> bool:
@@ -51,7 +46,7 @@ class CameraPairing:
         kept.append(info)
         if len(self._infos) > KEPT_FRAMES:
             del self._infos[next(iter(self._infos))]
-        self._newest = info
+        self.newest = info
         stamp = _stamp(info)
         if stamp is not None and stamp == self._last_stamp:
             self._comes_per_image = True
@@ -95,8 +90,8 @@ class CameraPairing:
         """Return the camera_info of the image's stamp, else the newest of its frame."""
         found = self._of_stamp(image) or next(iter(self._fitting(image)), None)
         self.mismatch = ''
-        if found is None and self._newest is not None:
-            self.mismatch = (f'camera_info is of the frame {_frame(self._newest)}, the images are '
+        if found is None and self.newest is not None:
+            self.mismatch = (f'camera_info is of the frame {_frame(self.newest)}, the images are '
                              f'of {_frame(image)}')
         return found
 
@@ -104,7 +99,7 @@ class CameraPairing:
         """Return the camera_infos of the image's frame, newest first."""
         frame = _frame(image)
         if not frame:
-            frame = _frame(self._newest) if self._newest is not None else ''
+            frame = _frame(self.newest) if self.newest is not None else ''
         return [*reversed(self._infos.get(frame, ())),
                 *(reversed(self._infos.get('', ())) if frame else ())]
 

@@ -1,5 +1,6 @@
 """Names of the camera's topics by image_transport's rules, and what the graph has instead."""
 from neo_ros.node.interface import CAMERA_INFO, COMPRESSED_IMAGE, Endpoint, IMAGE
+from neo_ros.node.parameters import override_of
 from rclpy.node import Node
 from rclpy.qos import qos_policy_name_from_kind, QoSPolicyKind
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -22,6 +23,7 @@ class InputTopics:
 
     def __init__(self, node: Node) -> None:
         self._node = node
+        self._overridden: dict[str, list[QoSPolicyKind]] = {}
 
     def image(self, transport: str) -> str:
         """Return the topic of the images in this transport, 'raw' or 'compressed'."""
@@ -69,9 +71,12 @@ class InputTopics:
         """Return what the `qos_overrides` parameters say of a subscription; None: nothing."""
         # Only what was given is declared: rclpy lets no declared one change any more, and
         # `reliable` may.
-        given = getattr(self._node, '_parameter_overrides', {})
-        kinds = [kind for kind in OVERRIDABLE if f'qos_overrides.{topic}.subscription.'
-                 f'{qos_policy_name_from_kind(kind).lower()}' in given]
+        if topic not in self._overridden:
+            self._overridden[topic] = [
+                kind for kind in OVERRIDABLE if override_of(
+                    self._node, f'qos_overrides.{topic}.subscription.'
+                    f'{qos_policy_name_from_kind(kind).lower()}') is not None]
+        kinds = self._overridden[topic]
         return QoSOverridingOptions(kinds) if kinds else None
 
     def _remapped(self, endpoint: Endpoint) -> str | None:

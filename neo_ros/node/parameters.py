@@ -56,7 +56,7 @@ def declare_parameters(node: Node) -> None:
              'What the network runs on, best first; what is not there is left out, the CPU is '
              'always the last. TensorRT first builds an engine for minutes',
              additional_constraints=f'some of {", ".join(PROVIDERS)}')
-    _declare(node, 'image_transport', _old_transport(node), 'Which image topic is subscribed',
+    _declare(node, 'image_transport', 'raw', 'Which image topic is subscribed',
              additional_constraints=' or '.join(TRANSPORTS))
     _declare(node, 'reliable', False,
              'Ask the image publisher for reliable delivery instead of best effort')
@@ -110,13 +110,14 @@ def read_parameters(node: Node, changed: Sequence[Parameter] = ()) -> NodeParame
     return NodeParameters(**values)
 
 
-def _old_transport(node: Node) -> str:
-    """Return the transport by the parameter's former name, 'raw' where nobody sets that."""
-    if 'transport' not in getattr(node, '_parameter_overrides', {}):
-        return 'raw'
-    _declare(node, 'transport', 'raw', 'Former name of image_transport', read_only=True)
-    node.get_logger().warning('the parameter transport is called image_transport now')
-    return str(node.get_parameter('transport').value)
+def override_of(node: Node, name: str) -> Any | None:
+    """Return what was given for a parameter that nobody has declared yet; None: nothing."""
+    if node.has_parameter(name):
+        return node.get_parameter(name).value
+    # rclpy shows overrides only to declarations.
+    found = node.declare_parameter(name, None, ParameterDescriptor(dynamic_typing=True)).value
+    node.undeclare_parameter(name)
+    return found
 
 
 def _declare(node: Node, name: str, default: Any, description: str, **constraints: Any) -> None:

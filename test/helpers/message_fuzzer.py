@@ -194,8 +194,7 @@ def fuzz_node(graph: Any, node: Any, count: int, seed: int) -> Counter[str]:
         sent = CameraInfo(**vars(info))
         infos.publish(sent)
         # Reliable, but best effort on the node's side: wait for it.
-        graph.spin_until(lambda: node._inputs._camera_info is not None and same_info(
-            node._inputs._camera_info, sent))
+        graph.spin_until(lambda: same_info(node._inputs._pairing.newest, sent))
         if is_good:
             message = SimpleNamespace(format='jpeg', data=fuzzer.jpeg) if compressed else (
                 image_message(noise_image(SOURCE, 0)))

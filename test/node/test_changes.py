@@ -43,6 +43,7 @@ def pixels(message):
 
 def test_another_model_takes_over_without_losing_the_subscription(graph, model, tmp_path):
     camera, _ = started(graph, model)
+    camera.publish_info()
     image = noise_image(SOURCE, 0)
     assert camera.widen(image, 1)['image'].width == 64
     larger = write_tiny_model(tmp_path / 'larger.onnx', LARGER, scene_id='kitchen')
@@ -261,7 +262,7 @@ def test_a_parameter_of_no_use_ends_the_start_with_one_line(graph, model, parame
 
 
 @pytest.mark.parametrize('parameter, words', [
-    ('transport:=theora', 'image_transport: expected raw or compressed'),
+    ('image_transport:=theora', 'image_transport: expected raw or compressed'),
     ('providers:=[abacus]', 'providers: expected some of tensorrt, cuda, cpu, got abacus'),
 ], ids=['transport', 'providers'])
 def test_a_wrong_word_leaves_it_unconfigured_with_the_reason(graph, model, parameter, words):
