@@ -3,6 +3,7 @@ from collections.abc import Callable
 from dataclasses import replace
 import json
 from pathlib import Path
+from typing import Any
 
 from capture_files import CAMERA, demo_photos, write_image
 from depth_files import (
@@ -81,7 +82,7 @@ def test_what_the_depth_camera_does_not_see_is_unknown(tmp_path: Path) -> None:
     np.testing.assert_allclose(depths_of(tmp_path / 'scene'), expected, atol=0.6)
 
 
-def with_depth(capture: Capture, **changed: object) -> Capture:
+def with_depth(capture: Capture, **changed: Any) -> Capture:
     return replace(capture, frames=tuple(
         replace(frame, depth=replace(frame.depth or DepthSource(1), **changed))
         for frame in capture.frames))
