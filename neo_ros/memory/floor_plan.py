@@ -1,10 +1,12 @@
 """The scene from above, drawn from the keyframes of its memory."""
+from collections.abc import Sequence
 from dataclasses import dataclass
 import math
+from typing import NamedTuple
 
 import cv2
 from neo_ros.memory.floor_kernels import stack_points
-from neo_ros.memory.scene_memory import SceneMemory
+from neo_ros.memory.scene_memory import Keyframe, SceneMemory
 import numpy as np
 
 # One of so many rows and columns of the keyframes tells how far the scene reaches.
@@ -60,6 +62,21 @@ class FloorPlan:
                 self.image.shape[0] - (y - self.origin[1]) / self.resolution)
 
 
+class Scan(NamedTuple):
+    """Points of a keyframe: position (3,), depth float32 (h, w), colours uint8 (h, w, 3)."""
+
+    position: np.ndarray
+    depth: np.ndarray
+    colours: np.ndarray
+
+    @classmethod
+    def of(cls, keyframe: Keyframe) -> 'Scan':
+        """Take a keyframe's depth and one colour for each of its values."""
+        size = keyframe.depth.shape[::-1]
+        return cls(keyframe.position, keyframe.depth,
+                   cv2.resize(keyframe.texture, size, interpolation=cv2.INTER_AREA))
+
+
 def draw_floor_plan(memory: SceneMemory, arbitrary_scale: bool = False,
                     thresholds: PlanThresholds = PlanThresholds()) -> FloorPlan:
     """
@@ -68,8 +85,10 @@ def draw_floor_plan(memory: SceneMemory, arbitrary_scale: bool = False,
     With an arbitrary scale the height is a share of the room's. Needs a second for a flat.
     """
     limits = thresholds
-    floor, top = _floor_and_top(memory, arbitrary_scale, limits)
-    low, high, points = _extent(memory, floor, top, limits)
+    scans = [Scan.of(keyframe) for keyframe in memory.each()]
+    rays = memory.band.rays(*scans[0].depth.shape)
+    floor, top = _floor_and_top(scans, rays[..., 2], arbitrary_scale, limits)
+    low, high, points = _extent(scans, rays, floor, top, limits)
     resolution = _round_up(max(
         float((high - low).max()) / limits.most_cells,
         math.sqrt(float(np.prod(high - low)) * limits.points_a_cell / points)))
@@ -79,12 +98,9 @@ def draw_floor_plan(memory: SceneMemory, arbitrary_scale: bool = False,
     step = (top - floor) / limits.layers
     corner = np.array([*(first * resolution), floor - step / 2])
     sums = np.zeros((limits.layers, rows, columns, 4), np.float32)
-    for index in range(len(memory.positions)):
-        keyframe = memory.keyframe(index)
-        shape = keyframe.depth.shape
-        colours = cv2.resize(keyframe.texture, shape[::-1], interpolation=cv2.INTER_AREA)
-        stack_points(memory.band.rays(*shape), keyframe.depth, colours, keyframe.position, corner,
-                     1 / resolution, 1 / step, sums)
+    for scan in scans:
+        stack_points(rays, scan.depth, scan.colours, scan.position, corner, 1 / resolution,
+                     1 / step, sums)
     image, height = _seen_from_above(sums, floor, step, limits)
     image, height = _closed(image, height, limits.around)
     bottom, left = (int(np.flatnonzero((image[..., 3] > 0).any(axis))[0]) for axis in (1, 0))
@@ -103,15 +119,13 @@ def encode_plan(plan: FloorPlan, quality: int = 80) -> bytes:
     return coded.tobytes()
 
 
-def _floor_and_top(memory: SceneMemory, arbitrary_scale: bool, limits: PlanThresholds
-                   ) -> tuple[float, float]:
-    """Return z of the floor, and up to where things are drawn."""
+def _floor_and_top(scans: Sequence[Scan], rise: np.ndarray, arbitrary_scale: bool,
+                   limits: PlanThresholds) -> tuple[float, float]:
+    """Return z of the floor, and up to where things are drawn; rise (h, w): z of unit rays."""
     lowest, highest = [], []
-    for index in range(0, len(memory.positions), max(len(memory.positions) // 32, 1)):
-        keyframe = memory.keyframe(index)
-        rise = memory.band.rays(*keyframe.depth.shape)[..., 2]
+    for scan in scans[::max(len(scans) // 32, 1)]:
         rows = max(int(limits.edge_rows * len(rise)), 1)
-        z = np.where(keyframe.depth > 0, keyframe.position[2] + rise * keyframe.depth, np.nan)
+        z = np.where(scan.depth > 0, scan.position[2] + rise * scan.depth, np.nan)
         lowest.append(z[-rows:].ravel())
         highest.append(z[:rows].ravel())
     floor, ceiling = (float(np.nanquantile(np.concatenate(heights), quantile))
@@ -121,18 +135,16 @@ def _floor_and_top(memory: SceneMemory, arbitrary_scale: bool, limits: PlanThres
     return floor, floor + (share if arbitrary_scale else min(share, limits.most_height))
 
 
-def _extent(memory: SceneMemory, floor: float, top: float, limits: PlanThresholds
-            ) -> tuple[np.ndarray, np.ndarray, int]:
+def _extent(scans: Sequence[Scan], rays: np.ndarray, floor: float, top: float,
+            limits: PlanThresholds) -> tuple[np.ndarray, np.ndarray, int]:
     """Return smallest and largest x, y of what is drawn, (2,) metres, and how many points are."""
+    every = (slice(None, None, SAMPLED), slice(None, None, SAMPLED))
     places = []
-    for index in range(len(memory.positions)):
-        keyframe = memory.keyframe(index)
-        every = (slice(None, None, SAMPLED), slice(None, None, SAMPLED))
-        depth = keyframe.depth[every]
-        points = memory.band.rays(*keyframe.depth.shape)[every] * depth[..., None]
-        points = points[depth > 0] + keyframe.position
-        places.append(points[(points[:, 2] > floor - 0.1 * (top - floor)) & (points[:, 2] < top),
-                             :2])
+    for scan in scans:
+        depth = scan.depth[every]
+        points = (rays[every] * depth[..., None] + scan.position)[depth > 0]
+        drawn = (points[:, 2] > floor - 0.1 * (top - floor)) & (points[:, 2] < top)
+        places.append(points[drawn, :2])
     found = np.concatenate(places)
     low, high = np.quantile(found, (limits.outside, 1 - limits.outside), axis=0)
     return low, high, len(found) * SAMPLED ** 2
@@ -146,8 +158,7 @@ def _seen_from_above(sums: np.ndarray, floor: float, step: float, limits: PlanTh
     seen = _inside(total >= limits.least_points * np.median(total[total > 0])) & (total > 0)
     enough = seen & (counts >= np.maximum(limits.least_share * total, 1))
     highest = len(sums) - 1 - np.argmax(enough[::-1], axis=0)
-    rows, columns = np.indices(highest.shape, sparse=True)
-    chosen = sums[highest, rows, columns]
+    chosen = np.take_along_axis(sums, highest[None, ..., None], axis=0)[0]
     known = enough.any(0)
     image = np.zeros((*known.shape, 4), np.uint8)
     image[..., :3] = chosen[..., :3] / np.maximum(chosen[..., 3:], 1) + 0.5
