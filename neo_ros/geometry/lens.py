@@ -247,11 +247,25 @@ class Straightener:
         """Return the pinhole view of a uint8 (H, W, 3) image."""
         if self.is_identity(lens):
             return image
+        # The outermost half pixels ask for neighbours beyond the border.
+        return cv2.remap(image, *self._maps(lens), cv2.INTER_CUBIC,
+                         borderMode=cv2.BORDER_REPLICATE)
+
+    def pick(self, numbers: np.ndarray, lens: Lens) -> np.ndarray:
+        """
+        Return the pinhole view of numbers (H, W) that must not be mixed, such as depth.
+
+        Each pixel takes the nearest one; what the lens does not see is 0.
+        """
+        if self.is_identity(lens):
+            return numbers
+        return cv2.remap(numbers, *self._maps(lens), cv2.INTER_NEAREST,
+                         borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+
+    def _maps(self, lens: Lens) -> tuple[np.ndarray, np.ndarray]:
         if self._last is None or self._last[0] != lens:
             self._last = (lens, lens.straighten_maps(self.pinhole))
-        # The outermost half pixels ask for neighbours beyond the border.
-        return cv2.remap(image, *self._last[1], cv2.INTER_CUBIC,
-                         borderMode=cv2.BORDER_REPLICATE)
+        return self._last[1]
 
 
 def _cv_matrix(intrinsics: Intrinsics) -> np.ndarray:

@@ -66,6 +66,8 @@ class Camera:
 
     def widen(self, image, number):
         """Publish a frame and wait for all four answers."""
+        asked, sent = time.monotonic(), self.publish(image, number)
+
         def answered():
             nonlocal asked
             if time.monotonic() > asked + 5:
@@ -73,7 +75,6 @@ class Camera:
                 self.publish(image, number)  # Best effort: on a busy machine one may get lost.
             return all(kept and kept[-1].header == sent.header for kept in self.wide.values())
 
-        asked, sent = time.monotonic(), self.publish(image, number)
         self.graph.spin_until(answered)
         return {name: kept[-1] for name, kept in self.wide.items()}
 

@@ -51,7 +51,7 @@ def test_network_rests_when_nobody_wants_its_outputs():
         def reset(self):
             pass
 
-        def expand(self, image):
+        def expand(self, image, prior=None, motion=None):
             raise AssertionError('the network ran')
 
     processor = FrameProcessor(Resting())
@@ -97,7 +97,7 @@ class Watched:
     def reset(self):
         pass
 
-    def expand(self, image):
+    def expand(self, image, prior=None, motion=None):
         target = TINY_EXPANSION.target
         confidence = np.full((target.height, target.width), 128, np.uint8)
         confidence[TINY_EXPANSION.observed] = 255
@@ -108,6 +108,7 @@ class Watched:
 def test_confidence_sinks_with_the_score_where_the_camera_did_not_see(score, ring):
     frame = FrameProcessor(Watched(score)).process(image_message(noise_image(SOURCE, 1)), None)
     assert frame.out_of_scene == score
+    assert frame.confidence is not None
     assert (frame.confidence[TINY_EXPANSION.observed] == 255).all()
     assert (frame.confidence[TINY_EXPANSION.extrapolated_mask] == ring).all()
 

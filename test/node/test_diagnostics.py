@@ -1,6 +1,7 @@
 """The one line that tells an operator what is wrong."""
 from pathlib import Path
 import re
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 import neo_ros
@@ -14,7 +15,7 @@ OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.E
 
 
 def snapshot(**changes):
-    fields = {
+    fields: dict[str, Any] = {
         'received': 10, 'published': 10, 'dropped': 0, 'rejected': {}, 'last_rejection': '',
         'recent_received': 10, 'recent_published': 10, 'recent_rejected': 0, 'rate_in': 30.0,
         'rate_out': 29.8, 'out_of_scene': None, 'guided': 0.0, 'camera_note': 'unknown',
@@ -23,11 +24,10 @@ def snapshot(**changes):
 
 
 def health(counts=None, **changes):
-    fields = {'state': 'active', 'fault': '', 'loading': False, 'enabled': True,
-              'topic': '/camera/image',
-              'publishers': 1, 'missing': 'waiting for image', 'conflict': '',
-              'subscribed': True, 'unlike_scene': False,
-              'memory': False}
+    fields: dict[str, Any] = {'state': 'active', 'fault': '', 'loading': False, 'enabled': True,
+                              'topic': '/camera/image', 'publishers': 1, 'conflict': '',
+                              'missing': 'waiting for image', 'subscribed': True,
+                              'unlike_scene': False, 'memory': False}
     return Health(**(fields | changes), counts=counts or snapshot())
 
 

@@ -1,6 +1,7 @@
 """The node as a process of its own on a real ROS graph."""
 import re
 import signal
+from typing import Any
 
 from bag_files import START_NS
 from box_room import box_walk, EXPANSION, view, write_box_model
@@ -104,8 +105,9 @@ def test_bad_messages_are_counted_and_good_ones_pass(graph, model):
     camera.wait_for_diagnosis(
         DiagnosticStatus.WARN, 'waiting for image on /robot/image, publishers: 1')
     good = noise_image(SOURCE, 0)
-    bad = [{'encoding': 'nonsense'}, {'data': b''}, {'data': b'short'}, {'step': 3},
-           {'width': 0}, {'height': 2**32 - 1}]
+    bad: list[dict[str, Any]] = [
+        {'encoding': 'nonsense'}, {'data': b''}, {'data': b'short'}, {'step': 3},
+        {'width': 0}, {'height': 2**32 - 1}]
     for number, changes in enumerate(bad):
         camera.publish(good, 100 + number, **changes)
         graph.spin_for(0.05)  # Newest wins: the next one would replace it.
