@@ -14,17 +14,18 @@ class Bench:
     """A pairing, what it handed over, a clock and a graph."""
 
     def __init__(self):
-        self.taken, self.time, self.announced = [], 0.0, True
+        self.taken: list[tuple[int, str | None]] = []
+        self.time, self.announced = 0.0, True
         self.pairing = CameraPairing(
             lambda image, info: self.taken.append((image.header.stamp.sec, info and info.words)),
             lambda: self.announced, lambda: self.time)
 
-    def image(self, *arguments, **changes):
-        self.pairing.add_image(message(*arguments, **changes))
+    def image(self, seconds, frame='eye'):
+        self.pairing.add_image(message(seconds, frame))
         return self.taken
 
-    def info(self, words, *arguments, **changes):
-        self.pairing.add_info(message(*arguments, words=words, **changes))
+    def info(self, words, seconds=0, frame='eye'):
+        self.pairing.add_info(message(seconds, frame, words))
         return self.taken
 
 
