@@ -154,7 +154,7 @@ def test_a_chair_that_was_just_seen_moved_is_shown_moved() -> None:
     position = np.array([3.2, 2.4, 1.5])
     look = Direction(math.radians(-45), math.radians(-15), math.radians(70), 160, 120)
     camera = around.expansion.source
-    poses = [CameraPose.from_planar(*position.tolist(), math.radians(yaw)) for yaw in (45, -45)]
+    poses = [CameraPose.from_planar(3.2, 2.4, 1.5, math.radians(yaw)) for yaw in (45, -45)]
     now, before = (SeenImage(moved.render(camera, pose)[0], pose) for pose in poses)
     truth = moved.render(look.view, look.pose(position))[0].astype(int)
     errors = [np.abs(around.draw(position, look, now, seen).image - truth).mean()
