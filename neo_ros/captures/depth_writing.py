@@ -5,7 +5,7 @@ from pathlib import Path
 from neo_ros.captures.capture import Capture, CapturedFrame, DepthSource
 from neo_ros.errors import SceneError
 from neo_ros.geometry import Intrinsics
-from neo_ros.geometry.lens import Straightener
+from neo_ros.geometry.lens import CENTRE, Lens, Straightener
 from neo_ros.machine.names import listed
 from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.pictures.depth import MM_PER_M, nearest, read_depth, to_millimetres, write_depth
@@ -16,6 +16,8 @@ FOLDER = 'depth'
 NEAREST, FARTHEST = 0.05, 60.0
 # Maps that are looked at before the unit is believed, and those that the coverage is taken from.
 FIRST, MEASURED = 5, 100
+# Pixels of another camera's depth across a cell of the image that it is brought to.
+CELL = 1.25
 # Metres of a step: metres, millimetres, centimetres, TUM's, Replica's, tenths of a millimetre.
 UNITS = (1.0, 0.001, 0.01, 1 / 5000, 1 / 6553.5, 0.0001)
 OPTION = '--depth-unit'
@@ -77,11 +79,39 @@ def align_depth(metres: np.ndarray, frame: CapturedFrame, straightener: Straight
     """Return depth float32 (h, w) as the straight photo of a frame sees it: (H, W), 0 unknown."""
     depth = frame.depth
     assert depth is not None
+    if depth.T_image_depth is not None:
+        assert depth.lens is not None, 'a camera that stands elsewhere has a lens of its own'
+        return _seen_from(metres, depth.lens, depth.T_image_depth, straightener.pinhole)
     lens = depth.lens or frame.raw_lens or frame.lens
     assert lens is not None, 'photos have a lens when they are written'
     camera = lens.intrinsics
     sized = nearest(metres, camera.width, camera.height)
     return straightener.pick(sized, lens)
+
+
+def _seen_from(metres: np.ndarray, lens: Lens, T_image_depth: np.ndarray, pinhole: Intrinsics
+               ) -> np.ndarray:
+    """
+    Return the depth (H, W) of a camera that stands beside the image's, as the image sees it.
+
+    Of points in one cell of the image the nearest counts. Cells are a little larger than the
+    pixels that they come from: else far things would show through the gaps between near ones.
+    """
+    camera = lens.intrinsics
+    metres = nearest(metres, camera.width, camera.height)
+    rows, columns = np.nonzero(metres)
+    rays = lens.straighten(np.stack([columns, rows], -1) + CENTRE)
+    z = metres[rows, columns, None]
+    points = np.concatenate([rays * z, z], 1) @ T_image_depth[:3, :3].T + T_image_depth[:3, 3]
+    points = points[np.isfinite(points).all(1) & (points[:, 2] > 0)]
+    share = min(1.0, camera.fx / pinhole.fx / CELL)
+    cells = pinhole.scaled(share)
+    u, v = np.floor(cells.project(points)).astype(np.int64).T
+    inside = (u >= 0) & (u < cells.width) & (v >= 0) & (v < cells.height)
+    u, v, far = u[inside], v[inside], points[inside, 2]
+    seen = np.full((cells.height, cells.width), np.inf, np.float32)
+    np.minimum.at(seen, (v, u), far.astype(np.float32))
+    return nearest(np.where(np.isfinite(seen), seen, 0), pinhole.width, pinhole.height)
 
 
 def _check_unit(middles: Sequence[float], depth: DepthSource | None) -> None:

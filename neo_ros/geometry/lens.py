@@ -101,7 +101,7 @@ class Lens:
         Beyond its turning point a lens polynomial brings rays that the camera cannot see back
         into the image. tolerance: in tangents.
         """
-        found = self._straighten(self._project(points))
+        found = self.straighten(self._project(points))
         return bool(np.isfinite(found).all() and np.abs(found - points).max() < tolerance)
 
     def _inner_rectangle(self) -> np.ndarray:
@@ -109,7 +109,7 @@ class Lens:
         width, height = self.intrinsics.width, self.intrinsics.height
         along = np.linspace(0, 1, EDGE_POINTS)
         x, y, zero = along * width, along * height, np.zeros(EDGE_POINTS)
-        left, right, top, bottom = (self._straighten(np.stack(edge, -1)) for edge in (
+        left, right, top, bottom = (self.straighten(np.stack(edge, -1)) for edge in (
             (zero, y), (zero + width, y), (x, zero), (x, zero + height)))
         return np.array([left[:, 0].max(), right[:, 0].min(), top[:, 1].max(), bottom[:, 1].min()])
 
@@ -152,7 +152,7 @@ class Lens:
                   <= 0.5 + CENTRE / np.array([camera.width, camera.height]))
         return bool(inside.all()) and self.sees(border, CENTRE / min(camera.fx, camera.fy))
 
-    def _straighten(self, pixels: np.ndarray) -> np.ndarray:
+    def straighten(self, pixels: np.ndarray) -> np.ndarray:
         """Undistort pixels (N, 2) to points (N, 2) of the z = 1 plane."""
         points = np.ascontiguousarray((pixels - CENTRE)[:, None], np.float64)
         if self.fisheye:
