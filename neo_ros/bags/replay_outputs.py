@@ -8,7 +8,7 @@ from neo_ros.errors import BagError
 from neo_ros.messages import SceneWatch, WideFrame
 from neo_ros.messages.memory_messages import (
     MEMORY_OUTPUTS, MemoryMessages, MemorySettings)
-from neo_ros.messages.scene_outputs import diagnostics_message, Make, OK, WARN
+from neo_ros.messages.scene_outputs import diagnostics_message, Make, OK, WARN, WIDENING
 from neo_ros.messages.stamps import NS_PER_S
 import numpy as np
 
@@ -46,7 +46,7 @@ class ReplayOutputs:
         """`memory`: whether the model has one; without, nothing is said of its guidance."""
         self._make, self._names, self._write = make, frozenset(names), write
         self._messages = MemoryMessages(make, settings)
-        self._name, self._memory = settings.name, memory
+        self._name, self._memory = f'{settings.name}: {WIDENING}', memory
         self._watch = SceneWatch()
         self._frames: deque[tuple[int, WideFrame]] = deque()
         self._published = 0
