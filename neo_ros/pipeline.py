@@ -21,6 +21,7 @@ from neo_ros.machine.progress import no_stage_progress, StageProgress
 from neo_ros.outpaint.distributed import process_group, wait_for_all
 from neo_ros.outpaint.export import calibration_factor, check_parity, export_onnx, require_parity
 from neo_ros.outpaint.fitting import OutpaintTrainer
+from neo_ros.outpaint.networks import at_full_size
 from neo_ros.outpaint.training_log import TrainingLog
 from neo_ros.runtime import FovExtrapolator, ModelCard
 from neo_ros.runtime.model_card import Parity, write_model_card
@@ -33,7 +34,8 @@ from neo_ros.training.folder import claim, drop_made_of_a_field, take_field
 from neo_ros.training.memory import memory_step
 from neo_ros.training.report import Scoring, write_training_report
 from neo_ros.training.run import LEAST_PHOTOS, TrainingRun
-from neo_ros.training.views import held_out_views, make_stream, note_poses, real_frames
+from neo_ros.training.views import (
+    held_out_views, held_out_wide_views, make_stream, note_poses, real_frames)
 import numpy as np
 from torch import nn
 
@@ -63,11 +65,10 @@ def train(scene_folder: Path, experiment: Experiment, out: Path,
                 take_field(out, scene, experiment, field_of)
         wait_for_all()
         field = fit_field_step(run, rank)
-        held_out = held_out_views(run, field)
-        network = fit_outpainter_step(run, field, held_out, rank)
+        network = fit_outpainter_step(run, field, held_out_views(run, field), rank)
     if rank > 0:
         return run
-    export_step(run, network, held_out)
+    export_step(run, network, held_out_wide_views(run, field))
     memory_step(run, field)
     run.figures = write_training_report(run, field, score_step(run))
     return run
@@ -94,7 +95,7 @@ def fit_field_step(run: TrainingRun, rank: int = 0) -> RadianceField:
 
 def _fit_field(run: TrainingRun, path: Path, writes: bool) -> None:
     checkpoint = run.out / 'field.ckpt'
-    scale, config = run.experiment.scale, run.field_config
+    scale, config = run.experiment.field_scale, run.field_config
     images = run.fitted.read_images(
         scale, lambda done: run.progress('photos', done, len(run.fitted), ''))
     if writes and not checkpoint.exists():
@@ -119,7 +120,7 @@ def fit_outpainter_step(run: TrainingRun, field: RadianceField,
     rank is the number of this process where several train together; each has its own stream.
     """
     experiment, started = run.experiment, time.monotonic()
-    trainer = OutpaintTrainer(run.expansion, experiment.network, experiment.outpaint,
+    trainer = OutpaintTrainer(run.network_expansion, experiment.network, experiment.outpaint,
                               experiment.seed, held_out)
     stream = make_stream(run, field, experiment.seed + 1_000_000 * rank)
     run.seconds += time.monotonic() - started  # A checkpoint's time takes its place, where one is.
@@ -153,7 +154,7 @@ def export_step(run: TrainingRun, network: nn.Module,
     file differ.
     """
     path = run.model_path
-    factor = 1.0
+    network, factor = at_full_size(network, run.experiment.network), 1.0
     if held_out is not None:
         factor = calibration_factor(network, run.expansion, held_out)
     else:

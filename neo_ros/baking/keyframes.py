@@ -32,6 +32,8 @@ class BakingRules:
     """What was chosen by measuring, and holds for all scenes."""
 
     mesh_focal: float = 96.0       # the mesh's vertices a radian are at most so many
+    dense: int = 3                 # rays into the field for a vertex, along each side, at most
+    photo_focal: float = 128.0     # rays into the field a radian, at most, to see what photos see
     photos: int = 400              # nearest to a keyframe, that may colour it
     one_surface: float = 0.1       # depths that differ by less than this share are of one surface
     least_coverage: float = 0.5    # of a pixel by what photos saw, for its depth to be known
@@ -75,9 +77,12 @@ def bake_memory(field: RadianceField, photos: Photos, expansion: ViewExpansion,
                      sampler.yaw_range)
     positions = keyframe_positions(sampler, photos, config.distance)
     total = len(photos.images) + len(positions)
-    seen, gains = np.empty(photos.images.shape[:3], np.float32), []
+    camera = photos.intrinsics
+    camera = camera.scaled(min(rules.photo_focal / camera.fx, 1.0))
+    seen = np.empty((total - len(positions), camera.height, camera.width), np.float32)
+    gains = []
     for index, (image, T) in enumerate(zip(photos.images, photos.T_world_cam)):
-        rendering = render_rays(field, *world_rays(photos.intrinsics, CameraPose(T)))
+        rendering = render_rays(field, *world_rays(camera, CameraPose(T)))
         seen[index] = np.where(rendering.coverage > rules.least_coverage, rendering.depth, 0)
         gains.append(_gain(rendering.image, image))
         progress(index + 1, total)
@@ -165,11 +170,12 @@ def _bake_keyframe(field: RadianceField, photos: Photos, seen: np.ndarray, gains
                    position: np.ndarray, band: Band, focal: float, rules: BakingRules
                    ) -> Keyframe:
     height, width, finer = keyframe_size(band, focal, rules)
-    rays = band.rays(height * finer, width * finer)
+    dense = min(finer, rules.dense)
+    rays = band.rays(height * dense, width * dense)
     rendering = render_rays(field, position, rays)
     depth = np.where(rendering.coverage > rules.least_coverage, rendering.depth, 0).astype(
         np.float32)
-    texture = np.empty(rays.shape, np.uint8)
+    texture = np.empty((height * finer, width * finer, 3), np.uint8)
     centres = photos.T_world_cam[:, :3, 3]
     near = np.sort(np.argsort(np.linalg.norm(centres - position, axis=1),
                               kind='stable')[:rules.photos])
@@ -179,8 +185,8 @@ def _bake_keyframe(field: RadianceField, photos: Photos, seen: np.ndarray, gains
         PhotoArrays(photos.images[near], seen[near],
                     np.ascontiguousarray(photos.T_world_cam[near, :3, :3], np.float32),
                     centres[near].astype(np.float32), gains[near],
-                    camera.fx, camera.fy, camera.cx, camera.cy), texture)
-    return Keyframe(position, mesh_depth(depth, finer, rules.one_surface), texture)
+                    camera.fx, camera.fy, camera.cx, camera.cy), band.wraps, texture)
+    return Keyframe(position, mesh_depth(depth, dense, rules.one_surface), texture)
 
 
 def mesh_depth(depth: np.ndarray, finer: int,

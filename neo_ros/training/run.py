@@ -8,7 +8,7 @@ from neo_ros.experiment import Experiment
 from neo_ros.field.config import FieldConfig
 from neo_ros.geometry import ViewExpansion
 from neo_ros.machine.progress import StageProgress
-from neo_ros.outpaint.networks import check_network
+from neo_ros.outpaint.networks import check_network, shrunk_expansion
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.scene import Scene
 import numpy as np
@@ -47,7 +47,9 @@ class TrainingRun:
         self.held_out: PosedImages | None = (
             self.scene.train.subset(sorted(held_out)) if held_out else None)
         self._check_view()
-        check_network(self.expansion, self.experiment.network)
+        # What the network sees and shows; a model file resizes to and from it.
+        self.network_expansion = shrunk_expansion(self.expansion, self.experiment.network)
+        check_network(self.network_expansion, self.experiment.network)
         if self.scene.test is not None:
             TruthFrames(self.scene.test, self.expansion)
         self.figures: dict[str, float] = {}

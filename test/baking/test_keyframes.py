@@ -36,7 +36,7 @@ def bake(poses: list, coarse: np.ndarray, gain: float = 1.0, shift: float = 0.0)
                     np.stack([pose.T_world_cam[:3, :3] for pose in poses]).astype(np.float32),
                     np.stack([pose.position for pose in poses]).astype(np.float32),
                     np.full((len(poses), 3), gain, np.float32),
-                    SOURCE.fx, SOURCE.fy, SOURCE.cx, SOURCE.cy), out)
+                    SOURCE.fx, SOURCE.fy, SOURCE.cx, SOURCE.cy), BAND.wraps, out)
     return out
 
 
@@ -71,7 +71,7 @@ def test_a_photo_is_not_blurred_when_it_is_read_between_its_pixels() -> None:
                        np.repeat(wave(wanted)[None, :, None], 3, 2).astype(np.uint8)),
         PhotoArrays(photo[None].astype(np.uint8), photo_depth[None].astype(np.float32),
                     np.eye(3, dtype=np.float32)[None], np.zeros((1, 3), np.float32),
-                    np.ones((1, 3), np.float32), focal, focal, 16.0, 16.0), out)
+                    np.ones((1, 3), np.float32), focal, focal, 16.0, 16.0), False, out)
     # Linear interpolation is off by 12 here.
     assert np.abs(out[0, :, 0] - wave(wanted)).max() < 5
 
