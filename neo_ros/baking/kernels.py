@@ -22,6 +22,9 @@ DISTANCE = 0.3
 LEAST_COSINE = 0.5
 # Depths that differ by less than this share are of one surface.
 ONE_SURFACE = 0.1
+# Neighbours in a coarse depth map of a photo, of which the nearer has at least this share of the
+# other's distance, may be of one surface that slants.
+SLANT = 0.7
 # A point nearer to a photo's camera, metres, is not in it.
 CLOSEST = 0.1
 # For what rounding does to squared cosines.
@@ -72,6 +75,28 @@ def cubic(k, t):
     if k == 2:
         return ((4 - 3 * t) * t + 1) * t / 2
     return (t - 1) * t * t / 2
+
+
+@njit(**FAST)
+def _sees(depth, u, v, length, coarser):
+    """
+    Tell whether a photo sees a point at `length` metres that falls on (u, v) of its depth (h, w).
+
+    Where depth is coarser than the photo, one of the four neighbours has to agree, or to lie on
+    either side of the point on one surface that slants.
+    """
+    slack = DEPTH_SHARE * length + DEPTH_METRES
+    if not coarser:
+        return abs(depth[int(v), int(u)] - length) <= slack
+    i = min(max(int(v - 0.5), 0), depth.shape[0] - 2)
+    j = min(max(int(u - 0.5), 0), depth.shape[1] - 2)
+    nearest, farthest = depth[i, j], depth[i, j]
+    for k in range(4):
+        seen = depth[i + k // 2, j + k % 2]
+        if abs(seen - length) <= slack:
+            return True
+        nearest, farthest = min(nearest, seen), max(farthest, seen)
+    return nearest < length < farthest and nearest > SLANT * farthest
 
 
 @njit(parallel=True, **FAST)
@@ -127,8 +152,7 @@ def choose_photos(panorama, posed, which, cost):
                 angle = math.acos(min(cosine, 1.0)) + DISTANCE * max(length / d - 1, 0.0)
                 if angle >= score[-1]:
                     continue
-                seen = photo_depth[n, int(v * down), int(u * across)]
-                if abs(seen - length) > DEPTH_SHARE * length + DEPTH_METRES:
+                if not _sees(photo_depth[n], u * across, v * down, length, across < 1):
                     continue
                 m = BLENDED - 1
                 while m > 0 and score[m - 1] > angle:
