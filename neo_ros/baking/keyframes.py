@@ -8,6 +8,7 @@ photo agrees.
 from dataclasses import dataclass
 import math
 from pathlib import Path
+import time
 from zipfile import BadZipFile
 
 import cv2
@@ -18,7 +19,7 @@ from neo_ros.field.radiance_field import RadianceField
 from neo_ros.field.rendering import render_rays, to_uint8, world_rays
 from neo_ros.geometry import Band, CameraPose, Intrinsics, ViewExpansion
 from neo_ros.machine.files import whole_file
-from neo_ros.machine.progress import no_progress, Progress
+from neo_ros.machine.progress import no_stage_progress, of_stage, Progress, StageProgress
 from neo_ros.memory.scene_memory import compress, FINER, Glances, Keyframe, SceneMemory
 from neo_ros.scenes.pose_sampling import PoseSampler, rotation_from_angles
 import numpy as np
@@ -37,6 +38,7 @@ class BakingRules:
     photos: int = 400              # nearest to a keyframe, that may colour it
     one_surface: float = 0.1       # depths that differ by less than this share are of one surface
     least_coverage: float = 0.5    # of a pixel by what photos saw, for its depth to be known
+    least_keyframes: int = 8       # however short the time
     glance_yaw_deg: float = 15.0   # between two glances of a keyframe
 
 
@@ -47,8 +49,12 @@ class MemoryConfig:
     __pydantic_config__ = {'extra': 'forbid'}
     # metres from any place of a robot, or any photo of a hand-held camera, to the nearest keyframe
     distance: float = 0.3
+    # Of making it: with fewer than it takes keyframes stand farther apart, evenly. None: all.
+    minutes: float | None = None
 
     def __post_init__(self) -> None:
+        if self.minutes is not None and not 0 < self.minutes < math.inf:
+            raise ConfigError(f'memory.minutes: expected a number > 0, got {self.minutes}')
         if not self.distance > 0:
             raise ConfigError(f'memory.distance: expected metres > 0, got {self.distance}')
 
@@ -64,46 +70,78 @@ class Photos:
 
 def bake_memory(field: RadianceField, photos: Photos, expansion: ViewExpansion,
                 sampler: PoseSampler, config: MemoryConfig, seed: int, work: Path,
-                progress: Progress = no_progress, rules: BakingRules = BakingRules()
-                ) -> SceneMemory:
+                progress: StageProgress = no_stage_progress, rules: BakingRules = BakingRules(),
+                seconds: float = math.inf) -> SceneMemory:
     """
     Render and colour the keyframes of `keyframe_positions`, and take glances from them.
 
-    Finished keyframes lie in the folder `work`, and are not made again.
+    Finished keyframes lie in the folder `work`, and are not made again. In fewer `seconds` than
+    all of them take, the first are made: each is as far from the ones before as can be.
     """
+    ends = time.monotonic() + seconds
     random = np.random.default_rng([seed, 3])
     band = view_band(expansion.target,
                      np.stack([sampler.draw_rotation(random) for _ in range(500)]),
                      sampler.yaw_range)
     positions = keyframe_positions(sampler, photos, config.distance)
-    total = len(photos.images) + len(positions)
-    camera = photos.intrinsics
-    camera = camera.scaled(min(rules.photo_focal / camera.fx, 1.0))
-    seen = np.empty((total - len(positions), camera.height, camera.width), np.float32)
-    gains = []
-    for index, (image, T) in enumerate(zip(photos.images, photos.T_world_cam)):
-        rendering = render_rays(field, *world_rays(camera, CameraPose(T)))
-        seen[index] = np.where(rendering.coverage > rules.least_coverage, rendering.depth, 0)
-        gains.append(_gain(rendering.image, image))
-        progress(index + 1, total)
+    seen, gains = _seen_by_photos(field, photos, rules, of_stage(progress, 'depth of photos'))
     frames: list[tuple[bytes, bytes, Glances]] = []
+    clock = _BakingClock(ends - time.monotonic())
     for index, position in enumerate(positions):
+        if index >= max(rules.least_keyframes, clock.possible(index, len(positions))):
+            break
         path = work / f'{index:06d}.npz'
         frame = _read_finished(path)
+        clock.finished += frame is not None
         if frame is None:
             # One is 70 MB for a camera of 640 pixels: it is compressed at once.
-            keyframe = _bake_keyframe(field, photos, seen, np.stack(gains), position, band,
+            keyframe = _bake_keyframe(field, photos, seen, gains, position, band,
                                       expansion.target.fx, rules)
             frame = (*compress(keyframe), keyframe_glances(
                 [keyframe], band, expansion.source, _headings(sampler, rules)))
             _write_finished(path, *frame)
         frames.append(frame)
-        progress(len(photos.images) + index + 1, total)
+        progress('keyframes', index + 1, clock.possible(index + 1, len(positions)))
+    positions = positions[:len(frames)]
     textures, depths, glances = zip(*frames)
     glances = (*glances, _photo_glances(photos, expansion.source))
     return SceneMemory(positions, band, textures, depths, Glances(
         np.concatenate([part.pictures for part in glances]),
         np.concatenate([part.T_world_cam for part in glances])))
+
+
+def _seen_by_photos(field: RadianceField, photos: Photos, rules: BakingRules, progress: Progress
+                    ) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return how far photos see, float32 (N, h, w) metres along the ray, and their gains (N, 3).
+
+    The depth is no finer than `rules.photo_focal`, as the field is not.
+    """
+    camera = photos.intrinsics
+    camera = camera.scaled(min(rules.photo_focal / camera.fx, 1.0))
+    seen = np.empty((len(photos.images), camera.height, camera.width), np.float32)
+    gains = []
+    for index, (image, T) in enumerate(zip(photos.images, photos.T_world_cam)):
+        rendering = render_rays(field, *world_rays(camera, CameraPose(T)))
+        seen[index] = np.where(rendering.coverage > rules.least_coverage, rendering.depth, 0)
+        gains.append(_gain(rendering.image, image))
+        progress(index + 1, len(photos.images))
+    return seen, np.stack(gains)
+
+
+class _BakingClock:
+    """Tells when the time for keyframes is over; those of before a break count as the others."""
+
+    def __init__(self, seconds: float) -> None:
+        self.seconds, self.finished = seconds, 0
+        self.started = time.monotonic()
+
+    def possible(self, made: int, wanted: int) -> int:
+        """Return how many keyframes there will be, of those `wanted`, after `made`."""
+        if math.isinf(self.seconds) or made == self.finished:
+            return wanted
+        each = (time.monotonic() - self.started) / (made - self.finished)
+        return min(max(int(self.seconds / each), made), wanted)
 
 
 def _write_finished(path: Path, texture: bytes, depth: bytes, glances: Glances) -> None:

@@ -113,8 +113,8 @@ def fitting_expansion(camera: Intrinsics, config: NetworkConfig) -> ViewExpansio
         times = config.shrink
         whole = camera.middle(camera.width // times * times, camera.height // times * times)
         small = fitting_expansion(whole.scaled(1 / times), replace(config, shrink=1))
-        source = camera.middle(times * small.source.width, times * small.source.height)
-        return ViewExpansion(source, *(times * side for side in (
+        middle = camera.middle(times * small.source.width, times * small.source.height)
+        return ViewExpansion(middle, *(times * side for side in (
             small.left, small.right, small.top, small.bottom)))
     patches = [config.patch] if config.patch else range(1, min(camera.width, camera.height) + 1)
     found: list[tuple[tuple[int, ...], ViewExpansion]] = []
