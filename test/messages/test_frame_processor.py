@@ -6,6 +6,7 @@ from camera_messages import camera_info_message, image_message, noise_image
 from neo_ros.errors import ImageRejected
 from neo_ros.geometry import Intrinsics
 from neo_ros.messages import camera_info_fields, jpeg_fields
+from neo_ros.messages.camera_info import describe_camera
 from neo_ros.messages.frame_processor import FrameProcessor
 from neo_ros.runtime import FovExtrapolator, WideView
 import numpy as np
@@ -144,4 +145,5 @@ def test_a_new_camera_info_and_rectify_take_effect_at_the_next_frame(extrapolato
         processor.process(wide_image, bent)
     processor.rectify = True
     assert 'rectified' in processor.process(wide_image, bent).camera_note
-    assert processor.process(image, None).camera_note == 'no camera_info: taken by its size'
+    assert processor.process(image, None).camera_note == (
+        f'no camera_info: the camera is assumed to be {describe_camera(TINY_EXPANSION.source)}')

@@ -6,7 +6,6 @@ import shutil
 import ssl
 import subprocess
 import sys
-import time
 from unittest import mock
 import urllib.request
 
@@ -19,7 +18,7 @@ from neo_ros.viewer.settings import read_token, TOKEN_VARIABLE, ViewerSettings
 import numpy as np
 import pytest
 from viewer_server import (
-    CONFIDENCE, origin, picture, receive_picture, run, running, until, watching)
+    CONFIDENCE, origin, picture, receive_picture, run, running, until, WAIT_S, watching)
 
 TOKEN = 'a token of the test'
 PATHS = ['/', '/viewer.js', '/link.js', '/picture.js', '/viewer.css', '/icon.svg', '/login']
@@ -232,7 +231,7 @@ def test_a_viewer_that_talks_nonsense_is_cut_off(send, code):
             async with watching(client) as good, watching(client) as bad:
                 await send(bad)
                 while not bad.closed:
-                    await asyncio.wait_for(bad.receive(), 5)
+                    await asyncio.wait_for(bad.receive(), WAIT_S)
                 assert bad.close_code == code
                 await until(lambda: len(hub) == 1)
                 hub.publish(picture())
@@ -281,17 +280,16 @@ def test_tls(tmp_path):
         url = process.stdout.readline().split()[-1]
         assert url.startswith('https://127.0.0.1:')
         context = ssl.create_default_context(cafile=cert)
-        with urllib.request.urlopen(f'{url}login', context=context, timeout=10) as answer:
+        with urllib.request.urlopen(f'{url}login', context=context, timeout=WAIT_S) as answer:
             assert answer.status == 200
         connection = http.client.HTTPSConnection(
-            '127.0.0.1', int(url.rsplit(':')[-1].strip('/')), context=context, timeout=10)
+            '127.0.0.1', int(url.rsplit(':')[-1].strip('/')), context=context, timeout=WAIT_S)
         connection.request('POST', '/login', 'token=a+token+of+the+test', {
             'Origin': url.rstrip('/'), 'Content-Type': 'application/x-www-form-urlencoded'})
         answer = connection.getresponse()
         assert answer.status == 303 and 'Secure' in answer.headers['Set-Cookie']
     finally:
-        started = time.monotonic()
         process.terminate()
-        assert process.wait(10) == 0 and time.monotonic() - started < 3
+        assert process.wait(WAIT_S) == 0
     with pytest.raises(ConfigError, match='cert, key'):
         ViewerSettings(cert=key, key=cert).tls()
