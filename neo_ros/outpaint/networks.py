@@ -111,8 +111,8 @@ def fitting_expansion(camera: Intrinsics, config: NetworkConfig) -> ViewExpansio
     """
     if config.shrink > 1:
         times = config.shrink
-        whole = camera.middle(camera.width // times * times, camera.height // times * times)
-        small = fitting_expansion(whole.scaled(1 / times), replace(config, shrink=1))
+        even = camera.middle(camera.width // times * times, camera.height // times * times)
+        small = fitting_expansion(even.scaled(1 / times), replace(config, shrink=1))
         middle = camera.middle(times * small.source.width, times * small.source.height)
         return ViewExpansion(middle, *(times * side for side in (
             small.left, small.right, small.top, small.bottom)))
