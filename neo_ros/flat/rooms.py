@@ -3,7 +3,7 @@ from functools import lru_cache
 
 from neo_ros.flat import furniture as furniture
 from neo_ros.flat.shapes import Material, paint, SolidBuilder, Solids
-from neo_ros.flat.shell import add_wall, add_window, CEILING, TRIM
+from neo_ros.flat.shell import add_ceiling_lamp, add_wall, add_window, CEILING, TRIM
 
 LIVING = ((0.0, 0.0), (6.0, 4.2))
 BEDROOM = ((6.14, 0.6), (10.0, 4.2))
@@ -63,9 +63,7 @@ def _add_shell(b: SolidBuilder) -> None:
     for window in WINDOWS:
         add_window(b, *window)
     for x, y, radius in LAMPS:
-        b.frustum(x, y, (CEILING - 0.02, CEILING - 0.001), (radius * 0.5, radius * 0.5), TRIM)
-        b.ellipsoid((x, y, CEILING - 0.07), (radius, radius, 0.06),
-                    paint('fff6e4', emission=2.2))
+        add_ceiling_lamp(b, x, y, radius)
 
 
 def _add_skirting(b: SolidBuilder, room: tuple, material: Material,

@@ -46,3 +46,9 @@ def add_window(b: SolidBuilder, axis: int, wall: float, start: float, end: float
     upper = top - (top - sill) * 0.27
     bar(start, end, upper - w / 3, upper + w / 3, (-0.095, -0.055))
     bar(start - 0.06, end + 0.06, sill - 0.03, sill + 0.001, (-0.1, 0.13))
+
+
+def add_ceiling_lamp(b: SolidBuilder, x: float, y: float, radius: float) -> None:
+    """Hang a round lamp under the ceiling."""
+    b.frustum(x, y, (CEILING - 0.02, CEILING - 0.001), (radius * 0.5, radius * 0.5), TRIM)
+    b.ellipsoid((x, y, CEILING - 0.07), (radius, radius, 0.06), paint('fff6e4', emission=2.2))
