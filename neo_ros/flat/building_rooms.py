@@ -41,7 +41,7 @@ class Room:
         _add_floor_and_ceiling(b, WIDTH, DEPTH, floor_paint(randoms[1]))
         _add_side_walls(b, DEPTH, walls)
         add_wall(b, 1, 0, HALF_WALL, (0, WIDTH), [(*DOOR, 0.0, DOOR_TOP)], walls)
-        _add_door_frame(b)
+        _add_door_frame(b, DOOR)
         windows: tuple = ()
         if self.window:
             wall = b.at(WIDTH, NORTH, 180)
@@ -56,7 +56,7 @@ class Room:
         for thing, random in zip((*things, *PICTURES), randoms[2:]):
             if not (self.window and thing is PICTURES[NORTH_PICTURE]):
                 thing(b, random)
-        return b.build(), _lamps(b, windows, (1.35, 2.0, 0.25), (2.9, 2.0, 0.25))
+        return _lit(b, windows, (1.35, 2.0, 0.25), (2.9, 2.0, 0.25))
 
 
 # Where the window is, if there is one.
@@ -98,8 +98,10 @@ class Corridor:
             openings = [(*door, 0.0, DOOR_TOP)] if sign else []
             add_wall(b, 1, y, y + HALF_WALL, (0, WIDTH), openings, walls)
         north, south = b.at(0, ACROSS - HALF_WALL), b.at(WIDTH, HALF_WALL, 180)
-        for wall, sign in ((north, self.doors[1]), (south, self.doors[0])):
+        for wall, sign, outer in ((north, self.doors[1], b.at(WIDTH, ACROSS, 180)),
+                                  (south, self.doors[0], b)):
             if sign:
+                _add_door_frame(outer, TURNED_DOOR)
                 _add_sign(wall.at(DOOR[1] + 0.22, 0, z=1.55), sign)
             furniture.add_picture(
                 wall.at(3.0 + random.uniform(-0.2, 0.2), 0, z=1.55), random.uniform(0.6, 1.0),
@@ -108,7 +110,7 @@ class Corridor:
             furniture.add_plant(south.at(0.25, -0.22), paint('d8d4c8'),
                                 random.uniform(0.9, 1.3), int(random.integers(1 << 30)))
         windows = _close_ends(b, walls, self.ends)
-        return b.build(), _lamps(b, windows, (WIDTH / 2, ACROSS / 2, 0.24))
+        return _lit(b, windows, (1.05, ACROSS / 2, 0.3), (3.15, ACROSS / 2, 0.3))
 
 
 @dataclass(frozen=True)
@@ -135,7 +137,7 @@ class Stairwell:
         furniture.add_picture(b.at(0.75, ACROSS - HALF_WALL, z=1.6), 0.6, 0.6,
                               f'sign_F{self.floor}', TRIM)
         windows = _close_ends(b, walls, (False, True))
-        return b.build(), _lamps(b, windows, (0.8, ACROSS / 2, 0.24))
+        return _lit(b, windows, (0.8, ACROSS / 2, 0.3))
 
 
 @dataclass(frozen=True)
@@ -167,7 +169,7 @@ class Hall:
                                   random.uniform(0.5, 0.8),
                                   f'canvas_{random.integers(1 << 30)}', TRIM)
         windows = ((0, HALF_WALL, *opening, 1),)
-        return b.build(), _lamps(b, windows, (ACROSS / 2, 1.8, 0.24), (ACROSS / 2, 8.0, 0.24))
+        return _lit(b, windows, (ACROSS / 2, 1.8, 0.3), (ACROSS / 2, 8.0, 0.3))
 
 
 Piece = Room | Corridor | Stairwell | Hall
@@ -189,12 +191,12 @@ def _add_side_walls(b: SolidBuilder, depth: float, walls: Material) -> None:
         b.box((x, 0, 0), (x + HALF_WALL, depth, CEILING), walls)
 
 
-def _add_door_frame(b: SolidBuilder) -> None:
-    """Line the opening through the room's half of the wall and the corridor's."""
-    (start, end), t, low, high = DOOR, 0.025, -HALF_WALL - 0.015, HALF_WALL + 0.015
-    b.box((start - 0.05, low, 0), (start + t, high, DOOR_TOP + 0.05), TRIM)
-    b.box((end - t, low, 0), (end + 0.05, high, DOOR_TOP + 0.05), TRIM)
-    b.box((start + t, low, DOOR_TOP - t), (end - t, high, DOOR_TOP + 0.05), TRIM)
+def _add_door_frame(b: SolidBuilder, door: tuple[float, float]) -> None:
+    """Line an opening through a wall from y = 0 to HALF_WALL; the other half has its own."""
+    (start, end), t, high = door, 0.025, HALF_WALL + 0.015
+    b.box((start - 0.05, 0, 0), (start + t, high, DOOR_TOP + 0.05), TRIM)
+    b.box((end - t, 0, 0), (end + 0.05, high, DOOR_TOP + 0.05), TRIM)
+    b.box((start + t, 0, DOOR_TOP - t), (end - t, high, DOOR_TOP + 0.05), TRIM)
 
 
 def _add_sign(b: SolidBuilder, text: str) -> None:
@@ -215,7 +217,8 @@ def _close_ends(b: SolidBuilder, walls: Material, ends: tuple[bool, bool]) -> tu
     return tuple(windows)
 
 
-def _lamps(b: SolidBuilder, windows: tuple, *lamps: tuple[float, float, float]) -> LightSources:
+def _lit(b: SolidBuilder, windows: tuple, *lamps: tuple[float, float, float]
+         ) -> tuple[Solids, LightSources]:
     for lamp in lamps:
         add_ceiling_lamp(b, *lamp)
-    return LightSources(windows, lamps)
+    return b.build(), LightSources(windows, lamps)

@@ -50,6 +50,11 @@ class DemoFlat:
             sample_spread(intrinsics))
         return developed(radiance, intrinsics), centre_samples(hits.distance)
 
+    def depth(self, intrinsics: Intrinsics, pose: CameraPose) -> np.ndarray:
+        """Return the depth along the optical axis, float32 (H, W) metres."""
+        return cast_camera(self.solids, intrinsics, pose,
+                           camera_directions(intrinsics, pose, 1)).distance
+
     def walkable(self) -> WalkableMap:
         """Return the free floor of both rooms, in cells of 0.05 m."""
         return free_floor(self.solids)
