@@ -19,7 +19,7 @@ def generate_launch_description() -> LaunchDescription:
     arguments = {
         'namespace': ('', 'Namespace of the camera and of the wide topics'),
         'image': ('image', 'Image of the camera; image/compressed follows it'),
-        'camera_info': ('camera_info', 'Calibration of the camera'),
+        'camera_info': ('', 'Calibration of the camera; empty: camera_info beside the image'),
         'model': ('', 'Model (ONNX file of "neo train"); empty: what params_file says'),
         'params_file': (str(parameters), 'YAML file with the parameters of the node'),
         'viewer': ('false', 'Show the wide image in a browser, at http://127.0.0.1:8600'),
@@ -31,10 +31,10 @@ def generate_launch_description() -> LaunchDescription:
 
 
 def start_node(context: LaunchContext) -> list[Node | ExecuteProcess]:
-    """Start the node once the arguments are known: an empty model must not override the file."""
+    """Start the node once the arguments are known: empty ones change nothing."""
     model = LaunchConfiguration('model').perform(context)
     namespace = LaunchConfiguration('namespace').perform(context).strip('/')
-    image = LaunchConfiguration('image')
+    camera_info = LaunchConfiguration('camera_info').perform(context)
     wide_image = '/'.join(['', *([namespace] if namespace else []), 'wide/image'])
     return [
         Node(
@@ -42,7 +42,7 @@ def start_node(context: LaunchContext) -> list[Node | ExecuteProcess]:
             namespace=namespace,
             parameters=[LaunchConfiguration('params_file'),
                         *([{'model': model}] if model else [])],
-            remappings=[('image', image), ('image/compressed', [image, '/compressed']),
-                        ('camera_info', LaunchConfiguration('camera_info'))]),
+            remappings=[('image', LaunchConfiguration('image')),
+                        *([('camera_info', camera_info)] if camera_info else [])]),
         ExecuteProcess(cmd=['neo', 'view', '--topic', wide_image], output='screen',
                        condition=IfCondition(LaunchConfiguration('viewer')))]

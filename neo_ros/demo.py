@@ -28,6 +28,7 @@ from neo_ros.flat.scene_writing import fingerprint, render_demo_views
 from neo_ros.geometry import ViewExpansion
 from neo_ros.machine.files import make_output_folder, write_bytes
 from neo_ros.machine.processes import end_process
+from neo_ros.machine.ros_domain import own_domain
 from neo_ros.messages import read_image
 from neo_ros.messages.stamps import stamp_of
 from neo_ros.reports.report import Table, Text, write_report
@@ -124,7 +125,7 @@ class _Graph:
         self.address: str | None = None
         self._model, self._log = model, log
         # A graph of its own: the demo must never reach a robot on the same network.
-        self._environment = os.environ | {'ROS_DOMAIN_ID': str(1 + os.getpid() % 100),
+        self._environment = os.environ | {'ROS_DOMAIN_ID': str(own_domain()),
                                           'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
         self._running: dict[str, subprocess.Popen] = {}
         self._stack = ExitStack()

@@ -6,7 +6,9 @@ import shlex
 from typing import Any
 
 from neo_ros.bags.camera_topics import (
-    CAMERA_INFO, find_info_topic, IMAGE, image_topics, info_topics, read_lens, same_frame)
+    CAMERA_INFO, COMPRESSED, find_info_topic, IMAGE, image_topics, info_topics, read_lens,
+    same_frame)
+from neo_ros.bags.depth_topics import find_depth
 from neo_ros.bags.reading import BagReader
 from neo_ros.bags.recorded_poses import (
     find_pose_source, find_pose_topics, NO_POSES, POSE_TYPES, RecordedPoses, SPARE_TYPES, TF_TYPE)
@@ -15,11 +17,13 @@ from neo_ros.bags.topic import BagTopic, describe_topics
 from neo_ros.errors import BagError, ImageRejected, SceneError
 from neo_ros.geometry import ViewExpansion
 from neo_ros.machine.progress import no_progress, Progress
+from neo_ros.messages.depth_image import depth_encoding, read_depth_image
 from neo_ros.messages.image_reader import ImageReader
+from neo_ros.messages.stamps import stamp_of
 
 # A key frame comes every few seconds, or there is none.
 MOST_TRIED = 1000
-IMAGE_ROLE, POSE_ROLE, TRUTH_ROLE = 'image', 'pose', 'truth'
+IMAGE_ROLE, POSE_ROLE, DEPTH_ROLE, TRUTH_ROLE = 'image', 'pose', 'depth', 'truth'
 
 
 @dataclass
@@ -29,7 +33,7 @@ class TopicInfo:
 
     rate_hz, longest_gap_s  by log time; None with fewer than two messages
     content  what its first message shows: size and encoding, camera, frames
-    roles    what it can serve as: image, pose or truth
+    roles    what it can serve as: image, pose, depth or truth
     """
 
     name: str
@@ -96,7 +100,8 @@ def read_bag_info(path: Path, model: Path | None = None, expansion: ViewExpansio
         image = scan.find_image(expansion)
         pose, pose_option = scan.find_pose(image)
         truth = scan.find_truth(image, expansion)
-        for topic, role in ((pose, POSE_ROLE), (truth, TRUTH_ROLE)):
+        depth = scan.find_depth(image)
+        for topic, role in ((pose, POSE_ROLE), (depth, DEPTH_ROLE), (truth, TRUTH_ROLE)):
             if topic is not None:
                 scan.infos[topic].roles.append(role)
         command = _next_command(path, model, scan, image, pose, pose_option, truth)
@@ -216,6 +221,15 @@ class _Scan:
             return topic, '' if wanted is None else wanted
         return None, NO_POSES
 
+    def find_depth(self, image: _Camera | None) -> BagTopic | None:
+        """Return the depth that an import takes with these images, by the import's own rule."""
+        if image is None:
+            return None
+        stamp_ns = stamp_of(self._reader.first(image.topic).header)
+        choice, lack = find_depth(self._reader, image.topic, self.poses.tree, [stamp_ns])
+        self.notes += [lack] if lack else []
+        return None if choice is None else choice.topic
+
     def find_truth(self, image: _Camera | None,
                    expansion: ViewExpansion | None) -> BagTopic | None:
         """Return images of the same frame that are larger: those of the model's wide size."""
@@ -240,6 +254,11 @@ class _Scan:
             seen.size = width, height
             form = getattr(content, 'format', None) or content.encoding
             return f'{seen.size[0]}x{seen.size[1]} {form}, frame {seen.frame}'
+        if topic.msgtype in (IMAGE, COMPRESSED):
+            content = message.read()
+            height, width = read_depth_image(content).shape
+            return (f'{width}x{height} {depth_encoding(content)} depth, frame '
+                    f'{frame_name(content.header.frame_id)}')
         if topic.msgtype == CAMERA_INFO:
             camera = self._calibrations.get(topic)
             lens = read_lens(message.read(), camera.topic if camera else topic, topic.name)

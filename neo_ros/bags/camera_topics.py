@@ -11,13 +11,13 @@ from neo_ros.geometry import Intrinsics
 from neo_ros.geometry.lens import Lens
 from neo_ros.messages import camera_info_of, image_fields
 from neo_ros.messages.camera_info import read_lens as info_lens
+from neo_ros.messages.depth_image import COMPRESSED_DEPTH, depth_encoding
 from neo_ros.messages.image_reader import ImageReader
 
 IMAGE, COMPRESSED = 'sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage'
 PACKET = 'ffmpeg_image_transport_msgs/msg/FFMPEGPacket'
 IMAGE_TYPES = (IMAGE, COMPRESSED, VIDEO, PACKET)
 CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
-DEPTH_ENCODINGS = ('16UC1', '32FC1')
 
 
 def find_image_topic(reader: BagReader, name: str | None) -> BagTopic:
@@ -39,7 +39,7 @@ def find_image_topic(reader: BagReader, name: str | None) -> BagTopic:
                        f'bag has {found}')
     calibrated = [topic for topic in topics if find_info_topic(reader, topic) is not None]
     choice = calibrated or topics
-    choice = _without_copies(choice)
+    choice = without_copies(choice)
     if len(choice) > 1:
         raise BagError(f'{reader.path}: the bag has {len(choice)} cameras, choose one with '
                        f'--image-topic: {describe_topics(choice)}')
@@ -72,7 +72,7 @@ def find_camera(reader: BagReader, source: Intrinsics, name: str | None) -> Came
     sizes = {topic: first_size(reader, topic) for topic in image_topics(reader, name)}
     fitting = [topic for topic, size in sizes.items() if size == wanted or name is not None]
     fitting = fitting or [topic for topic in sizes if find_info_topic(reader, topic) is not None]
-    fitting = _without_copies(fitting)
+    fitting = without_copies(fitting)
     if len(fitting) != 1:
         found = ', '.join(f'{topic.name} ({size[0]}x{size[1]})' if size else topic.name
                           for topic, size in sizes.items())
@@ -81,9 +81,14 @@ def find_camera(reader: BagReader, source: Intrinsics, name: str | None) -> Came
             f'as the model takes, got {found or describe_topics(reader.topics)}; name one with '
             '--image-topic')
     image, = fitting
+    return CameraTopics(image, find_info_topic(reader, image), wide_namespace(reader, image))
+
+
+def wide_namespace(reader: BagReader, image: BagTopic) -> str:
+    """Return where the wide topics of a camera go."""
     info = find_info_topic(reader, image)
     camera = (info.name if info is not None else _base(image)).rpartition('/')[0]
-    return CameraTopics(image, info, f'{camera}/wide')
+    return f'{camera}/wide'
 
 
 def find_truth_topic(reader: BagReader, camera: CameraTopics,
@@ -116,8 +121,8 @@ def image_topics(reader: BagReader, name: str | None) -> list[BagTopic]:
 
 
 def _is_depth(message: Any) -> bool:
-    encoding = getattr(message, 'encoding', getattr(message, 'format', ''))
-    return encoding in DEPTH_ENCODINGS or 'compressedDepth' in encoding
+    return depth_encoding(message) is not None or (
+        COMPRESSED_DEPTH in getattr(message, 'format', ''))
 
 
 def first_size(reader: BagReader, topic: BagTopic) -> tuple[int, int] | None:
@@ -200,7 +205,7 @@ def read_lens(message: Any, image: BagTopic, where: str) -> Lens:
         raise BagError(f'{where}: {error}') from error
 
 
-def _without_copies(topics: list[BagTopic]) -> list[BagTopic]:
+def without_copies(topics: list[BagTopic]) -> list[BagTopic]:
     """Leave out the compressed images that are there raw, too."""
     raw = {topic.name for topic in topics if topic.msgtype == IMAGE}
     return [topic for topic in topics if topic.msgtype == IMAGE or _base(topic) not in raw]

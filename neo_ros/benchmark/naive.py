@@ -14,8 +14,7 @@ from neo_ros.errors import ConfigError
 from neo_ros.outpaint.fitting import OutpaintTrainer
 from neo_ros.pipeline import export_step
 from neo_ros.scenes.posed_images import PosedImages
-from neo_ros.training.checkpoint import (
-    checkpoint_errors, CHECKPOINT_SECONDS, read_checkpoint, write_checkpoint)
+from neo_ros.training.checkpoint import train_with_checkpoints
 from neo_ros.training.run import LEAST_PHOTOS, TrainingRun
 import numpy as np
 import torch
@@ -70,36 +69,26 @@ def train_naive(run: TrainingRun) -> None:
     # The trainer's clock runs: what comes before the first step is part of its time, as NEO's is.
     stream = ResizedPhotos(run.fitted, target.width, target.height, experiment.seed)
     run.seconds += time.monotonic() - started
-    checkpoint = run.out / 'naive.ckpt'
+    kept: dict[str, Any] = {'best': {
+        'psnr': -np.inf, 'at': 0, 'weights': trainer.averaged.state_dict()}}
 
-    def save() -> None:
-        write_checkpoint(checkpoint, {'trainer': trainer.state(), 'best': best,
-                                      'seconds': run.seconds})
+    def done() -> tuple[int, int]:
+        step, total = trainer.done
+        overfits = len(trainer.validation) - kept['best']['at'] >= PATIENCE
+        return step, step if overfits else total
 
-    best: dict[str, Any] = {'psnr': -np.inf, 'at': 0, 'weights': trainer.averaged.state_dict()}
-    if checkpoint.exists():
-        state = read_checkpoint(checkpoint)
-        with checkpoint_errors(checkpoint):
-            trainer.restore(state['trainer'])
-            best = state['best']
-            run.seconds = state['seconds']
-    saved, last = trainer.seconds, time.monotonic()
-    while trainer.done[0] < trainer.done[1] and len(trainer.validation) - best['at'] < PATIENCE:
+    def learn() -> None:
         scores = len(trainer.validation)
         trainer.train_step(stream.batch(trainer.step, trainer.batch_size))
-        if len(trainer.validation) > scores and trainer.validation[-1][2] > best['psnr']:
-            best = {'psnr': trainer.validation[-1][2], 'at': len(trainer.validation),
-                    'weights': {name: value.detach().cpu().clone() for name, value
-                                in trainer.averaged.state_dict().items()}}
-        now = time.monotonic()
-        run.seconds, last = run.seconds + now - last, now
-        run.progress('naive', *trainer.done, trainer.note())
-        if trainer.seconds - saved > CHECKPOINT_SECONDS:
-            save()
-            saved = trainer.seconds
-    save()
+        if len(trainer.validation) > scores and trainer.validation[-1][2] > kept['best']['psnr']:
+            kept['best'] = {'psnr': trainer.validation[-1][2], 'at': len(trainer.validation),
+                            'weights': {name: value.detach().cpu().clone() for name, value
+                                        in trainer.averaged.state_dict().items()}}
+
+    train_with_checkpoints(run, trainer, run.out / 'naive.ckpt', 'naive', done, learn,
+                           trainer.note, beside=kept)
     network = trainer.averaged.eval().cpu()
-    network.load_state_dict(best['weights'])
+    network.load_state_dict(kept['best']['weights'])
     export_step(run, network)
 
 

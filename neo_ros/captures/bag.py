@@ -6,11 +6,13 @@ from pathlib import Path
 from typing import Any
 
 from neo_ros.bags.camera_topics import find_image_topic, find_info_topic, info_topics, read_lens
+from neo_ros.bags.depth_topics import depth_topics, find_depth
 from neo_ros.bags.reading import BagReader
 from neo_ros.bags.recorded_poses import (
     find_pose_source, find_pose_topics, PoseTopics, RecordedPoses)
 from neo_ros.bags.tf_tree import frame_name, PoseSource
 from neo_ros.bags.topic import BagTopic, describe_topics, describe_unread
+from neo_ros.captures.bag_depth import with_depth
 from neo_ros.captures.camera_file import read_camera_file
 from neo_ros.captures.capture import Capture, CapturedFrame, ImageStream, origin_of
 from neo_ros.errors import BagError, ConfigError, ImageRejected
@@ -21,13 +23,17 @@ from neo_ros.messages.image_reader import ImageReader, is_video
 from neo_ros.messages.stamps import stamp_of
 import numpy as np
 
+# Images at whose time the way from a depth camera to them is asked for.
+MOST_ASKED = 100
+
 
 @dataclass
 class _Scan:
     """What one pass over the bag collects; images are not decoded."""
 
     images: list[tuple[int, int]] = field(default_factory=list)  # (stamp, place in the topic)
-    places: int = 0
+    depths: dict[BagTopic, list[tuple[int, int]]] = field(default_factory=dict)  # likewise
+    places: Counter[BagTopic] = field(default_factory=Counter)
     damaged: Counter[str] = field(default_factory=Counter)  # messages by topic
     log_times: list[int] = field(default_factory=list)
     camera_frame: str = ''
@@ -103,6 +109,10 @@ def read_bag_capture(path: Path, options: BagOptions = BagOptions(),
         unread = describe_unread(reader.topics)
         scan = _scan(reader, image, info, pose_topics, progress)
         notes = [reader.recovered] if reader.recovered else []
+        depth, lack = find_depth(reader, image, scan.poses.tree,
+                                 [stamp for stamp, _ in scan.images[:MOST_ASKED]],
+                                 options.x_forward)
+        notes += [lack] if lack else []
     notes += [f'{count} messages of {name} are damaged and are left out'
               for name, count in sorted(scan.damaged.items())]
     lens = None if scan.info is None or info is None else read_lens(
@@ -152,19 +162,22 @@ def read_bag_capture(path: Path, options: BagOptions = BagOptions(),
         places, frames = _without_start(path, image, places, frames, notes, stream)
         stream = _stream(path, image, places, depth_as_grey)
     next(stream([0]), None)  # What cannot be decoded at all is refused before anything is written.
-    return Capture(tuple(frames), tuple(notes), stream, origin_of(path),
-                   z_up=source is not None)  # REP-103
+    capture = Capture(tuple(frames), tuple(notes), stream, origin_of(path),
+                      z_up=source is not None)  # REP-103
+    return capture if depth is None else with_depth(capture, path, depth, scan.depths[depth.topic])
 
 
 def _scan(reader: BagReader, image: BagTopic, info: BagTopic | None,
           pose_topics: PoseTopics, progress: Progress) -> _Scan:
-    scan = _Scan()
-    names = {image.name, *pose_topics.names} | ({info.name} if info else set())
+    scan = _Scan(depths={topic: [] for topic in depth_topics(reader, image)})
+    names = {image.name, *pose_topics.names, *(topic.name for topic in scan.depths)} | (
+        {info.name} if info else set())
     total = sum(topic.count for topic in reader.topics if topic.name in names)
     for done, message in enumerate(reader.messages(names), start=1):
         topic = message.topic
         # One that cannot be decoded has its place, too.
-        place, scan.places = scan.places, scan.places + (topic == image)
+        place = scan.places[topic]
+        scan.places[topic] += 1
         progress(done, total)
         try:
             content = message.read()
@@ -176,6 +189,8 @@ def _scan(reader: BagReader, image: BagTopic, info: BagTopic | None,
             scan.log_times.append(message.stamp_ns)
             scan.video = scan.video or _says_video(content)
             _take_frame(scan, frame_name(content.header.frame_id), reader.path, topic)
+        elif topic in scan.depths:
+            scan.depths[topic].append((stamp_of(content.header) or message.stamp_ns, place))
         elif topic == info:
             _take_info(scan, content, f'{reader.path}: {topic.name}')
         else:

@@ -6,10 +6,54 @@ from pathlib import Path
 
 from neo_ros.geometry import CameraPose
 from neo_ros.geometry.lens import Lens
+from neo_ros.pictures.depth import nearest, read_numbers
 from neo_ros.pictures.photo import read_photo
 import numpy as np
 
 ImageStream = Callable[[Sequence[int]], Iterator[tuple[int, np.ndarray | None]]]
+
+
+@dataclass(frozen=True, eq=False)
+class DepthSource:
+    """
+    Where the depth of an image is, along its camera's optical axis.
+
+    It shows what the image shows, in any size, unless it has a lens of its own.
+
+    unit        metres that one step of its numbers means
+    file        a picture of one channel; None where the capture's `depth_stream` has it
+    invalid     the number that means unknown, beside 0 and what is not finite
+    confidence  a picture whose 0 means that the depth is not to be trusted
+    lens        the camera that measured it, where that is not the image's
+    T_image_depth  (4, 4), where that camera stands in another place: its pose in the image's
+    """
+
+    unit: float
+    file: Path | None = None
+    invalid: int | None = None
+    confidence: Path | None = None
+    lens: Lens | None = None
+    T_image_depth: np.ndarray | None = None
+
+    def read(self) -> np.ndarray | None:
+        """Return the numbers of the file, (h, w), 0 where they are not to be trusted."""
+        assert self.file is not None
+        numbers = read_numbers(self.file)
+        if numbers is None or numbers.ndim != 2 or numbers.dtype not in (np.uint16, np.float32):
+            return None
+        if self.confidence is None:
+            return numbers
+        trust = read_numbers(self.confidence)
+        if trust is None or trust.ndim != 2:
+            return None
+        return np.where(nearest(trust, numbers.shape[1], numbers.shape[0]) > 0, numbers, 0)
+
+    def metres(self, numbers: np.ndarray) -> np.ndarray:
+        """Return float32 (h, w) metres, 0 = unknown, of the numbers that were stored."""
+        known = np.isfinite(numbers) & (numbers > 0)
+        if self.invalid is not None:
+            known &= numbers != self.invalid
+        return np.where(known, numbers, 0).astype(np.float32) * np.float32(self.unit)
 
 
 @dataclass(frozen=True)
@@ -23,6 +67,8 @@ class CapturedFrame:
     path_id   walk, run or sequence that it belongs to
     stamp_ns  when it was taken, where that is known
     file      the image file, where there is one
+    depth     its depth, where it was measured
+    raw_lens  the camera that depth and mask belong to, where the image was made straight since
     """
 
     name: str
@@ -31,6 +77,8 @@ class CapturedFrame:
     path_id: int = 0
     stamp_ns: int | None = None
     file: Path | None = None
+    depth: DepthSource | None = None
+    raw_lens: Lens | None = None
 
 
 @dataclass(frozen=True)
@@ -44,6 +92,7 @@ class Capture:
     origin  what tells the source of a stream from any other one
     z_up    the format says that the world's z axis points up
     arbitrary_scale  nobody knows how long a unit of the poses is
+    depth_stream  yields (index, numbers (h, w) or None) for depth that is no file
     """
 
     frames: tuple[CapturedFrame, ...]
@@ -52,6 +101,7 @@ class Capture:
     origin: str = ''
     z_up: bool = False
     arbitrary_scale: bool = False
+    depth_stream: ImageStream | None = None
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -71,14 +121,34 @@ class Capture:
             assert file is not None, 'a frame has a file or its capture a stream'
             yield index, read_photo(file)
 
+    def depths(self, indices: Sequence[int]) -> Iterator[tuple[int, np.ndarray | None]]:
+        """
+        Yield (index, float32 (h, w) metres, 0 = unknown) for frames that have depth.
+
+        In the size it was measured in; None for depth that cannot be read.
+        """
+        measured = [index for index in indices if self.frames[index].depth is not None]
+        stream = self.depth_stream or self._depth_files
+        for index, numbers in stream(measured):
+            depth = self.frames[index].depth
+            assert depth is not None
+            yield index, None if numbers is None else depth.metres(numbers)
+
+    def _depth_files(self, indices: Sequence[int]) -> Iterator[tuple[int, np.ndarray | None]]:
+        for index in indices:
+            depth = self.frames[index].depth
+            assert depth is not None and depth.file is not None
+            yield index, depth.read()
+
     def subset(self, indices: Sequence[int], note: str = '') -> 'Capture':
         """Keep the frames at `indices`, in that order, and say why in a note."""
         chosen = list(indices)
-        stream = self.stream
+        stream, depth_stream = self.stream, self.depth_stream
         return replace(
             self, frames=tuple(self.frames[index] for index in chosen),
             notes=self.notes + ((note,) if note else ()),
-            stream=None if stream is None else _chosen(stream, chosen))
+            stream=None if stream is None else _chosen(stream, chosen),
+            depth_stream=None if depth_stream is None else _chosen(depth_stream, chosen))
 
 
 def origin_of(source: Path) -> str:

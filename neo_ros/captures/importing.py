@@ -36,6 +36,7 @@ class ImportOptions:
     level                               turn the world so that z points up
     scale                               multiply all lengths by this
     fisheye_view                        degrees: the widest view that is cut out of a fisheye
+    depth_unit                          metres of one step of the depth's numbers; 0: no depth
     """
 
     bag: BagOptions = BagOptions()
@@ -45,6 +46,7 @@ class ImportOptions:
     level: bool = False
     scale: float | None = None
     fisheye_view: float | None = None
+    depth_unit: float | None = None
 
     def __post_init__(self) -> None:
         for name in ('scale', 'keyframe_distance', 'keyframe_angle'):
@@ -52,6 +54,10 @@ class ImportOptions:
             if value is not None and not (math.isfinite(value) and value > 0):
                 raise ConfigError(
                     f'--{name.replace("_", "-")}: expected a number > 0, got {value:g}')
+        unit = self.depth_unit
+        if unit is not None and not (math.isfinite(unit) and unit >= 0):
+            raise ConfigError(f'--depth-unit: expected metres > 0, or 0 for no depth, got '
+                              f'{unit:g}')
         view = self.fisheye_view
         if view is not None and not LEAST_VIEW <= view <= MOST_VIEW:
             raise ConfigError(f'--fisheye-view: expected {LEAST_VIEW:g} to {MOST_VIEW:g} degrees, '
@@ -71,6 +77,8 @@ def import_capture(source: Path, scene: Path, format_: CaptureFormat, options: I
         import_transforms(source, scene, of_stage(progress, 'images'))
         return []
     capture, notes = _read(source, format_, options, progress), []
+    if options.depth_unit is not None:
+        capture = _with_depth_unit(capture, options.depth_unit)
     if options.fisheye_view is not None:
         capture = _with_fisheye_view(capture, options.fisheye_view)
     if not capture.posed:
@@ -93,7 +101,8 @@ def import_capture(source: Path, scene: Path, format_: CaptureFormat, options: I
         capture = select_frames(
             capture, options.keyframe_distance, None if angle is None else math.radians(angle),
             of_stage(progress, 'sharpness'))
-    return [*write_capture(capture, scene, of_stage(progress, 'photos')), *notes]
+    return [*write_capture(capture, scene, of_stage(progress, 'photos'),
+                           of_stage(progress, 'depth')), *notes]
 
 
 def finish_scene(scene: Path, notes: Sequence[str], test_runs: int,
@@ -121,6 +130,15 @@ def _read(source: Path, format_: CaptureFormat, options: ImportOptions,
     if format_ == CaptureFormat.VIDEO:
         return read_video(source, of_stage(progress, 'video frames'))
     return FOLDER_READERS[format_](source, **options.folder)
+
+
+def _with_depth_unit(capture: Capture, unit: float) -> Capture:
+    if not any(frame.depth for frame in capture.frames):
+        raise SceneError('--depth-unit: expected a capture with depth that can be read, this one '
+                         'has none; leave the option out')
+    return replace(capture, frames=tuple(
+        replace(frame, depth=replace(frame.depth, unit=unit) if frame.depth and unit else None)
+        for frame in capture.frames))
 
 
 def _with_fisheye_view(capture: Capture, degrees: float) -> Capture:

@@ -3,13 +3,14 @@ Polycam's raw data: keyframes/images/N.jpg with keyframes/cameras/N.json.
 
 corrected_images/ with corrected_cameras/, which Polycam aligned once more, come first. A camera is
 t_00 ... t_23 (the upper three rows of a 4x4, camera to world, OpenGL axes, metres, ARKit's world
-with y up), fx fy cx cy, width and height.
+with y up), fx fy cx cy, width and height. depth/N.png is in millimetres, smaller than the image
+and of the same view; confidence/N.png is 0 where it is not to be trusted.
 """
 import json
 from pathlib import Path
 from typing import Any
 
-from neo_ros.captures.capture import Capture, CapturedFrame
+from neo_ros.captures.capture import Capture, CapturedFrame, DepthSource
 from neo_ros.captures.levelling import stood_up_from_y
 from neo_ros.captures.pose_files import pose_or_lost
 from neo_ros.errors import GeometryError, SceneError
@@ -53,7 +54,7 @@ def read_polycam(source: Path) -> Capture:
             lost.append(photo.name)
             continue
         frames.append(CapturedFrame(f'images/{photo.name}', pose, _lens(camera, file),
-                                    file=photo))
+                                    file=photo, depth=_depth(folder, photo.stem)))
     notes = [f'{len(names)} {what}: {listed(names)}' for names, what in (
         (without, f'images have no file in {cameras.name}/ and are left out'),
         (lost, 'images have no finite pose and are left out'),
@@ -62,9 +63,13 @@ def read_polycam(source: Path) -> Capture:
     if not frames:
         raise SceneError(f'{images}: none of its {len(photos)} images has a pose: '
                          f'{"; ".join(notes) or "the folder is empty"}')
-    if (folder / 'depth').is_dir():
-        notes.append('the depth maps are not read')
     return stood_up_from_y(Capture(tuple(frames), tuple(notes)))
+
+
+def _depth(folder: Path, stem: str) -> DepthSource | None:
+    depth, confidence = (folder / name / f'{stem}.png' for name in ('depth', 'confidence'))
+    return DepthSource(0.001, depth, confidence=confidence if confidence.is_file() else None
+                       ) if depth.is_file() else None
 
 
 def _read(file: Path) -> dict[str, Any]:

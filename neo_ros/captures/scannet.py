@@ -1,12 +1,13 @@
 """
-ScanNet as its SensReader exports it: color/, pose/ and intrinsic/.
+ScanNet as its SensReader exports it: color/, pose/, intrinsic/ and perhaps depth/.
 
 color/N.jpg, pose/N.txt (4x4 camera to world, OpenCV axes, metres, z up, -inf where tracking was
-lost) and intrinsic/intrinsic_color.txt (4x4).
+lost) and intrinsic/intrinsic_color.txt (4x4). depth/N.png is in millimetres, of the camera in
+intrinsic_depth.txt; without that file it shows what the colour image shows.
 """
 from pathlib import Path
 
-from neo_ros.captures.capture import Capture, CapturedFrame
+from neo_ros.captures.capture import Capture, CapturedFrame, DepthSource
 from neo_ros.captures.pose_files import pose_or_lost, read_matrix
 from neo_ros.errors import GeometryError, SceneError
 from neo_ros.geometry import Intrinsics
@@ -27,6 +28,8 @@ def read_scannet(source: Path) -> Capture:
         raise SceneError(f'{source / "color"}: expected images, there are none')
     lens = Lens(_intrinsics(source / 'intrinsic' / 'intrinsic_color.txt',
                             *first_photo_size(photos, source / 'color')))
+    depths = {path.stem: path for path in list_photos(source / 'depth')}
+    depth_lens = _depth_lens(source / 'intrinsic' / 'intrinsic_depth.txt', list(depths.values()))
     frames, lost, without = [], [], []
     for photo in photos:
         file = source / 'pose' / f'{photo.stem}.txt'
@@ -37,7 +40,10 @@ def read_scannet(source: Path) -> Capture:
         if pose is None:
             lost.append(photo.name)
             continue
-        frames.append(CapturedFrame(f'images/{photo.name}', pose, lens, file=photo))
+        depth = depths.get(photo.stem)
+        frames.append(CapturedFrame(
+            f'images/{photo.name}', pose, lens, file=photo,
+            depth=None if depth is None else DepthSource(0.001, depth, lens=depth_lens)))
     notes = []
     if lost:
         notes.append(f'{len(lost)} frames whose pose was lost (-inf) are left out: {listed(lost)}')
@@ -50,13 +56,19 @@ def read_scannet(source: Path) -> Capture:
     return Capture(tuple(frames), tuple(notes), z_up=True)
 
 
+def _depth_lens(path: Path, depths: list[Path]) -> Lens | None:
+    if not depths or not path.is_file():
+        return None
+    return Lens(_intrinsics(path, *first_photo_size(depths, path.parent)))
+
+
 def _intrinsics(path: Path, width: int, height: int) -> Intrinsics:
     matrix = read_matrix(path)
     fx, fy, cx, cy = matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]
-    # The file describes the colour camera's full size, exported images are often smaller.
+    # The file describes a camera's full size, exported images are often smaller.
     if abs(cx / width - 0.5) > 0.15 or abs(cy / height - 0.5) > 0.15:
         raise SceneError(
-            f'{path}: expected the camera of the {width}x{height} images in color/, got the '
+            f'{path}: expected the camera of the {width}x{height} images, got the '
             f'optical centre ({cx:.1f}, {cy:.1f}); scale its first two rows to their size')
     try:
         return Intrinsics(width, height, fx, fy, cx, cy)

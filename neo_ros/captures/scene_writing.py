@@ -8,6 +8,7 @@ from typing import Any
 
 import cv2
 from neo_ros.captures.capture import Capture, CapturedFrame
+from neo_ros.captures.depth_writing import depth_name, write_depths
 from neo_ros.errors import SceneError
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.geometry.lens import common_pinhole, Lens, Straightener
@@ -26,31 +27,32 @@ NOTE_FILE = 'import.json'
 FARTHEST_M = 10_000
 
 
-def write_capture(capture: Capture, scene: Path,
-                  progress: Progress = no_progress) -> tuple[str, ...]:
+def write_capture(capture: Capture, scene: Path, progress: Progress = no_progress,
+                  depth_progress: Progress = no_progress) -> tuple[str, ...]:
     """
-    Write posed frames into a scene folder: images and transforms_train.json.
+    Write posed frames into a scene folder: images, their depth and transforms_train.json.
 
     Image files of a camera without distortion are copied as they are; all others are made
     straight and written as PNG. Frames whose image cannot be read are left out; returns the notes
     of the capture, and one that names these. An import that was broken off goes on where it
     stopped; test frames and floor map of an earlier one are taken away. Raises SceneError where
     no image can be read, for images whose size is not their camera's, for cameras far from the
-    origin, and where the folder cannot be written.
+    origin, for depth in a unit that cannot be, and where the folder cannot be written.
     """
     assert capture.posed, 'structure from motion comes first'
     check_near_origin([frame.name for frame in capture.frames],
                       [frame.pose for frame in capture.frames if frame.pose is not None])
     names, pinhole = write_images(capture, scene, progress)
+    depths, depth_notes = write_depths(capture, names, pinhole, scene, depth_progress)
     kept = [index for index, name in enumerate(names) if name is not None]
     images = PosedImages(
         pinhole, tuple(scene / str(names[index]) for index in kept),
         tuple(pose for index in kept if (pose := capture.frames[index].pose) is not None),
         tuple(capture.frames[index].path_id for index in kept), capture.z_up,
-        capture.arbitrary_scale)
+        capture.arbitrary_scale, tuple(depths[index] for index in kept) if depths else ())
     clear_earlier_import(scene)
     write_transforms(scene / 'transforms_train.json', images)
-    return capture.notes + unreadable_note(capture, names)
+    return (*capture.notes, *unreadable_note(capture, names), *depth_notes)
 
 
 def check_near_origin(names: Sequence[object], poses: Sequence[CameraPose]) -> None:
@@ -191,6 +193,9 @@ def _claim(folder: Path, capture: Capture, pinhole: Intrinsics) -> None:
         'lenses': sorted({repr(frame.lens) for frame in capture.frames}),
         'origin': capture.origin,
         'sources': [_fingerprint(frame) for frame in capture.frames]}
+    depth = [_depth_fingerprint(frame) for frame in capture.frames if frame.depth is not None]
+    if depth:
+        wanted['depth'] = depth
     try:
         found = json.loads(note.read_text()) if note.is_file() else None
     except (OSError, ValueError):
@@ -222,8 +227,9 @@ def check_own(folder: Path, names: Iterable[str]) -> None:
 
 
 def _image_names(capture: Capture) -> list[str]:
-    """Return all names that images of this capture may get."""
-    return [name for frame in capture.frames for name in (frame.name, frame.name + '.png')]
+    """Return all names that images of this capture may get, and their depth."""
+    names = [name for frame in capture.frames for name in (frame.name, frame.name + '.png')]
+    return names + sorted({depth_name(name) for name in names})
 
 
 def _numbers(xyz: np.ndarray) -> str:
@@ -235,3 +241,11 @@ def _fingerprint(frame: CapturedFrame) -> list[Any]:
         return [frame.name, frame.stamp_ns]
     state = frame.file.stat()
     return [frame.name, state.st_size, state.st_mtime_ns]
+
+
+def _depth_fingerprint(frame: CapturedFrame) -> list[Any]:
+    depth = frame.depth
+    assert depth is not None
+    state = None if depth.file is None else depth.file.stat()
+    return [frame.name, depth.unit, repr(depth.lens), repr(depth.T_image_depth),
+            None if state is None else [state.st_size, state.st_mtime_ns]]

@@ -2,11 +2,13 @@
 7-Scenes: frame-NNNNNN.color.png with frame-NNNNNN.pose.txt, in one folder or in seq-NN/.
 
 Poses are 4x4 camera to world with OpenCV axes in metres. All scenes have the same camera, which
-its authors give as 585 pixels at 640x480, centred; sequences become path ids.
+its authors give as 585 pixels at 640x480, centred; sequences become path ids. Depth
+(frame-NNNNNN.depth.png, millimetres, 65535 = unknown) is taken as the colour camera's: its
+authors did not calibrate the two to one another.
 """
 from pathlib import Path
 
-from neo_ros.captures.capture import Capture, CapturedFrame
+from neo_ros.captures.capture import Capture, CapturedFrame, DepthSource
 from neo_ros.captures.pose_files import pose_or_lost, read_matrix
 from neo_ros.errors import SceneError
 from neo_ros.geometry import Intrinsics
@@ -42,7 +44,10 @@ def read_seven_scenes(source: Path) -> Capture:
                 left_out.append(photo.relative_to(source))
                 continue
             name = f'images/{photo.relative_to(source).as_posix()}'
-            frames.append(CapturedFrame(name, pose, lens, path_id, file=photo))
+            depth = photo.with_name(photo.name.replace('.color.png', '.depth.png'))
+            frames.append(CapturedFrame(
+                name, pose, lens, path_id, file=photo,
+                depth=DepthSource(0.001, depth, invalid=65535) if depth.is_file() else None))
     if not frames:
         raise SceneError(f'{source}: none of the {len(photos)} images has a pose')
     notes = ((f'{len(left_out)} frames have no pose and are left out: {listed(left_out)}',)

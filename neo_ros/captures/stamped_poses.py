@@ -1,7 +1,9 @@
 """Poses with stamps, from text files with one in a line, and which one belongs to an image."""
+from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
+from typing import TypeVar
 
 from neo_ros.bags.tf_tree import PoseTrack
 from neo_ros.captures.capture import CapturedFrame
@@ -10,6 +12,7 @@ from neo_ros.geometry.camera_pose import transform_from_quaternion
 from neo_ros.machine.names import listed
 import numpy as np
 
+Stamped = TypeVar('Stamped')
 # As far apart as TUM's own tools let an image and a pose be.
 NEAREST_NS = 20_000_000
 
@@ -79,6 +82,14 @@ def pose_at(track: PoseTrack, stamp_ns: int) -> np.ndarray | None:
         return T
     nearest = min(track.neighbours(stamp_ns), key=lambda stamp: abs(stamp - stamp_ns))
     return track.poses[nearest] if abs(nearest - stamp_ns) <= NEAREST_NS else None
+
+
+def nearest_within(entries: Sequence[tuple[int, Stamped]], stamp_ns: int) -> Stamped | None:
+    """Return what has the nearest stamp, of entries by rising stamp; None if none is in 20 ms."""
+    place = bisect_left(entries, stamp_ns, key=lambda entry: entry[0])
+    near = min(entries[max(place - 1, 0):place + 1], default=None,
+               key=lambda entry: abs(entry[0] - stamp_ns))
+    return near[1] if near is not None and abs(near[0] - stamp_ns) <= NEAREST_NS else None
 
 
 def pairing_notes(total: int, missing: Sequence[str], unpaired: Sequence[str],

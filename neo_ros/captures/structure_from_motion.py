@@ -87,16 +87,18 @@ def reconstruct(capture: Capture, work: Path,
         reconstruction.num_reg_images(), len(capture),
         reconstruction.compute_mean_reprojection_error(), reconstruction.num_points3D())
     posed = {str(frame.file): frame for frame in read_colmap_model(model, work).frames}
-    frames, lost = [], []
-    for frame, name in zip(capture.frames, names):
+    frames, placed, lost = [], [], []
+    for index, (frame, name) in enumerate(zip(capture.frames, names)):
         found = posed.get(str(work / str(name)))
         if found is not None:
+            placed.append(index)
             frames.append(replace(frame, pose=found.pose, lens=found.lens, file=found.file,
-                                  name=str(name)))
+                                  name=str(name), raw_lens=frame.lens))
         elif name is not None:
             lost.append((frame.file or Path(frame.name)).name)
-    registered = Capture(tuple(frames), capture.notes + unreadable_note(capture, names)
-                         + _notes(reconstruction, lost))
+    registered = replace(
+        capture.subset(placed), frames=tuple(frames), stream=None,
+        notes=(*capture.notes, *unreadable_note(capture, names), *_notes(reconstruction, lost)))
     scale = MEDIAN_DISTANCE / _median_depth(reconstruction)
     return replace(scaled(level_world(registered), scale), arbitrary_scale=True), verdict
 

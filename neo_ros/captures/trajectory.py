@@ -10,6 +10,10 @@ the first pixel (NICE-SLAM's Replica) and is taken for the image's. Its key
 "axes" says whether the camera looks along +z ("opencv", the default; NICE-SLAM's Replica) or
 along -z ("opengl"; agent and sensor states of Habitat).
 
+Depth is read where its unit is known: the camera file's "scale" says how many steps are a metre,
+and NICE-SLAM's Replica has 6553.5. It is depth/NAME.png, or beside the image with 'depth' for
+'frame' in its name.
+
 Images in folders of their own (rgb/WALK/*.png) are walks: the lines go through all of them,
 folders in natural order, and each has its path id.
 """
@@ -19,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from neo_ros.captures.camera_file import read_camera_file
-from neo_ros.captures.capture import Capture, CapturedFrame
+from neo_ros.captures.capture import Capture, CapturedFrame, DepthSource
 from neo_ros.captures.pose_files import parse_matrix, pose_or_lost
 from neo_ros.errors import SceneError
 from neo_ros.geometry import Intrinsics
@@ -29,6 +33,8 @@ from neo_ros.pictures.photo import list_photos
 
 TRAJECTORY_FILE = 'traj.txt'
 IMAGE_FOLDERS = ('rgb', 'results', 'color', 'images')
+# Steps a metre of NICE-SLAM's Replica, whose pictures lie in results/.
+REPLICA_SCALE = 6553.5
 CAMERA_FILES = ('cam_params.json', 'camera.json', 'intrinsics.json')
 
 
@@ -57,33 +63,71 @@ def read_trajectory(source: Path, camera_info: Path | None = None) -> Capture:
                          f'{len(photos)} images in {folder}')
     lens, opengl = (_camera(source) if camera_info is None
                     else (read_camera_file(camera_info), False))
+    scale = _depth_scale(source, folder)
     frames, lost = [], []
+    depths = 0
     for number, (line, (photo, path_id)) in enumerate(zip(lines, photos), start=1):
         name = photo.relative_to(folder).as_posix()
         pose = pose_or_lost(parse_matrix(line, f'{path}:{number}'), f'{path}:{number}', opengl)
         if pose is None:
             lost.append(name)
             continue
-        frames.append(
-            CapturedFrame(f'images/{name}', pose, lens, path_id, file=photo))
+        depth = _depth_file(source, photo, folder)
+        depths += depth is not None
+        frames.append(CapturedFrame(
+            f'images/{name}', pose, lens, path_id, file=photo,
+            depth=None if depth is None or scale is None else DepthSource(1 / scale, depth)))
     if not frames:
         raise SceneError(f'{path}: none of the {len(lines)} poses is finite')
-    notes = ((f'{len(lost)} frames with a lost pose are left out: {listed(lost)}',)
-             if lost else ())
-    return Capture(tuple(frames), notes)
+    notes = [f'{len(lost)} frames with a lost pose are left out: {listed(lost)}'] if lost else []
+    if depths and scale is None:
+        notes.append(f'{depths} depth maps are not read, as their unit is not known: write '
+                     f'"scale", the steps of a metre, into one of {", ".join(CAMERA_FILES)}')
+    return Capture(tuple(frames), tuple(notes))
+
+
+def _depth_file(source: Path, photo: Path, folder: Path) -> Path | None:
+    files = [source / 'depth' / photo.relative_to(folder).with_suffix('.png')]
+    if 'frame' in photo.name:
+        files.append(photo.with_name(photo.name.replace('frame', 'depth')).with_suffix('.png'))
+    return next((file for file in files if file.is_file()), None)
+
+
+def _depth_scale(source: Path, folder: Path) -> float | None:
+    """Return how many steps of the depth are a metre, None where nobody says so."""
+    file = _camera_file(source)
+    values = {} if file is None else _camera_values(file)
+    if 'scale' not in values:
+        return REPLICA_SCALE if folder.name == 'results' else None
+    scale = values['scale']
+    if isinstance(scale, bool) or not isinstance(scale, (int, float)) or not scale > 0:
+        raise SceneError(f'{file}: scale: expected the steps of the depth that are a metre, got '
+                         f'{scale!r}')
+    return float(scale)
+
+
+def _camera_file(source: Path) -> Path | None:
+    files = (folder / name for folder in (source, source.resolve().parent)
+             for name in CAMERA_FILES)
+    return next((file for file in files if file.is_file()), None)
+
+
+def _camera_values(file: Path) -> dict[str, Any]:
+    try:
+        document = json.loads(file.read_text())
+        return {**document, **document.get('camera', {})}
+    except (OSError, TypeError, ValueError, AttributeError) as error:
+        raise SceneError(f'{file}: expected a JSON object: {error}') from error
 
 
 def _camera(source: Path) -> tuple[Lens, bool]:
-    files = [folder / name for folder in (source, source.resolve().parent)
-             for name in CAMERA_FILES]
-    file = next((file for file in files if file.is_file()), None)
+    file = _camera_file(source)
     if file is None:
         raise SceneError(f'{source}: expected the camera in one of {", ".join(CAMERA_FILES)} '
                          'with w, h, fx, fy, cx, cy or w, h, hfov (degrees); or give a file '
                          'with the calibration: --camera-info FILE')
+    values = _camera_values(file)
     try:
-        document: dict[str, Any] = json.loads(file.read_text())
-        values = {**document, **document.get('camera', {})}
         width, height = int(values['w']), int(values['h'])
         if 'fx' in values:
             centre = values.get('cx', width / 2), values.get('cy', height / 2)
@@ -96,7 +140,7 @@ def _camera(source: Path) -> tuple[Lens, bool]:
         axes = values.get('axes', 'opencv')
     except KeyError as error:
         raise SceneError(f'{file}: expected the key {error}') from error
-    except (OSError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+    except (TypeError, ValueError, ArithmeticError) as error:
         raise SceneError(f'{file}: {error}') from error
     if axes not in ('opencv', 'opengl'):
         raise SceneError(f'{file}: axes: expected "opencv" or "opengl", got {axes!r}')

@@ -1,24 +1,28 @@
 """
-TUM RGB-D: rgb.txt (`stamp file`) and groundtruth.txt (`stamp tx ty tz qx qy qz qw`).
+TUM RGB-D: rgb.txt and depth.txt (`stamp file`), groundtruth.txt (`stamp tx ty tz qx qy qz qw`).
 
 Stamps are seconds, poses are camera to world with OpenCV axes in metres, in the order x y z w.
 Images and poses have clocks of their own rate: a pose is interpolated between neighbours at most
-half a second apart, else the nearest one within 20 ms is taken. The folder holds no calibration:
+half a second apart, else the nearest one within 20 ms is taken, as the nearest depth is; depth is
+registered to the colour image, 5000 steps a metre. The folder holds no calibration:
 the cameras of Freiburg are known by the folder's name, others come from `--camera-info`.
 """
+from collections.abc import Sequence
 from pathlib import Path
 import re
 
 from neo_ros.captures.camera_file import read_camera_file
-from neo_ros.captures.capture import Capture, CapturedFrame, scene_name
+from neo_ros.captures.capture import Capture, CapturedFrame, DepthSource, scene_name
 from neo_ros.captures.stamped_poses import (
-    check_paired, nanoseconds, pairing_notes, pose_at, read_rows, read_track)
+    check_paired, nanoseconds, nearest_within, pairing_notes, pose_at, read_rows, read_track)
 from neo_ros.errors import SceneError
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.geometry.lens import CENTRE, Lens
 from neo_ros.pictures.photo import first_photo_size, list_photos
 
-IMAGE_LIST, POSES = 'rgb.txt', 'groundtruth.txt'
+IMAGE_LIST, DEPTH_LIST, POSES = 'rgb.txt', 'depth.txt', 'groundtruth.txt'
+# Metres of a step of its depth.
+DEPTH_UNIT = 1 / 5000
 _SECOND_NS = 1_000_000_000
 _SIZE = 640, 480
 # Of the data set's page, in pixels that are counted from 0: fx fy cx cy, k1 k2 p1 p2 k3.
@@ -42,7 +46,8 @@ def read_tum(source: Path, camera_info: Path | None = None) -> Capture:
     camera_info: the calibration, for folders whose name is of no camera that is known. Raises
     SceneError without a calibration and where no image has a pose.
     """
-    listed_images = _listed_images(source)
+    listed_images = _listed(source, IMAGE_LIST, 'rgb')
+    depths = _depths(source)
     files = [(stamp, source / name) for stamp, name in listed_images]
     present = [file for _, file in files if file.is_file()]
     if not present:
@@ -59,24 +64,28 @@ def read_tum(source: Path, camera_info: Path | None = None) -> Capture:
             unpaired.append(file.name)
         else:
             frames.append(CapturedFrame(f'images/{scene_name(file, source)}', CameraPose(T), lens,
-                                        0, stamp_ns, file))
+                                        0, stamp_ns, file, nearest_within(depths, stamp_ns)))
     notes = pairing_notes(len(files), missing, unpaired, lost, source / POSES)
     check_paired(frames, notes, source)
-    if (source / 'depth.txt').is_file() or (source / 'depth').is_dir():
-        notes = (*notes, 'the depth images are not read')
     return Capture(tuple(frames), notes)
 
 
-def _listed_images(source: Path) -> list[tuple[int, str]]:
+def _depths(source: Path) -> Sequence[tuple[int, DepthSource]]:
+    """Return (stamp, depth) by rising stamp, of the files that are there."""
+    return [(stamp, DepthSource(DEPTH_UNIT, source / name))
+            for stamp, name in _listed(source, DEPTH_LIST, 'depth') if (source / name).is_file()]
+
+
+def _listed(source: Path, list_file: str, folder: str) -> list[tuple[int, str]]:
     """Return (stamp, file) by rising stamp; without a list, the files' names are their stamps."""
-    path = source / IMAGE_LIST
+    path = source / list_file
     if path.is_file():
         rows = [(nanoseconds(words[0], where, _SECOND_NS), words[1])
                 for where, words in read_rows(path, 2, 'STAMP FILE')]
     else:
-        rows = [(nanoseconds(photo.stem, f'{photo}: its name, as there is no {IMAGE_LIST}',
-                             _SECOND_NS), f'rgb/{photo.name}')
-                for photo in list_photos(source / 'rgb')]
+        rows = [(nanoseconds(photo.stem, f'{photo}: its name, as there is no {list_file}',
+                             _SECOND_NS), f'{folder}/{photo.name}')
+                for photo in list_photos(source / folder)]
     return sorted(rows)
 
 

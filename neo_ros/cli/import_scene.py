@@ -51,6 +51,9 @@ def import_scene(
         help='Multiply all lengths by this factor; for models that are not in metres.')] = None,
     fisheye_view: Annotated[Optional[float], typer.Option(
         help='Degrees of the widest view that is cut out of a fisheye; default: 120.')] = None,
+    depth_unit: Annotated[Optional[float], typer.Option(
+        help='Metres that one step of the depth maps means, where the format says it wrongly; 0: '
+             'leave the depth out.')] = None,
     size: Annotated[Optional[int], typer.Option(
         help='Demo only: edge of the training photos in pixels; default: 128.', min=16)] = None,
     depth: Annotated[bool, typer.Option(
@@ -98,7 +101,8 @@ def import_scene(
         if source == 'demo':
             refuse('the demo has its own', test_runs=test_runs or None, format=format_name,
                    keyframe_distance=keyframe_distance, keyframe_angle=keyframe_angle,
-                   level=level, scale=scale, fisheye_view=fisheye_view, **of_bags, **of_folders)
+                   level=level, scale=scale, fisheye_view=fisheye_view, depth_unit=depth_unit,
+                   **of_bags, **of_folders)
             if rooms is None:
                 refuse('expected only with --rooms', floors=floors, twins=twins,
                        own_picture=own_picture, seed=seed)
@@ -124,13 +128,14 @@ def import_scene(
             if format_ == CaptureFormat.SCENE:
                 refuse(f'for captures, {source} is a scene already and is copied as it is',
                        keyframe_distance=keyframe_distance, keyframe_angle=keyframe_angle,
-                       level=level, scale=scale, fisheye_view=fisheye_view)
+                       level=level, scale=scale, fisheye_view=fisheye_view,
+                       depth_unit=depth_unit)
             notes = import_capture(Path(source), scene, format_, ImportOptions(
                 BagOptions(**of_bags, camera_info=camera_info),
                 {} if format_ == CaptureFormat.BAG else
                 {name: value for name, value in of_folders.items() if value is not None},
                 keyframe_distance, keyframe_angle, level, scale,
-                fisheye_view), show)
+                fisheye_view, depth_unit), show)
         found, notes = finish_scene(scene, notes, test_runs, show)
     camera = found.train.intrinsics
     tests = 'no test frames' if found.test is None else f'{len(found.test)} test frames'

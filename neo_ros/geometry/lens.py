@@ -101,7 +101,7 @@ class Lens:
         Beyond its turning point a lens polynomial brings rays that the camera cannot see back
         into the image. tolerance: in tangents.
         """
-        found = self._straighten(self._project(points))
+        found = self.straighten(self._project(points))
         return bool(np.isfinite(found).all() and np.abs(found - points).max() < tolerance)
 
     def _inner_rectangle(self) -> np.ndarray:
@@ -109,7 +109,7 @@ class Lens:
         width, height = self.intrinsics.width, self.intrinsics.height
         along = np.linspace(0, 1, EDGE_POINTS)
         x, y, zero = along * width, along * height, np.zeros(EDGE_POINTS)
-        left, right, top, bottom = (self._straighten(np.stack(edge, -1)) for edge in (
+        left, right, top, bottom = (self.straighten(np.stack(edge, -1)) for edge in (
             (zero, y), (zero + width, y), (x, zero), (x, zero + height)))
         return np.array([left[:, 0].max(), right[:, 0].min(), top[:, 1].max(), bottom[:, 1].min()])
 
@@ -152,7 +152,7 @@ class Lens:
                   <= 0.5 + CENTRE / np.array([camera.width, camera.height]))
         return bool(inside.all()) and self.sees(border, CENTRE / min(camera.fx, camera.fy))
 
-    def _straighten(self, pixels: np.ndarray) -> np.ndarray:
+    def straighten(self, pixels: np.ndarray) -> np.ndarray:
         """Undistort pixels (N, 2) to points (N, 2) of the z = 1 plane."""
         points = np.ascontiguousarray((pixels - CENTRE)[:, None], np.float64)
         if self.fisheye:
@@ -247,11 +247,25 @@ class Straightener:
         """Return the pinhole view of a uint8 (H, W, 3) image."""
         if self.is_identity(lens):
             return image
+        # The outermost half pixels ask for neighbours beyond the border.
+        return cv2.remap(image, *self._maps(lens), cv2.INTER_CUBIC,
+                         borderMode=cv2.BORDER_REPLICATE)
+
+    def pick(self, numbers: np.ndarray, lens: Lens) -> np.ndarray:
+        """
+        Return the pinhole view of numbers (H, W) that must not be mixed, such as depth.
+
+        Each pixel takes the nearest one; what the lens does not see is 0.
+        """
+        if self.is_identity(lens):
+            return numbers
+        return cv2.remap(numbers, *self._maps(lens), cv2.INTER_NEAREST,
+                         borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+
+    def _maps(self, lens: Lens) -> tuple[np.ndarray, np.ndarray]:
         if self._last is None or self._last[0] != lens:
             self._last = (lens, lens.straighten_maps(self.pinhole))
-        # The outermost half pixels ask for neighbours beyond the border.
-        return cv2.remap(image, *self._last[1], cv2.INTER_CUBIC,
-                         borderMode=cv2.BORDER_REPLICATE)
+        return self._last[1]
 
 
 def _cv_matrix(intrinsics: Intrinsics) -> np.ndarray:

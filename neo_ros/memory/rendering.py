@@ -1,4 +1,5 @@
 """Draw the scene memory from a pose: colours, depth, and what is not known."""
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from neo_ros.geometry import CameraPose, Intrinsics
@@ -38,6 +39,11 @@ class MemoryRenderer:
 
     def render(self, pose: CameraPose, view: Intrinsics, keyframes: int = 3) -> GuideView:
         """Draw the nearest keyframes; the nearer one wins where several show a surface."""
+        return self.render_from(self.nearest(pose.position, keyframes), pose, view)
+
+    def render_from(self, keyframes: Iterable[int], pose: CameraPose, view: Intrinsics
+                    ) -> GuideView:
+        """Draw these keyframes; one that comes earlier wins where several show a surface."""
         height, width = view.height, view.width
         canvas = kernels.Canvas(np.zeros((height, width, 3), np.float32),
                                 np.zeros((height, width), np.float32),
@@ -45,7 +51,7 @@ class MemoryRenderer:
         camera = kernels.Pinhole(view.fx, view.fy, view.cx, view.cy)
         rotation = np.ascontiguousarray(pose.T_world_cam[:3, :3].T, np.float32)
         meshes = []
-        for index in self.nearest(pose.position, keyframes):
+        for index in keyframes:
             keyframe = self.memory.keyframe(int(index), view.fx)
             if self._rays is None:
                 self._rays = self.memory.band.rays(*keyframe.depth.shape)

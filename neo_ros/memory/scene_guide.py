@@ -1,9 +1,7 @@
 """Where is the camera, and what does the memory show around its image: frame after frame."""
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-import threading
 
 import cv2
 from neo_ros.geometry import CameraPose, ViewExpansion
@@ -14,6 +12,7 @@ from neo_ros.memory.glancing import GlanceFinder
 from neo_ros.memory.landmarks import Location, Locator
 from neo_ros.memory.local_features import Features
 from neo_ros.memory.panorama import draw_panorama, Panorama
+from neo_ros.memory.parallel import parallel_loops
 from neo_ros.memory.pose_covariance import (
     aligned_covariance, in_world, located_covariance, with_floor)
 from neo_ros.memory.recent_images import RecentImages
@@ -22,11 +21,7 @@ from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.memory.sight import (better, CameraImage, Found, Guide, GuideThresholds, located,
                                   Sight)
 from neo_ros.pictures.exposure import exposure_gain
-from numba import get_num_threads, set_num_threads
 import numpy as np
-
-# Numba may not run parallel loops of two threads at once: one of its backends ends the process.
-_PARALLEL_LOOPS = threading.Lock()
 
 
 class SceneGuide:
@@ -66,7 +61,7 @@ class SceneGuide:
         pose in the axes of the image before, as odometry measures it. Both only say where to look
         first: without the image's agreement they are dropped.
         """
-        with _parallel_loops(self._threads):
+        with parallel_loops(self._threads):
             return self._guide(self._camera_image(image), prior, motion)
 
     def _camera_image(self, pixels: np.ndarray) -> CameraImage:
@@ -123,7 +118,7 @@ class SceneGuide:
     def warm_up(self) -> None:
         """Compile what is compiled at first use, which takes seconds on a new machine."""
         pose = CameraPose(self._glances.poses[0])
-        with _parallel_loops(self._threads):
+        with parallel_loops(self._threads):
             view = self.renderer.render(pose, self.expansion.source, self.thresholds.shown)
             image = self._camera_image(view.image)
             self.aligner.align(image.photo, pose, rounds=1)
@@ -218,7 +213,7 @@ class SceneGuide:
 
     def _panorama(self, pose: CameraPose, gain: np.ndarray, wide_image: np.ndarray, width: int
                   ) -> Panorama:
-        with _parallel_loops(self._threads):
+        with parallel_loops(self._threads):
             return draw_panorama(self.renderer, pose, gain, wide_image, self.expansion, width)
 
     def _search(self, image: CameraImage) -> Sight | None:
@@ -276,15 +271,3 @@ class SceneGuide:
         line *= np.tile(gain, guide.shape[1])
         np.minimum(line, 255, out=line)
         return gain
-
-
-@contextmanager
-def _parallel_loops(threads: int) -> Iterator[None]:
-    """Let this thread alone run parallel loops, on so many cores."""
-    with _PARALLEL_LOOPS:
-        before = get_num_threads()
-        set_num_threads(threads)
-        try:
-            yield
-        finally:
-            set_num_threads(before)

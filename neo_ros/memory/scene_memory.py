@@ -1,5 +1,5 @@
 """The scene memory: what a robot keeps of a scene to see it again from other poses."""
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 import hashlib
@@ -101,6 +101,11 @@ class SceneMemory:
                 LEAST_CACHED, CACHED_BYTES // (found.depth.nbytes + found.texture.nbytes)):
             del decoded[next(iter(decoded))]
         return found
+
+    def each(self) -> Iterator[Keyframe]:
+        """Yield all keyframes, decoded now and not kept; any thread may do so."""
+        for index in range(len(self.positions)):
+            yield self._decode(index, 1)
 
     def _reduction(self, focal: float) -> int:
         if not math.isfinite(focal):

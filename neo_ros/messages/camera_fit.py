@@ -18,6 +18,8 @@ SLACK = 0.01
 SHRINK_ABOVE = 1.25
 # Rows and columns of the grid on which a lens is checked.
 CHECKED_PIXELS = 17
+# How the note of a camera begins whose calibration nobody said.
+NO_CAMERA_INFO = 'no camera_info: the camera is assumed to be'
 
 
 class CameraFit:
@@ -42,8 +44,8 @@ class CameraFit:
         """
         self._maps: tuple[np.ndarray, np.ndarray] | None = None
         self._shrunk: tuple[int, int] | None = None
-        self.note = 'no camera_info: taken by its size'
         self._model = expansion.source
+        self.note = f'{NO_CAMERA_INFO} {describe_camera(self._model)}'
         self.size = (self._model.width, self._model.height)
         if message is None:
             self.camera_info = camera_info_fields(expansion.target)

@@ -1,118 +1,123 @@
 """The subscriptions to the camera."""
 from collections.abc import Callable
 import functools
-import time
 from typing import Any
 
 from neo_ros.messages import camera_info_of
-from neo_ros.node.interface import CAMERA_INFO, COMPRESSED_IMAGE, Endpoint, IMAGE
+from neo_ros.node.camera_pairing import CAMERA_INFO_WAIT_S, CameraPairing
+from neo_ros.node.input_topics import ENDPOINTS, InputTopics
+from neo_ros.node.interface import CAMERA_INFO, Endpoint
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import qos_policy_name_from_kind, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, qos_policy_name_from_kind, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
-from sensor_msgs.msg import CameraInfo
-
-# Drivers send an image before its camera_info: the first images of a camera that publishes one
-# wait so long for it, the newest of them.
-CAMERA_INFO_WAIT_S = 2.0
 
 
 class CameraInputs:
     """
-    Subscribes to the image, raw or compressed, and to its camera_info.
+    Subscribes to the image, raw or compressed, and to its camera_info, latched or not.
 
-    `take` gets every image with what the newest camera_info says of it, None where there is none.
+    `take` gets every image with what its camera_info says of it, None where there is none.
     """
 
     def __init__(self, node: Node, take: Callable[[Any, Any | None], None]) -> None:
-        self._node = node
-        self._take = take
-        self._forget_camera()
-        self._image: Endpoint = IMAGE
-        self._reliable = False
+        self._node, self._take = node, take
+        self._topics = InputTopics(node)
+        self._pairing = CameraPairing(self._take_pair, self._is_announced)
         self._subscriptions: list[Subscription] = []
+        self.choose('raw', reliable=False)
 
     @property
     def topic(self) -> str:
         """Full name of the image topic."""
-        return self._node.resolve_topic_name(self._image.name)
+        return self._topics.image(self._transport)
 
     @property
     def publishers(self) -> int:
         """How many publishers the image topic has."""
-        return self._node.count_publishers(self.topic)
+        return len(self._topics.publishers(self.topic, ENDPOINTS[self._transport]))
 
     @property
-    def qos_conflict(self) -> str:
-        """Which publisher's QoS does not fit, in words; '' = none."""
-        # Asked of the graph, not kept from events: those do not tell when the publisher has gone.
-        for endpoint in (self._image, CAMERA_INFO):
-            topic = self._node.resolve_topic_name(endpoint.name)
-            if self._reliable and self._subscriptions and any(
-                    publisher.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
-                    for publisher in self._node.get_publishers_info_by_topic(topic)):
-                return (f'the publisher of {topic} is best effort, this node asks for reliable; '
-                        'set the parameter reliable to false')
-        return ''
+    def missing(self) -> str:
+        """What keeps images away, in words; '' = nothing is known to."""
+        if self._pairing.waits:
+            return (f'an image came on {self.topic}; it waits up to {CAMERA_INFO_WAIT_S:.0f} s '
+                    f'for the camera_info on {self._topics.camera_info()}')
+        publishers = self.publishers
+        hint = '' if publishers else self._topics.hint(self._transport)
+        return (f'waiting for image on {self.topic}, publishers: {publishers}'
+                f'{"; " + hint if hint else ""}')
+
+    @property
+    def conflict(self) -> str:
+        """Which publisher does not fit, in words; '' = none."""
+        return '; '.join(filter(None, [self._qos_conflict(), self._pairing.mismatch, *(
+            self._topics.describe_crowd(topic, endpoint) for topic, endpoint in self._wanted())]))
 
     def choose(self, transport: str, reliable: bool) -> None:
         """Set what the next `subscribe` asks for."""
-        self._image = COMPRESSED_IMAGE if transport == 'compressed' else IMAGE
-        self._reliable = reliable
+        self._transport, self._reliable = transport, reliable
 
     def subscribe(self) -> None:
         """Take images from now on."""
         self.unsubscribe()
-        # The newest image only; a frame that waits here is as old as one that waits anywhere.
-        qos = QoSProfile(depth=1, reliability=(
-            ReliabilityPolicy.RELIABLE if self._reliable else ReliabilityPolicy.BEST_EFFORT))
-        self._subscriptions = [
-            self._node.create_subscription(
-                endpoint.kind, endpoint.name, callback, qos,
+        for (topic, endpoint), callback in zip(
+                self._wanted(), (self._pairing.add_image, self._pairing.add_info)):
+            # The newest only; a frame that waits here is as old as one that waits anywhere.
+            qos = QoSProfile(depth=1, reliability=(
+                ReliabilityPolicy.RELIABLE if self._reliable else ReliabilityPolicy.BEST_EFFORT))
+            overrides = self._topics.qos_overrides(topic)
+            self._subscriptions.append(self._node.create_subscription(
+                endpoint.kind, topic, callback, qos, qos_overriding_options=overrides,
                 event_callbacks=SubscriptionEventCallbacks(
-                    incompatible_qos=functools.partial(self._on_qos_conflict, endpoint)))
-            for endpoint, callback in ((self._image, self._on_image),
-                                       (CAMERA_INFO, self._on_camera_info))]
+                    incompatible_qos=functools.partial(self._on_qos_conflict, topic))))
+        if overrides is None:
+            # A latched camera_info was sent before this node came. A publisher that latches none
+            # does not fit and is heard through the other one: nobody is told.
+            latched = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE,
+                                 durability=DurabilityPolicy.TRANSIENT_LOCAL)
+            self._subscriptions.append(self._node.create_subscription(
+                CAMERA_INFO.kind, topic, self._pairing.add_info, latched,
+                event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False)))
 
     def unsubscribe(self) -> None:
         """Take no more images."""
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
         self._subscriptions = []
-        self._forget_camera()
+        self._pairing.forget()
 
     def forget_lost_camera(self) -> None:
         """Drop the camera_info once nobody publishes it: the next camera may be another one."""
-        if self._camera_info is not None and not self._is_calibrated():
-            self._forget_camera()
+        if self._pairing.newest is not None and not self._has_camera_info():
+            self._pairing.forget()
 
-    def _forget_camera(self) -> None:
-        self._camera_info: Any | None = None
-        self._waiting: Any | None = None
-        self._waiting_since: float | None = None
+    def _wanted(self) -> list[tuple[str, Endpoint]]:
+        """Return the topics of the image and of its camera_info."""
+        return [(self.topic, ENDPOINTS[self._transport]),
+                (self._topics.camera_info(), CAMERA_INFO)]
 
-    def _is_calibrated(self) -> bool:
-        """Say whether somebody publishes camera_info."""
-        return bool(self._node.count_publishers(self._node.resolve_topic_name(CAMERA_INFO.name)))
+    def _has_camera_info(self) -> bool:
+        return bool(self._topics.publishers(self._topics.camera_info(), CAMERA_INFO))
 
-    def _on_image(self, message: Any) -> None:
-        if (self._camera_info is None and self._is_calibrated()
-                and not self.qos_conflict):
-            now = time.monotonic()
-            self._waiting_since = now if self._waiting_since is None else self._waiting_since
-            if now - self._waiting_since < CAMERA_INFO_WAIT_S:
-                self._waiting = message
-                return
-        self._take(message, self._camera_info)
+    def _is_announced(self) -> bool:
+        """Say whether a camera_info will come."""
+        return self._has_camera_info() and not self._qos_conflict()
 
-    def _on_camera_info(self, message: CameraInfo) -> None:
-        self._camera_info = camera_info_of(message, self.topic)
-        waiting, self._waiting = self._waiting, None
-        if waiting is not None:
-            self._take(waiting, self._camera_info)
+    def _take_pair(self, image: Any, camera_info: Any | None) -> None:
+        self._take(image, camera_info and camera_info_of(camera_info, self.topic))
 
-    def _on_qos_conflict(self, endpoint: Endpoint, event: Any) -> None:
-        topic = self._node.resolve_topic_name(endpoint.name)
+    def _qos_conflict(self) -> str:
+        # Asked of the graph, not kept from events: those do not tell when the publisher has gone.
+        for (topic, endpoint), subscription in zip(self._wanted(), self._subscriptions):
+            if subscription.qos_profile.reliability == ReliabilityPolicy.RELIABLE and any(
+                    publisher.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
+                    for publisher in self._topics.publishers(topic, endpoint)):
+                return (f'the publisher of {topic} is best effort, this node asks for reliable; '
+                        'set the parameter reliable to false')
+        return ''
+
+    def _on_qos_conflict(self, topic: str, event: Any) -> None:
         policy = qos_policy_name_from_kind(event.last_policy_kind)
         self._node.get_logger().warning(
             f'the publisher of {topic} offers another {policy} than this node asks for '

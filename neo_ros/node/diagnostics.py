@@ -3,6 +3,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from neo_ros.messages.camera_fit import NO_CAMERA_INFO
 from neo_ros.node.frame_statistics import Snapshot
 
 # Share of the widened images: a memory that knows the place guides nearly all of them.
@@ -15,7 +16,8 @@ class Health:
     Everything the verdict depends on.
 
     state: lifecycle state. fault: why the last transition failed, or empty. topic: the image
-    topic's full name, publishers: how many it has. qos_conflict: in words, or empty.
+    topic's full name, publishers: how many it has. missing: what keeps images away, in
+    words. conflict: which publisher does not fit, in words, or empty.
     subscribed: whether anybody reads an output. unlike_scene: the verdict of the SceneWatch.
     memory: the model has a scene memory. loading: a model is being loaded, and no image is taken
     meanwhile.
@@ -27,7 +29,8 @@ class Health:
     enabled: bool
     topic: str
     publishers: int
-    qos_conflict: str
+    missing: str
+    conflict: str
     subscribed: bool
     unlike_scene: bool
     memory: bool
@@ -37,8 +40,11 @@ class Health:
 def judge(health: Health) -> tuple[bytes, str]:
     """Return the level and the one line that tells an operator what to do."""
     level, message = _judge_frames(health)
-    if health.qos_conflict:
-        return max(level, DiagnosticStatus.WARN), f'{message}; {health.qos_conflict}'
+    notes = [health.conflict] if health.conflict else []
+    if health.subscribed and health.counts.camera_note.startswith(NO_CAMERA_INFO):
+        notes.append(health.counts.camera_note)
+    if notes:
+        return max(level, DiagnosticStatus.WARN), '; '.join([message, *notes])
     return level, message
 
 
@@ -53,8 +59,7 @@ def _judge_frames(health: Health) -> tuple[bytes, str]:
     if not health.enabled:
         return DiagnosticStatus.OK, 'disabled by the enable service'
     if counts.recent_received == 0:
-        return DiagnosticStatus.WARN, (
-            f'waiting for image on {health.topic}, publishers: {health.publishers}')
+        return DiagnosticStatus.WARN, health.missing
     if not health.subscribed:
         return DiagnosticStatus.OK, 'nobody subscribes to wide/*: images are not widened'
     if counts.recent_rejected and not counts.recent_published:

@@ -123,7 +123,7 @@ class ExtrapolatorNode(LifecycleNode):
         self._statistics.begin()
         self._scene_watch = SceneWatch()
         self._worker.start()
-        self._inputs.choose(values.transport, values.reliable)
+        self._inputs.choose(values.image_transport, values.reliable)
         if self._enabled:
             self._inputs.subscribe()
         self.fault = ''
@@ -249,7 +249,7 @@ class ExtrapolatorNode(LifecycleNode):
             self._worker.max_fps = values.max_fps
             if any(parameter.name in INPUT_PARAMETERS for parameter in parameters):
                 self._inputs.unsubscribe()
-                self._inputs.choose(values.transport, values.reliable)
+                self._inputs.choose(values.image_transport, values.reliable)
                 if self._enabled:
                     self._inputs.subscribe()
 
@@ -305,7 +305,8 @@ class ExtrapolatorNode(LifecycleNode):
         health = Health(
             state=self.state_label, fault=self.fault, enabled=self._enabled,
             topic=self._inputs.topic, publishers=self._inputs.publishers,
-            qos_conflict=self._inputs.qos_conflict, loading=self._loading is not None,
+            missing=self._inputs.missing, conflict=self._inputs.conflict,
+            loading=self._loading is not None,
             subscribed=self._outputs is not None and any(self._outputs.wanted()),
             unlike_scene=self._scene_watch.update(counts.out_of_scene),
             memory=self._model is not None and self._model.memory, counts=counts)

@@ -17,14 +17,15 @@ class Endpoint(NamedTuple):
 
 
 IMAGE = Endpoint(
-    'image', Image, 'the camera, with `transport` raw, in any of the encodings of '
+    'image', Image, 'the camera, with `image_transport` raw, in any of the encodings of '
     '[camera images](../guides/captures.md#camera-images)')
 COMPRESSED_IMAGE = Endpoint(
     'image/compressed', CompressedImage,
-    'the camera, with `transport` compressed: JPEG, PNG, WebP or TIFF')
+    'the camera, with `image_transport` compressed: JPEG, PNG, WebP or TIFF; follows a remapped '
+    '`image`')
 CAMERA_INFO = Endpoint(
-    'camera_info', CameraInfo, 'its calibration; without one the image must have the size that '
-    'the model takes')
+    'camera_info', CameraInfo, 'its calibration, latched or not; lies beside a remapped `image`. '
+    'Without one the image must have the size that the model takes')
 PRIOR = Endpoint(
     '~/prior', PoseWithCovarianceStamped,
     "optional: where the robot is, within metres, as RViz's initialpose; in `scene_frame`, x "

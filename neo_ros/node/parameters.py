@@ -13,7 +13,7 @@ from rclpy.parameter import Parameter
 
 # A change of these loads a model, of those subscribes anew.
 MODEL_PARAMETERS = ('model', 'threads', 'providers')
-INPUT_PARAMETERS = ('transport', 'reliable')
+INPUT_PARAMETERS = ('image_transport', 'reliable')
 TRANSPORTS = ('raw', 'compressed')
 
 
@@ -29,7 +29,7 @@ class NodeParameters:
     autostart: bool
     threads: int
     providers: Sequence[str]
-    transport: str
+    image_transport: str
     reliable: bool
     rectify: bool
     max_fps: float
@@ -56,7 +56,7 @@ def declare_parameters(node: Node) -> None:
              'What the network runs on, best first; what is not there is left out, the CPU is '
              'always the last. TensorRT first builds an engine for minutes',
              additional_constraints=f'some of {", ".join(PROVIDERS)}')
-    _declare(node, 'transport', 'raw', 'Which image topic is subscribed',
+    _declare(node, 'image_transport', 'raw', 'Which image topic is subscribed',
              additional_constraints=' or '.join(TRANSPORTS))
     _declare(node, 'reliable', False,
              'Ask the image publisher for reliable delivery instead of best effort')
@@ -94,9 +94,9 @@ def read_parameters(node: Node, changed: Sequence[Parameter] = ()) -> NodeParame
                               for field in fields(NodeParameters)}
     values |= {parameter.name: parameter.value for parameter in changed
                if parameter.name in values}
-    if values['transport'] not in TRANSPORTS:
-        raise ConfigError(f'transport: expected {" or ".join(TRANSPORTS)}, got '
-                          f'{values["transport"]!r}')
+    if values['image_transport'] not in TRANSPORTS:
+        raise ConfigError(f'image_transport: expected {" or ".join(TRANSPORTS)}, got '
+                          f'{values["image_transport"]!r}')
     if unknown := [name for name in values['providers'] if name not in PROVIDERS]:
         raise ConfigError(f'providers: expected some of {", ".join(PROVIDERS)}, got '
                           f'{", ".join(unknown)}')
@@ -108,6 +108,16 @@ def read_parameters(node: Node, changed: Sequence[Parameter] = ()) -> NodeParame
             'not among the wheels of PyPI); run the node in a ROS installation, or leave it empty')
     values['model'] = values['model'] or str(share_dir() / 'models' / 'demo_flat.onnx')
     return NodeParameters(**values)
+
+
+def override_of(node: Node, name: str) -> Any | None:
+    """Return what was given for a parameter that nobody has declared yet; None: nothing."""
+    if node.has_parameter(name):
+        return node.get_parameter(name).value
+    # rclpy shows overrides only to declarations.
+    found = node.declare_parameter(name, None, ParameterDescriptor(dynamic_typing=True)).value
+    node.undeclare_parameter(name)
+    return found
 
 
 def _declare(node: Node, name: str, default: Any, description: str, **constraints: Any) -> None:

@@ -34,14 +34,26 @@ def read_depth(path: Path, width: int, height: int) -> np.ndarray:
     Depth of two surfaces must not be averaged. Raises SceneError for what is no 16-bit picture
     of one channel.
     """
-    try:
-        found = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED)
-    except (OSError, cv2.error) as error:
-        raise SceneError(f'{path}: expected a depth map: {error}') from error
-    if found is None or found.dtype != np.uint16 or found.ndim != 2:
-        got = 'no picture' if found is None else f'{found.dtype} {found.shape}'
+    found = read_numbers(path)
+    if found is None:
+        raise SceneError(f'{path}: expected a depth map, there is no picture that can be read')
+    if found.dtype != np.uint16 or found.ndim != 2:
         raise SceneError(f'{path}: expected a depth map, 16-bit PNG of one channel, '
-                         f'millimetres; got {got}')
-    if found.shape == (height, width):
-        return found
-    return cv2.resize(found, (width, height), interpolation=cv2.INTER_NEAREST)
+                         f'millimetres; got {found.dtype} {found.shape}')
+    return nearest(found, width, height)
+
+
+def read_numbers(path: Path) -> np.ndarray | None:
+    """Return the numbers of a picture's file as they are stored; None if it cannot be read."""
+    try:
+        data = np.fromfile(path, np.uint8)
+        return cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) else None
+    except (OSError, cv2.error):
+        return None
+
+
+def nearest(numbers: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Return the nearest of the pixels (h, w) at (height, width): no number is a new one."""
+    if numbers.shape == (height, width):
+        return numbers
+    return cv2.resize(numbers, (width, height), interpolation=cv2.INTER_NEAREST)

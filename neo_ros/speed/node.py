@@ -13,6 +13,7 @@ from neo_ros.errors import NeoError
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.machine.host import Machine
 from neo_ros.machine.processes import end_process
+from neo_ros.machine.ros_domain import own_domain
 from neo_ros.runtime import read_model_card
 from neo_ros.speed.images import camera_images, PAPER_VIEW, walk_at_30_hz
 from neo_ros.speed.model import count_flops, write_stand_in_model
@@ -137,7 +138,7 @@ def run_graph(model: Path, images: np.ndarray, seconds: float,
 
 def _environment() -> dict[str, str]:
     """Never within reach of a robot on the same network."""
-    return os.environ | {'ROS_DOMAIN_ID': str(1 + os.getpid() % 100),
+    return os.environ | {'ROS_DOMAIN_ID': str(own_domain()),
                          'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
 
 

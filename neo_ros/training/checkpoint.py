@@ -52,21 +52,27 @@ def _arrays_to_tensors(value: Any) -> Any:
 
 def train_with_checkpoints(run: TrainingRun, trainer: Any, checkpoint: Path, stage: str,
                            done_of: Callable[[], tuple[int, int]], take_step: Callable[[], Any],
-                           note: Callable[[], str], writes: bool = True) -> None:
+                           note: Callable[[], str], writes: bool = True,
+                           beside: dict[str, Any] | None = None) -> None:
     """
     Call `take_step` until it is all done; the state is on disk once a minute and at the end.
 
     done_of tells how far the trainer is, and where it ends; of several processes one writes.
+    beside: what the checkpoint keeps beside the trainer; a broken-off run finds it there again.
     """
+    beside = {} if beside is None else beside
+    run.log.setdefault(stage, [])
     if checkpoint.exists():
         state = read_checkpoint(checkpoint)
         with checkpoint_errors(checkpoint):
-            run.seconds, run.log[stage] = float(state['seconds']), list(state['log'])
+            # B1's checkpoints had no log once.
+            run.seconds, run.log[stage] = float(state['seconds']), list(state.get('log', []))
             trainer.restore(state['trainer'])
+            beside.update({name: state[name] for name in beside})
 
     def save() -> None:
         write_checkpoint(checkpoint, {'seconds': run.seconds, 'log': run.log[stage],
-                                      'trainer': trainer.state()})
+                                      'trainer': trainer.state(), **beside})
 
     saved = last = time.monotonic()
     done, total = done_of()

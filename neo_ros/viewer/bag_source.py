@@ -2,7 +2,6 @@
 from dataclasses import replace
 from pathlib import Path
 import threading
-import time
 from typing import Any
 
 from neo_ros.bags import BagReader, BagTopic
@@ -68,24 +67,25 @@ class BagSource:
             if self._processor is not None:
                 self._processor.reset()
             hub.report(self._state)
-            ends = time.monotonic() + LEAST_ROUND_S
+            ends = hub.clock.now() + LEAST_ROUND_S
             if not self._play(hub, stop):
                 raise BagError(f'{self._bag}: no picture of {self._image.name} can be read')
-            stop.wait(max(ends - time.monotonic(), 0))
+            hub.clock.pause(ends - hub.clock.now(), stop)
 
     def _play(self, hub: Hub, stop: threading.Event) -> bool:
         """Play the bag once; return whether there was a picture in it."""
-        started, first_ns, pictures = time.monotonic(), None, 0
+        clock, first_ns, pictures = hub.clock, None, 0
+        started = clock.now()
         with BagReader(self._bag) as reader:
             for message in reader.messages(self._read):
                 first_ns = message.stamp_ns if first_ns is None else first_ns
                 due = started + (message.stamp_ns - first_ns) / NS_PER_S / self._rate
-                if stop.wait(max(due - time.monotonic(), 0)):
+                if clock.pause(due - clock.now(), stop):
                     return True
                 pictures += message.topic.name == self._image.name
                 # A camera may say only once what it is.
                 if message.topic.name != self._info_topic and (
-                        not hub.wanted.image or time.monotonic() - due > LATE_S):
+                        not hub.wanted.image or clock.now() - due > LATE_S):
                     continue
                 try:
                     self._take(message.topic.name, message.read(), due, hub)

@@ -4,9 +4,9 @@ from collections import deque
 from dataclasses import asdict
 import json
 import threading
-import time
 from typing import NamedTuple, Protocol
 
+from neo_ros.viewer.clock import Clock
 from neo_ros.viewer.pictures import EncodedPicture, SourcePicture, SourceState
 from neo_ros.viewer.viewer_link import ViewerLink
 
@@ -35,7 +35,8 @@ class Hub:
     `publish` and `report` may be called from any thread, the rest from the event loop's.
     """
 
-    def __init__(self, quality: int) -> None:
+    def __init__(self, quality: int, clock: Clock = Clock()) -> None:
+        self.clock = clock
         self.wanted = Wanted()
         self.encoded = 0
         self._loop = asyncio.get_running_loop()
@@ -82,7 +83,7 @@ class Hub:
     async def keep_telling(self) -> None:
         """Send the status to all now and then, which also tells that the server lives."""
         while True:
-            await asyncio.sleep(STATUS_PERIOD_S)
+            await self.clock.sleep(STATUS_PERIOD_S)
             self._tell_all()
 
     def _call(self, function, *arguments) -> None:  # type: ignore[no-untyped-def]
@@ -92,7 +93,7 @@ class Hub:
             pass  # The server has ended while the source was at work.
 
     def _deliver(self, picture: EncodedPicture) -> None:
-        self._arrivals.append(time.monotonic())
+        self._arrivals.append(self.clock.now())
         for link in self._links:
             link.offer(picture)
 
@@ -102,7 +103,7 @@ class Hub:
             link.tell(status)
 
     def _status(self) -> str:
-        now = time.monotonic()
+        now = self.clock.now()
         while self._arrivals and self._arrivals[0] < now - RATE_WINDOW_S:
             self._arrivals.popleft()
         return json.dumps({'type': 'status', **asdict(self._state), 'viewers': len(self),

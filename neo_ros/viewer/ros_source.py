@@ -2,7 +2,6 @@
 from collections.abc import Callable
 from dataclasses import replace
 import threading
-import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -64,8 +63,8 @@ class RosSource:
         wanted = hub.wanted
         try:
             while not stop.is_set() and self._node.context.ok():
-                if hub.wanted != wanted or time.monotonic() >= next_look:
-                    wanted, next_look = hub.wanted, time.monotonic() + LOOK_PERIOD_S
+                if hub.wanted != wanted or hub.clock.now() >= next_look:
+                    wanted, next_look = hub.wanted, hub.clock.now() + LOOK_PERIOD_S
                     self._look()
                 executor.spin_once(timeout_sec=SPIN_S)
         finally:
@@ -81,12 +80,12 @@ class RosSource:
             self._forget_mask()  # The next node may widen another camera.
         showing = wanted.image and kind is not None
         self._keep(topics.image, kind, showing, self._on_image)
-        self._keep(topics.mask, Image, showing and time.monotonic() >= self._next_mask,
+        self._keep(topics.mask, Image, showing and self._hub.clock.now() >= self._next_mask,
                    self._on_mask)
         self._keep(topics.confidence, Image, showing and wanted.confidence
                    and self._node.count_publishers(topics.confidence) > 0, self._on_confidence)
         self._keep('/diagnostics', DiagnosticArray, wanted.image, self._on_diagnostics)
-        if time.monotonic() - self._diagnosed > DIAGNOSIS_VALID_S:
+        if self._hub.clock.now() - self._diagnosed > DIAGNOSIS_VALID_S:
             self._state = SourceState(topics.image)
         if offers and kind is None:
             waiting = (f'{topics.image} is a {offers[0].topic_type}; expected an Image or a '
@@ -111,7 +110,7 @@ class RosSource:
                 kind, topic, callback, qos)
 
     def _on_image(self, message: Any) -> None:
-        arrived = time.monotonic()
+        arrived = self._hub.clock.now()
         delay = (self._node.get_clock().now().nanoseconds - stamp_of(message.header)) / NS_PER_S
         timed = EARLIEST_S <= delay <= MOST_DELAY_S
         captured = arrived - max(delay, 0) if timed else arrived
@@ -152,7 +151,7 @@ class RosSource:
     def _on_mask(self, message: Image) -> None:
         try:
             self._seen = seen_share(read_grey(message))
-            self._next_mask = time.monotonic() + MASK_PERIOD_S
+            self._next_mask = self._hub.clock.now() + MASK_PERIOD_S
         except ImageRejected as error:
             self._complaint = f'cannot read {self._topics.mask}: {error}'
 
@@ -162,6 +161,6 @@ class RosSource:
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         diagnosis = self._diagnosis.read(message.status)
         if diagnosis:
-            self._diagnosed = time.monotonic()
+            self._diagnosed = self._hub.clock.now()
             self._state = replace(self._state, **diagnosis)
             self._hub.report(self._state)

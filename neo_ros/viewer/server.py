@@ -5,7 +5,6 @@ from importlib.resources import files
 import signal
 import socket
 import threading
-import time
 
 from aiohttp import web, WSCloseCode
 from neo_ros.errors import ConfigError
@@ -84,12 +83,13 @@ class Server:
         if len(self._hub) >= self._settings.max_viewers:
             await viewer.close(code=FULL, message=b'too many viewers')
             return viewer
-        link = ViewerLink(viewer, self._settings.max_mbit, self._hub.update_wanted)
+        link = ViewerLink(viewer, self._settings.max_mbit, self._hub.update_wanted,
+                          self._hub.clock)
         self._viewers.add(viewer)
         self._hub.add(link)
         try:
             await viewer.send_json({
-                'type': 'hello', 'now': 1e3 * time.monotonic(),
+                'type': 'hello', 'now': 1e3 * self._hub.clock.now(),
                 'stale_ms': 1e3 * self._settings.stale_after})
             await link.serve()
         except ConnectionError:

@@ -2,10 +2,10 @@
 import asyncio
 from collections.abc import Callable
 import json
-import time
 from typing import Any
 
 from aiohttp import web, WSMsgType
+from neo_ros.viewer.clock import Clock
 from neo_ros.viewer.pictures import EncodedPicture
 
 # Two pictures may be on their way unconfirmed: with one, every picture would cost a round trip
@@ -22,18 +22,20 @@ class ViewerLink:
     """
 
     def __init__(self, socket: web.WebSocketResponse, max_mbit: float,
-                 on_change: Callable[[], None]) -> None:
+                 on_change: Callable[[], None], clock: Clock) -> None:
         self.confidence = False
         self.paused = False
         self.sent = 0
         self._socket = socket
         self._bytes_per_s = max_mbit * 1e6 / 8
         self._on_change = on_change
+        self._clock = clock
         self._picture: EncodedPicture | None = None
         self._status: str | None = None
         self._on_the_way: set[int] = set()
         self._free_at = 0.0
         self._work = asyncio.Event()
+        self._alarm: asyncio.Task | None = None
 
     def offer(self, picture: EncodedPicture) -> None:
         """Leave a picture for this viewer; one that still waits is dropped for it."""
@@ -52,8 +54,10 @@ class ViewerLink:
         try:
             await self._listen()
         finally:
-            sender.cancel()
-            await asyncio.gather(sender, return_exceptions=True)
+            tasks = [task for task in (sender, self._alarm) if task is not None]
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
 
     async def _send(self) -> None:
         while True:
@@ -66,17 +70,22 @@ class ViewerLink:
                 continue
             if len(self._on_the_way) >= MAX_ON_THE_WAY:
                 continue  # The next confirmation sets the event again.
-            wait = self._free_at - time.monotonic()
+            wait = self._free_at - self._clock.now()
             if wait > 0:
-                asyncio.get_running_loop().call_later(wait, self._work.set)
+                if self._alarm is None or self._alarm.done():
+                    self._alarm = asyncio.create_task(self._wake(wait))
                 continue
             picture, self._picture = self._picture, None
             message = picture.message(self.confidence)
             if self._bytes_per_s:
-                self._free_at = time.monotonic() + len(message) / self._bytes_per_s
+                self._free_at = self._clock.now() + len(message) / self._bytes_per_s
             self._on_the_way.add(picture.seq)
             self.sent += 1
             await self._socket.send_bytes(message)
+
+    async def _wake(self, seconds: float) -> None:
+        await self._clock.sleep(seconds)
+        self._work.set()
 
     async def _listen(self) -> None:
         async for message in self._socket:
@@ -95,7 +104,7 @@ class ViewerLink:
     async def _answer(self, asked: dict[str, Any]) -> None:
         if 'ping' in asked:
             await self._socket.send_json({
-                'type': 'pong', 'ping': float(asked['ping']), 'now': 1e3 * time.monotonic()})
+                'type': 'pong', 'ping': float(asked['ping']), 'now': 1e3 * self._clock.now()})
         if 'shown' in asked:
             self._on_the_way.discard(int(asked['shown']))
             self._work.set()

@@ -184,7 +184,11 @@ def test_depth_is_told_by_its_encoding_not_by_a_name(tmp_path: Path) -> None:
                      header=bag.header(stamp, 'optical'), format='16UC1; compressedDepth png',
                      data=np.zeros(20, np.uint8))
     info = read_bag_info(tmp_path / 'bag')
-    assert {topic.name for topic in info.topics if topic.roles} == {'/depth_camera/image_raw'}
+    # Raw comes before compressed, and one topic is enough.
+    assert {topic.name: topic.roles for topic in info.topics if topic.roles} == {
+        '/depth_camera/image_raw': ['image'], '/a': ['depth']}
+    assert '32x24 32FC1 depth, frame optical' in [topic.content for topic in info.topics]
+    assert '--image-topic' not in info.next
 
 
 @pytest.mark.parametrize('encoding', ['json', 'ros1', 'protobuf'])

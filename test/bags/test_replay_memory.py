@@ -42,7 +42,7 @@ def extrapolator(tmp_path_factory):
 
 
 def contents(path):
-    found = {}
+    found: dict = {}
     with BagReader(path) as reader:
         for message in reader.messages():
             found.setdefault(message.topic.name, []).append(message.read())

@@ -33,7 +33,7 @@ def measure(scene, minutes, out, monkeypatch, rival=False, experiment=EXPERIMENT
     monkeypatch.setattr(field_curve, 'find_spec', lambda name: True if rival else None)
     seen = []
     table = measure_field_curve(scene, experiment, 'full', minutes, 3, out,
-                                lambda stage, done, total, note: seen.append(stage))
+                                lambda stage, done, total, note='': seen.append(stage))
     return table, set(seen)
 
 

@@ -1,4 +1,6 @@
 """The rivals on a small room: B2 and B3 find the place, the oracle needs the pose."""
+from typing import Any
+
 from corner_photos import CAMERA, EXPANSION, write_corner
 from neo_ros.baking.photo_bank import read_photo_bank
 from neo_ros.baking.sparse_model import epipolar_distance, read_sparse_model
@@ -98,8 +100,10 @@ def test_b3_and_neo_fill_in_for_each_other():
     field = room_field()
     lower = np.arange(len(field.grid)) % field.shape[2] < field.shape[2] // 2
     field.seen = lower.astype(np.uint8)
-    b3 = Relocalized(Finder(), FieldView(field, EXPANSION, 1), 1.0, 3.0)
-    method = RelocalizedNeo(b3, Grey(), 4.5)
+    finder: Any = Finder()
+    grey: Any = Grey()
+    b3 = Relocalized(finder, FieldView(field, EXPANSION, 1), 1.0, 3.0)
+    method = RelocalizedNeo(b3, grey, 4.5)
     assert (method.train_minutes, method.model_mb) == (4.5, 5.0)
     narrow_image = np.full((96, 96, 3), 128, np.uint8)
     wide, shown = method.expand(narrow_image), b3.expand(narrow_image)

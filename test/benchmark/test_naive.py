@@ -1,5 +1,6 @@
 """B1 is as strong as its idea allows: the best weights, no longer than they get better."""
 from types import SimpleNamespace
+from typing import Any
 
 from neo_ros.benchmark import naive
 from neo_ros.benchmark.naive import as_wide, PATIENCE, ResizedPhotos, train_naive, ZOOM
@@ -7,6 +8,8 @@ from neo_ros.errors import ConfigError, NeoError
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.outpaint.fitting import OutpaintConfig
 from neo_ros.outpaint.network import NetworkConfig
+from neo_ros.training import checkpoint
+from neo_ros.training.checkpoint import read_checkpoint, write_checkpoint
 import numpy as np
 import pytest
 import torch
@@ -50,6 +53,10 @@ class Trainer:
         torch.nn.init.constant_(self.averaged.weight, self.step)
         self.validation.append([self.step, self.seconds, self.scores[self.step - 1]])
 
+    @property
+    def figure(self):
+        return self.scores[self.step - 1]
+
     def note(self):
         return ''
 
@@ -65,7 +72,7 @@ def run(tmp_path, monkeypatch):
     monkeypatch.setattr(naive, 'OutpaintTrainer', Trainer)
     result = SimpleNamespace(
         held_out=Photos(2), fitted=Photos(5), scene=SimpleNamespace(name='room', train=Photos(7)),
-        expansion=EXPANSION, out=tmp_path, seconds=0.0, exported=[],
+        expansion=EXPANSION, out=tmp_path, seconds=0.0, log={}, exported=[],
         progress=lambda *told: None,
         experiment=SimpleNamespace(network=NetworkConfig(), outpaint=OutpaintConfig(), seed=0))
     monkeypatch.setattr(naive, 'export_step', lambda run, network: result.exported.append(
@@ -90,19 +97,27 @@ def test_a_training_that_still_gets_better_goes_on_to_its_end(run, monkeypatch):
     assert run.exported == [30.0]
 
 
-def test_a_broken_training_remembers_its_best(run, monkeypatch):
+@pytest.mark.parametrize('log', [True, False], ids=['as today', 'of before, without a log'])
+def test_a_broken_training_remembers_its_best(run, monkeypatch, log):
     monkeypatch.setattr(Trainer, 'scores', RISES + FALLS)
+    monkeypatch.setattr(checkpoint, 'CHECKPOINT_SECONDS', -1.0)
 
     def stop(stage, done, total, note):
         if done == 5:
             raise KeyboardInterrupt
 
-    told, run.progress = run.progress, stop
+    run.progress = stop
     with pytest.raises(KeyboardInterrupt):
         train_naive(run)
-    run.progress = told
+    state = read_checkpoint(run.out / 'naive.ckpt')
+    if not log:
+        del state['log']
+        write_checkpoint(run.out / 'naive.ckpt', state)
+    assert state['best']['at'] == 3
+    steps = []
+    run.progress = lambda stage, done, total, note: steps.append(done)
     train_naive(run)
-    assert run.exported == [3.0]
+    assert run.exported == [3.0] and steps == list(range(5, 3 + PATIENCE + 1))
 
 
 def test_a_checkpoint_of_something_else_is_named(run):
@@ -118,7 +133,7 @@ def test_without_photos_to_validate_on_there_is_no_b1(run):
 
 
 def test_photos_become_wide_views_of_their_middle():
-    photos = SimpleNamespace(read_image=lambda index: np.dstack(
+    photos: Any = SimpleNamespace(read_image=lambda index: np.dstack(
         [np.broadcast_to(np.arange(40), (20, 40))] * 3).astype(np.uint8))
     square = as_wide(photos, 0, 20, 20)
     assert square.shape == (20, 20, 3) and (square[:, 0, 0] == 10).all()
@@ -129,7 +144,7 @@ def test_photos_become_wide_views_of_their_middle():
 
 def test_the_stream_is_the_same_again_and_cuts_a_little():
     ramp = np.dstack([np.broadcast_to(np.linspace(0, 255, 64), (64, 64))] * 3).astype(np.uint8)
-    photos = Photos(1)
+    photos: Any = Photos(1)
     photos.read_image = lambda index: ramp
     stream = ResizedPhotos(photos, 64, 64, seed=3)
     batch = stream.batch(5, 8).numpy()

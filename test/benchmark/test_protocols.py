@@ -32,7 +32,7 @@ def scene_of(folder, camera, count=3):
     ((100, 90), 'square', 1.0, (88, 88), (176, 176)),
 ], ids=['redkitchen', 'half', 'quarter', 'scannet', 'paper', 'wide photo', 'odd'])
 def test_views_of_the_protocols(tmp_path, size, protocol, scale, source, target):
-    camera = Intrinsics.from_hfov(*size, 1.5)
+    camera = Intrinsics.from_hfov(size[0], size[1], 1.5)
     scene = scene_of(tmp_path, camera, 1)
     view = choose_view(scene, protocol, scale)
     assert view == ViewConfig(source, target)
@@ -56,7 +56,7 @@ def test_stated_views_are_taken_as_they_are(tmp_path):
 @pytest.mark.parametrize('protocol, size, message', [
     ('round', (64, 64), 'square or horizontal'), ('square', (6, 6), 'too small')])
 def test_impossible_protocols(tmp_path, protocol, size, message):
-    scene = scene_of(tmp_path, Intrinsics.from_hfov(*size, 1.5), 1)
+    scene = scene_of(tmp_path, Intrinsics.from_hfov(size[0], size[1], 1.5), 1)
     with pytest.raises(ConfigError, match=message):
         choose_view(scene, protocol, 1.0)
 
@@ -104,8 +104,9 @@ def test_the_shipped_suites_name_frozen_scenes(tmp_path, name, scale, frames):
     jobs = suite_jobs(suite, [tmp_path])
     assert [job.scene for job in jobs.values()] == [str(tmp_path / n) for n in suite.scenes]
     assert jobs['redkitchen'].protocol == 'horizontal'
-    assert jobs['redkitchen'].settings['field']['exposure'] is True
-    assert jobs['living_room'].settings['field']['voxels'] > 0
+    fields = {name: (job.settings or {})['field'] for name, job in jobs.items()}
+    assert fields['redkitchen']['exposure'] is True
+    assert fields['living_room']['voxels'] > 0
     assert (jobs['living_room'].scale, jobs['living_room'].most_frames) == (scale, frames)
 
 
@@ -171,8 +172,12 @@ def test_jobs_are_checked(changed, field):
 def test_the_demo_flat_is_rendered_where_it_is_missing(tmp_path, monkeypatch):
     from neo_ros.benchmark import suites
     seen = []
-    monkeypatch.setattr(suites, 'write_demo_scene',
-                        lambda folder, progress: (seen.append(folder), progress(1, 2)))
+
+    def write(folder, progress):
+        seen.append(folder)
+        progress(1, 2)
+
+    monkeypatch.setattr(suites, 'write_demo_scene', write)
     prepare_demo(Job(str(tmp_path / 'demo_flat'), 'square', 'half', 1.0),
-                 lambda stage, done, total, note: seen.append((stage, done, total)))
+                 lambda stage, done, total, note='': seen.append((stage, done, total)))
     assert seen == [tmp_path / 'demo_flat', ('demo flat', 1, 2)]

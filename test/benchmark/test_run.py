@@ -22,6 +22,7 @@ from neo_ros.field import device
 from neo_ros.field.fitting import FitRules
 from neo_ros.geometry import CameraPose
 from neo_ros.machine.files import share_dir
+from neo_ros.machine.progress import no_stage_progress as quiet
 from neo_ros.scenes.scene import read_scene
 from neo_ros.scenes.transforms_json import read_input_crop, read_transforms, write_transforms
 import numpy as np
@@ -35,10 +36,6 @@ SETTINGS = {
     'outpaint': {'batch': 4}, 'memory': {'distance': 0.6}}
 # Photos of 32 pixels have hardly a point that B3 could triangulate.
 TRAINED = [name for name in METHODS if not name.startswith('relocalized')]
-
-
-def quiet(stage, done, total, note):
-    pass
 
 
 @pytest.fixture(autouse=True)
@@ -93,8 +90,12 @@ def test_what_is_scored_is_not_scored_again(flat_scene, tmp_path, monkeypatch):
     first = run_benchmark(bench, ['edge_replication'])
     made = []
     real = scoring.make_method
-    monkeypatch.setattr(scoring, 'make_method',
-                        lambda name, bench: made.append(name) or real(name, bench))
+
+    def make(name, bench):
+        made.append(name)
+        return real(name, bench)
+
+    monkeypatch.setattr(scoring, 'make_method', make)
     seen = []
     names = ['edge_replication', 'mean_image']
     again = run_benchmark(Workbench(job(flat_scene), tmp_path, quiet), names,
@@ -119,7 +120,12 @@ def test_what_lacks_a_measure_is_scored_again_and_not_trained(flat_scene, tmp_pa
 
     scored = []
     real = scoring._score
-    monkeypatch.setattr(scoring, '_score', lambda *all: scored.append(1) or real(*all))
+
+    def count(*arguments):
+        scored.append(1)
+        return real(*arguments)
+
+    monkeypatch.setattr(scoring, '_score', count)
     with monkeypatch.context() as without_depth:
         without_depth.setattr(scoring, 'is_demo_flat', lambda folder: False)
         first = score()
@@ -221,7 +227,7 @@ def test_without_the_weights_of_lpips_the_rest_is_scored(monkeypatch):
     monkeypatch.setattr(lpips, 'Lpips', refuse)
     said = []
     assert scoring.load_scorers(
-        lambda stage, done, total, note: said.append(note)) == {'psnr_ssim': score_frame}
+        lambda stage, done, total, note='': said.append(note)) == {'psnr_ssim': score_frame}
     assert 'offline' in said
 
 
@@ -246,6 +252,7 @@ def test_a_world_with_another_axis_up_is_turned_for_all_methods_alike(flat_scene
                 CameraPose(turn @ pose.T_world_cam) for pose in images.poses)),
                 read_input_crop(file))
     upright = read_scene(flat_scene)
+    assert upright.test is not None
     own = Workbench(job(tmp_path / 'one'), tmp_path / 'work_one', quiet)
     np.testing.assert_allclose(own.scene.train.T_world_cam, upright.train.T_world_cam, atol=1e-9)
     np.testing.assert_allclose(own.frames.images.T_world_cam, upright.test.T_world_cam, atol=1e-9)

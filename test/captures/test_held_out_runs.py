@@ -50,6 +50,7 @@ def test_the_import_holds_runs_back_again_and_again(capture, tmp_path):
         assert result.exit_code == 0, result.output
         assert '6 photos in 2 runs are test frames' in ' '.join(result.output.split())
     found = read_scene(scene)
+    assert found.test is not None and found.expansion is not None
     assert len(found.train) == 60 - 2 * (3 + 2 * GAP) and len(found.test) == 6
     assert not set(found.train.image_paths) & set(found.test.image_paths)
     assert found.expansion.source.width < found.expansion.target.width
@@ -58,7 +59,9 @@ def test_the_import_holds_runs_back_again_and_again(capture, tmp_path):
     result = CliRunner().invoke(app, ['import', str(scene), str(dev), '--test-runs', '1'])
     assert result.exit_code == 0, result.output
     trained = {path.name for path in found.train.image_paths}
-    assert {path.name for path in read_scene(dev).test.image_paths} <= trained
+    held_out = read_scene(dev).test
+    assert held_out is not None
+    assert {path.name for path in held_out.image_paths} <= trained
 
 
 def test_an_import_without_test_runs_has_no_test_frames(capture, tmp_path):

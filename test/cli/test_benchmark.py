@@ -5,6 +5,7 @@ import os
 import signal
 import tarfile
 import time
+from typing import Any
 
 from neo_ros.benchmark import bundle, run, scoring, suites
 from neo_ros.benchmark.bundle import write_bundle
@@ -58,7 +59,7 @@ def test_a_config_says_what_the_benchmark_leaves_open(flat_scene, tmp_path):
 def test_a_method_whose_package_is_missing_is_left_out(monkeypatch):
     monkeypatch.setattr(run, 'find_spec', lambda package: None)
     said = []
-    assert installed(['edge_replication', 'relocalized'], lambda stage, done, total, note:
+    assert installed(['edge_replication', 'relocalized'], lambda stage, done, total, note='':
                      said.append(f'{stage}: {note}')) == ['edge_replication']
     assert said == ['without relocalized: pycolmap is not installed']
 
@@ -66,7 +67,7 @@ def test_a_method_whose_package_is_missing_is_left_out(monkeypatch):
 @pytest.fixture
 def tiny_suite(flat_scene, tmp_path, monkeypatch):
     """Make a suite of two methods on the tiny scene, in a checkout of its own."""
-    entry = {'protocol': 'square', 'scale': 'full', 'minutes': 1}
+    entry: dict[str, Any] = {'protocol': 'square', 'scale': 'full', 'minutes': 1}
     (tmp_path / 'tiny.yaml').write_text(json.dumps({
         'methods': ['edge_replication', 'mean_image'], 'folders': [str(flat_scene.parent)],
         'scenes': {'flat': {**entry, 'frames': 2}}, 'settings': {}}))
@@ -121,7 +122,8 @@ def test_a_bundle_is_cut_into_files_that_are_one_archive(tmp_path, monkeypatch):
     whole = tmp_path / 'whole.tar'
     whole.write_bytes(b''.join(path.read_bytes() for path in parts))
     with tarfile.open(whole) as archive:
-        assert {member.name: archive.extractfile(member).read() for member in archive} == content
+        extracted = {member.name: archive.extractfile(member) for member in archive}
+        assert {name: file and file.read() for name, file in extracted.items()} == content
 
 
 def test_a_broken_off_run_leaves_its_bundle(flat_scene, tmp_path, monkeypatch):

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import cv2
 from neo_ros.errors import ImageRejected, NeoError, SceneError
 from neo_ros.evaluation import evaluate as evaluate_module
-from neo_ros.evaluation.baselines import EdgeReplication, NeoModel
+from neo_ros.evaluation.baselines import EdgeReplication, Method, NeoModel
 from neo_ros.evaluation.calibration import calibrate
 from neo_ros.evaluation.evaluate import evaluate, protocol_of, ROW_KEYS, score_frames, TruthFrames
 from neo_ros.evaluation.evaluation_report import evaluation_sections, write_evaluation
@@ -26,8 +26,8 @@ class Constant:
 
     name = 'constant'
     observed_pasted = False
-    train_minutes = None
-    model_mb = 0.5
+    train_minutes: float | None = None
+    model_mb: float | None = 0.5
 
     def expand(self, narrow_image):
         return np.full((48, 64, 3), 100, np.uint8)
@@ -70,8 +70,8 @@ def test_the_input_is_the_window_of_the_area_resampled_truth(frames):
 
 
 def test_every_method_is_scored_on_every_frame(frames):
-    done = []
-    methods = [EdgeReplication(TINY_EXPANSION), Constant()]
+    done: list[int] = []
+    methods: list[Method] = [EdgeReplication(TINY_EXPANSION), Constant()]
     edge, constant = evaluate('tiny', frames, methods, progress=done.append)
     assert done == list(range(1, 13))
     narrow_image, truth = frames.read(4)
@@ -83,7 +83,9 @@ def test_every_method_is_scored_on_every_frame(frames):
     assert (edge.observed_pasted, constant.observed_pasted) == (True, False)
     # Only one of them keeps the camera's pixels, and the whole image shows it.
     assert edge.estimates['whole_ssim'].mean > constant.estimates['whole_ssim'].mean + 0.1
-    assert edge.estimates['ring_psnr'].low < edge.estimates['ring_psnr'].high
+    estimate = edge.estimates['ring_psnr']
+    assert estimate.low is not None and estimate.high is not None
+    assert estimate.low < estimate.high
 
 
 def test_rows_keep_the_contract(frames):
@@ -180,7 +182,7 @@ def test_best_median_and_worst_frame():
 
 def test_a_model_is_evaluated_from_file_to_report(frames, tmp_path):
     model = write_tiny_model(tmp_path / 'tiny.onnx', trained_seconds=120.0)
-    methods = [NeoModel(model, 'neo'), EdgeReplication(TINY_EXPANSION)]
+    methods: list[Method] = [NeoModel(model, 'neo'), EdgeReplication(TINY_EXPANSION)]
     results = evaluate('tiny', frames, methods)
     confidence = write_evaluation(tmp_path / 'out', 'tiny', frames, results, model)
     scores = json.loads((tmp_path / 'out/scores.json').read_text())
@@ -230,7 +232,7 @@ def test_a_report_shows_the_images_that_were_scored(frames):
 
 
 def test_the_gpu_is_named_where_it_is_used(monkeypatch):
-    used = []
+    used: list[str] = []
     cuda = SimpleNamespace(is_initialized=lambda: bool(used), get_device_name=lambda: 'Some GPU')
     monkeypatch.setitem(sys.modules, 'torch', SimpleNamespace(cuda=cuda))
     alone = evaluate_module.host()

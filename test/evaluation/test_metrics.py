@@ -152,6 +152,7 @@ def test_the_bootstrap_is_deterministic_and_covers_the_mean():
     assert first == second
     assert first != summarise(frames_of(paths), seed=1)
     estimate = first['ring_psnr']
+    assert estimate.low is not None and estimate.high is not None
     assert estimate.low < estimate.mean < estimate.high
     spread = paths.mean(axis=1).std() / math.sqrt(8)
     assert estimate.high - estimate.low == pytest.approx(2 * 1.96 * spread, rel=0.15)

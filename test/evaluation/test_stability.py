@@ -19,6 +19,7 @@ def frames(tmp_path_factory):
     assert is_demo_flat(folder)
     assert not is_demo_flat(folder / 'train')
     scene = read_scene(folder)
+    assert scene.test is not None and scene.expansion is not None
     return TruthFrames(scene.test, scene.expansion)
 
 
@@ -27,7 +28,8 @@ class Painted:
 
     name = 'painted'
     observed_pasted = True
-    train_minutes = model_mb = None
+    train_minutes: float | None = None
+    model_mb: float | None = None
 
     def __init__(self, frames, wide_images):
         self.frames, self.wide_images, self.calls = frames, wide_images, -1

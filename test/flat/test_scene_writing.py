@@ -1,5 +1,6 @@
 import os
 import shutil
+from typing import Any
 
 from neo_ros.benchmark.true_depth import is_demo_flat
 from neo_ros.captures.scene_copying import import_transforms
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 from scene_files import write_capture
 
-SIZES = {'image_size': 16, 'n_train': 5, 'n_paths': 2, 'frames_per_path': 3}
+SIZES: dict[str, Any] = {'image_size': 16, 'n_train': 5, 'n_paths': 2, 'frames_per_path': 3}
 
 
 @pytest.fixture(scope='module')
@@ -28,6 +29,7 @@ def _files(folder):
 
 def test_a_written_scene_reads_as_one(scene_folder):
     scene = read_scene(scene_folder)
+    assert scene.test and scene.expansion and scene.walkable
     assert len(scene.train) == 5 and len(scene.test) == 6
     assert scene.test.path_ids == (0, 0, 0, 1, 1, 1)
     assert np.degrees(scene.train.intrinsics.hfov) == pytest.approx(90)
@@ -105,10 +107,12 @@ def test_depth_maps_lie_beside_the_photos_where_they_are_asked_for(scene_folder,
     write_demo_scene(tmp_path, **SIZES, seed=4, workers=1, depth=True)
     train = read_scene(tmp_path).train
     depths = train.read_depths()
+    assert depths is not None
     assert depths.shape == (5, 16, 16) and depths.dtype == np.uint16
     flat = build_demo_flat()
     for depth, pose in zip(depths, train.poses):
         true = flat.render(train.intrinsics, pose)[1]
         known = depth > 0
         assert known.any() and np.abs(depth / 1000 - true)[known].max() < 0.25
-    assert train.subset([3]).read_depths(0.5).shape == (1, 8, 8)
+    half = train.subset([3]).read_depths(0.5)
+    assert half is not None and half.shape == (1, 8, 8)

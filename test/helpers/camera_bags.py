@@ -1,6 +1,6 @@
 """Bags of one camera with poses in any of the ways that robots record them."""
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import cv2
 from neo_ros.bags import BagWriter
@@ -21,7 +21,7 @@ class CameraBag(BagWriter):
         super().__init__(path)
         self.log_ns = 0
 
-    def __enter__(self) -> 'CameraBag':
+    def __enter__(self) -> Self:
         return self
 
     def make(self, msgtype: str, **fields: Any) -> Any:

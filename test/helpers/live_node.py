@@ -1,5 +1,6 @@
 """The node in a process of its own for tests, and a camera in front of it."""
 from array import array
+from contextlib import contextmanager
 import re
 import signal
 import time
@@ -8,6 +9,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from neo_ros.messages import camera_info_fields, image_fields
+from neo_ros.node.extrapolator_node import ExtrapolatorNode
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import CameraInfo, Image
@@ -29,10 +31,11 @@ class Camera:
             ('camera_info', CameraInfo))}
         self.diagnostics = graph.collect(DiagnosticArray, '/diagnostics')
 
-    def start_node(self, model, *parameters):
-        """Start the node with parameters such as 'reliable:=true'."""
+    def start_node(self, model, *parameters, rules=()):
+        """Start the node with parameters such as 'reliable:=true', rules such as 'image:=eye'."""
         arguments = [part for parameter in (f'model:={model}', *parameters)
                      for part in ('-p', parameter)]
+        arguments += [part for rule in rules for part in ('-r', rule)]
         return self.graph.start('-m', 'neo_ros.node.main', '--ros-args', '-r', '__ns:=/robot',
                                 *arguments)
 
@@ -63,6 +66,8 @@ class Camera:
 
     def widen(self, image, number):
         """Publish a frame and wait for all four answers."""
+        asked, sent = time.monotonic(), self.publish(image, number)
+
         def answered():
             nonlocal asked
             if time.monotonic() > asked + 5:
@@ -70,7 +75,6 @@ class Camera:
                 self.publish(image, number)  # Best effort: on a busy machine one may get lost.
             return all(kept and kept[-1].header == sent.header for kept in self.wide.values())
 
-        asked, sent = time.monotonic(), self.publish(image, number)
         self.graph.spin_until(answered)
         return {name: kept[-1] for name, kept in self.wide.items()}
 
@@ -91,6 +95,22 @@ def started(graph, model, *parameters):
     process = camera.start_node(model, *parameters)
     camera.wait_for_node()
     return camera, process
+
+
+@contextmanager
+def node_beside(graph, model, *arguments, **options):
+    """Give an active node in the test's own process, with ROS arguments such as '-r', 'a:=b'."""
+    node = ExtrapolatorNode(
+        context=graph.context, namespace='robot',
+        cli_args=['--ros-args', '-p', f'model:={model}', *arguments], **options)
+    graph.executor.add_node(node)
+    try:
+        node.autostart()
+        yield node
+    finally:
+        graph.executor.remove_node(node)
+        node.stop()
+        node.destroy_node()
 
 
 def change_state(graph, transition, label=''):

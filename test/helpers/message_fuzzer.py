@@ -177,7 +177,7 @@ def fuzz_node(graph: Any, node: Any, count: int, seed: int) -> Counter[str]:
     """
     from sensor_msgs.msg import CameraInfo, CompressedImage, Image, RegionOfInterest
     fuzzer = Fuzzer(seed)
-    compressed = node.get_parameter('transport').value == 'compressed'
+    compressed = node.get_parameter('image_transport').value == 'compressed'
     kind, topic = (CompressedImage, '/image/compressed') if compressed else (Image, '/image')
     images = graph.node.create_publisher(kind, topic, 10)
     infos = graph.node.create_publisher(CameraInfo, '/camera_info', 10)
@@ -194,8 +194,7 @@ def fuzz_node(graph: Any, node: Any, count: int, seed: int) -> Counter[str]:
         sent = CameraInfo(**vars(info))
         infos.publish(sent)
         # Reliable, but best effort on the node's side: wait for it.
-        graph.spin_until(lambda: node._inputs._camera_info is not None and same_info(
-            node._inputs._camera_info, sent))
+        graph.spin_until(lambda: same_info(node._inputs._pairing.newest, sent))
         if is_good:
             message = SimpleNamespace(format='jpeg', data=fuzzer.jpeg) if compressed else (
                 image_message(noise_image(SOURCE, 0)))
@@ -246,7 +245,8 @@ def main() -> None:
         with ros_graph() as graph, tempfile.TemporaryDirectory() as folder:
             model = write_tiny_model(Path(folder, 'tiny.onnx'))
             node = ExtrapolatorNode(context=graph.context, parameter_overrides=[
-                Parameter('model', value=str(model)), Parameter('transport', value=transport),
+                Parameter('model', value=str(model)),
+                Parameter('image_transport', value=transport),
                 Parameter('reliable', value=True), Parameter('rectify', value=True)])
             node.autostart()
             ways = fuzz_node(graph, node, options.live // 2, options.seed)

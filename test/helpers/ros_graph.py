@@ -9,15 +9,16 @@ import time
 from typing import Any
 
 import neo_ros
+from neo_ros.machine.ros_domain import own_domain
 import rclpy
 from rclpy.client import Client
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 
-WAIT_S = 20.0
-# Two pytest processes at a time must not hear one another. The ports of ids above 101 are those
-# that Linux gives to anybody.
-DOMAIN = os.getpid() % 100 + 1
+# How long a test waits for what never comes; a stall of the machine is shorter.
+WAIT_S = 60.0
+# Two pytest processes at a time must not hear one another.
+DOMAIN = own_domain()
 ENVIRONMENT = {
     'ROS_DOMAIN_ID': str(DOMAIN),
     'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',

@@ -9,26 +9,30 @@ from typing import Any
 
 from aiohttp import ClientWebSocketResponse, WSMsgType
 from aiohttp.test_utils import TestClient, TestServer
+from hand_clock import HandClock
 from neo_ros.viewer.hub import Hub
 from neo_ros.viewer.pictures import SourcePicture
 from neo_ros.viewer.server import Server
 from neo_ros.viewer.settings import ViewerSettings
 import numpy as np
 
+# How long a test waits for what never comes; a stall of the machine is shorter.
+WAIT_S = 60.0
 IMAGE = np.random.default_rng(0).integers(0, 256, (48, 64, 3), np.uint8)
 CONFIDENCE = np.full((48, 64), 64, np.uint8)
 
 
 def picture(image: np.ndarray | bytes = IMAGE) -> SourcePicture:
-    """Return a picture that was taken now."""
-    return SourcePicture(image, time.monotonic(), True, CONFIDENCE, (0.25, 0.25, 0.5, 0.5))
+    """Return a picture."""
+    return SourcePicture(image, 0.0, True, CONFIDENCE, (0.25, 0.25, 0.5, 0.5))
 
 
 @asynccontextmanager
 async def running(**settings: Any) -> AsyncIterator[tuple[TestClient, Hub]]:
-    """Serve a hub of its own on a free port."""
-    values = ViewerSettings(**settings)
-    hub = Hub(values.quality)
+    """Serve a hub of its own on a free port; its clock stands unless the test turns it."""
+    # Without a limit: by a clock that stands, its time would never come.
+    values = ViewerSettings(**{'max_mbit': 0.0} | settings)
+    hub = Hub(values.quality, HandClock())
     async with TestClient(TestServer(Server(values, hub).app)) as client:
         yield client, hub
 
@@ -47,11 +51,11 @@ async def watching(client: TestClient) -> AsyncIterator[ClientWebSocketResponse]
         yield socket
 
 
-async def receive_picture(socket: ClientWebSocketResponse, confirm: bool = True,
-                          timeout: float = 5.0) -> tuple[dict[str, Any], bytes, bytes]:
+async def receive_picture(socket: ClientWebSocketResponse, confirm: bool = True
+                          ) -> tuple[dict[str, Any], bytes, bytes]:
     """Return meta, image and confidence of the next picture."""
     while True:
-        message = await asyncio.wait_for(socket.receive(), timeout)
+        message = await asyncio.wait_for(socket.receive(), WAIT_S)
         assert message.type in (WSMsgType.TEXT, WSMsgType.BINARY), message
         if message.type is WSMsgType.BINARY:
             break
@@ -63,9 +67,9 @@ async def receive_picture(socket: ClientWebSocketResponse, confirm: bool = True,
     return meta, data[8 + first:8 + first + second], data[8 + first + second:]
 
 
-async def until(condition: Callable[[], Any], timeout: float = 5.0) -> None:
+async def until(condition: Callable[[], Any]) -> None:
     """Let the server work until the condition holds."""
-    deadline = time.monotonic() + timeout
+    deadline = time.monotonic() + WAIT_S
     while not condition():
         assert time.monotonic() < deadline, 'waited in vain'
         await asyncio.sleep(0.01)
@@ -74,6 +78,6 @@ async def until(condition: Callable[[], Any], timeout: float = 5.0) -> None:
 def run(test: Callable[[], Awaitable[None]]) -> None:
     """Run an asynchronous test."""
     async def limited() -> None:
-        await asyncio.wait_for(test(), 30)
+        await asyncio.wait_for(test(), 2 * WAIT_S)
 
     asyncio.run(limited())

@@ -6,6 +6,7 @@ from camera_messages import camera_info_message, image_message, noise_image
 from neo_ros.errors import ImageRejected
 from neo_ros.geometry import Intrinsics
 from neo_ros.messages import camera_info_fields, jpeg_fields
+from neo_ros.messages.camera_info import describe_camera
 from neo_ros.messages.frame_processor import FrameProcessor
 from neo_ros.runtime import FovExtrapolator, WideView
 import numpy as np
@@ -50,7 +51,7 @@ def test_network_rests_when_nobody_wants_its_outputs():
         def reset(self):
             pass
 
-        def expand(self, image):
+        def expand(self, image, prior=None, motion=None):
             raise AssertionError('the network ran')
 
     processor = FrameProcessor(Resting())
@@ -96,7 +97,7 @@ class Watched:
     def reset(self):
         pass
 
-    def expand(self, image):
+    def expand(self, image, prior=None, motion=None):
         target = TINY_EXPANSION.target
         confidence = np.full((target.height, target.width), 128, np.uint8)
         confidence[TINY_EXPANSION.observed] = 255
@@ -107,6 +108,7 @@ class Watched:
 def test_confidence_sinks_with_the_score_where_the_camera_did_not_see(score, ring):
     frame = FrameProcessor(Watched(score)).process(image_message(noise_image(SOURCE, 1)), None)
     assert frame.out_of_scene == score
+    assert frame.confidence is not None
     assert (frame.confidence[TINY_EXPANSION.observed] == 255).all()
     assert (frame.confidence[TINY_EXPANSION.extrapolated_mask] == ring).all()
 
@@ -143,4 +145,5 @@ def test_a_new_camera_info_and_rectify_take_effect_at_the_next_frame(extrapolato
         processor.process(wide_image, bent)
     processor.rectify = True
     assert 'rectified' in processor.process(wide_image, bent).camera_note
-    assert processor.process(image, None).camera_note == 'no camera_info: taken by its size'
+    assert processor.process(image, None).camera_note == (
+        f'no camera_info: the camera is assumed to be {describe_camera(TINY_EXPANSION.source)}')

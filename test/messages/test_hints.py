@@ -1,5 +1,6 @@
 """What others say of where the camera is."""
 from types import SimpleNamespace
+from typing import Any
 
 from camera_messages import image_message, noise_image
 from neo_ros.errors import GeometryError
@@ -78,7 +79,8 @@ def test_the_extrapolator_hears_them(hints):
             return WideView(np.zeros((TARGET.height, TARGET.width, 3), np.uint8),
                             np.zeros((TARGET.height, TARGET.width), np.uint8))
 
-    processor = FrameProcessor(Listener())
+    listener: Any = Listener()
+    processor = FrameProcessor(listener)
     processor.hints = hints
     hints.set_prior(at(0))
     for milliseconds in (100, 200, 5000):

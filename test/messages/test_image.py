@@ -1,6 +1,8 @@
 """Images of every encoding come back as they were; anything else is refused with its reason."""
 import array
+from collections.abc import Callable
 from types import SimpleNamespace
+from typing import Any
 
 from encoded_images import (
     ALL, BAYER, COLOURS_16, COLOURS_8, encoded_message, flat_quarters, GREYS, seen_as, YUV)
@@ -11,7 +13,7 @@ from neo_ros.messages.image_encodings import ENCODINGS
 import numpy as np
 import pytest
 
-DATA_TYPES = {
+DATA_TYPES: dict[str, Callable[[bytes], Any]] = {
     'bytes': bytes,
     'array': lambda data: array.array('B', data),
     'ndarray': lambda data: np.frombuffer(data, np.uint8),

@@ -1,5 +1,6 @@
 """Pose, depth, points and status as messages of both kinds: rclpy's and rosbags'."""
 from types import SimpleNamespace
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from neo_ros.bags.replay_outputs import bag_maker
@@ -74,7 +75,8 @@ def test_all_messages_have_the_stamp_and_can_be_sent(make):
         assert message.header.frame_id == ('map' if there else 'eye')
         if make is not make_message:
             sent = TYPES.serialize_cdr(message, MEMORY_OUTPUTS[name])
-            assert TYPES.deserialize_cdr(sent, MEMORY_OUTPUTS[name]).header == message.header
+            received: Any = TYPES.deserialize_cdr(sent, MEMORY_OUTPUTS[name])
+            assert received.header == message.header
 
 
 def test_the_pose_is_of_the_optical_frame(make):

@@ -43,6 +43,7 @@ def pixels(message):
 
 def test_another_model_takes_over_without_losing_the_subscription(graph, model, tmp_path):
     camera, _ = started(graph, model)
+    camera.publish_info()
     image = noise_image(SOURCE, 0)
     assert camera.widen(image, 1)['image'].width == 64
     larger = write_tiny_model(tmp_path / 'larger.onnx', LARGER, scene_id='kitchen')
@@ -90,7 +91,7 @@ def jpeg(image, number, quality=95):
 
 def test_compressed_in_and_out_and_back_to_raw_while_it_runs(graph, model):
     camera = Camera(graph)
-    camera.start_node(model, 'transport:=compressed', 'jpeg_quality:=90')
+    camera.start_node(model, 'image_transport:=compressed', 'jpeg_quality:=90')
     sender = graph.node.create_publisher(CompressedImage, '/robot/image/compressed', 10)
     smaller = graph.collect(CompressedImage, '/robot/wide/image/compressed')
     graph.spin_until(lambda: sender.get_subscription_count() and graph.node.count_publishers(
@@ -109,8 +110,8 @@ def test_compressed_in_and_out_and_back_to_raw_while_it_runs(graph, model):
     before = len(smaller[-1].data)
     assert set_parameter(graph, 'jpeg_quality', 10).successful
     assert not set_parameter(graph, 'jpeg_quality', 0).successful
-    assert 'raw or compressed' in set_parameter(graph, 'transport', 'theora').reason
-    assert set_parameter(graph, 'transport', 'raw').successful
+    assert 'raw or compressed' in set_parameter(graph, 'image_transport', 'theora').reason
+    assert set_parameter(graph, 'image_transport', 'raw').successful
     camera.wait_for_node()
     camera.widen(image, 9)
     graph.spin_until(lambda: smaller[-1].header.frame_id == 'camera_9')
@@ -261,7 +262,7 @@ def test_a_parameter_of_no_use_ends_the_start_with_one_line(graph, model, parame
 
 
 @pytest.mark.parametrize('parameter, words', [
-    ('transport:=theora', 'transport: expected raw or compressed'),
+    ('image_transport:=theora', 'image_transport: expected raw or compressed'),
     ('providers:=[abacus]', 'providers: expected some of tensorrt, cuda, cpu, got abacus'),
 ], ids=['transport', 'providers'])
 def test_a_wrong_word_leaves_it_unconfigured_with_the_reason(graph, model, parameter, words):

@@ -1,10 +1,12 @@
 """The one line that tells an operator what is wrong."""
 from pathlib import Path
 import re
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 import neo_ros
 from neo_ros.messages import SceneWatch
+from neo_ros.messages.camera_fit import NO_CAMERA_INFO
 from neo_ros.node.diagnostics import build_status, Health, judge
 from neo_ros.node.frame_statistics import Snapshot, Spread
 import pytest
@@ -13,7 +15,7 @@ OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.E
 
 
 def snapshot(**changes):
-    fields = {
+    fields: dict[str, Any] = {
         'received': 10, 'published': 10, 'dropped': 0, 'rejected': {}, 'last_rejection': '',
         'recent_received': 10, 'recent_published': 10, 'recent_rejected': 0, 'rate_in': 30.0,
         'rate_out': 29.8, 'out_of_scene': None, 'guided': 0.0, 'camera_note': 'unknown',
@@ -22,10 +24,10 @@ def snapshot(**changes):
 
 
 def health(counts=None, **changes):
-    fields = {'state': 'active', 'fault': '', 'loading': False, 'enabled': True,
-              'topic': '/camera/image',
-              'publishers': 1, 'qos_conflict': '', 'subscribed': True, 'unlike_scene': False,
-              'memory': False}
+    fields: dict[str, Any] = {'state': 'active', 'fault': '', 'loading': False, 'enabled': True,
+                              'topic': '/camera/image', 'publishers': 1, 'conflict': '',
+                              'missing': 'waiting for image', 'subscribed': True,
+                              'unlike_scene': False, 'memory': False}
     return Health(**(fields | changes), counts=counts or snapshot())
 
 
@@ -37,14 +39,17 @@ REJECTING = snapshot(recent_rejected=3, last_rejection='size: too big')
     (health(state='unconfigured', fault='cannot load the model: x'), ERROR, 'cannot load'),
     (health(state='inactive'), OK, 'inactive'),
     (health(enabled=False), OK, 'disabled'),
-    (health(snapshot(recent_received=0), publishers=0), WARN,
-     'waiting for image on /camera/image, publishers: 0'),
-    (health(snapshot(recent_received=0), qos_conflict='/x is best effort'), WARN,
-     'publishers: 1; /x is best effort'),
-    (health(qos_conflict='/x is best effort'), WARN,
+    (health(snapshot(recent_received=0)), WARN, 'waiting for image'),
+    (health(snapshot(recent_received=0), conflict='/x is best effort'), WARN,
+     'waiting for image; /x is best effort'),
+    (health(snapshot(camera_note=f'{NO_CAMERA_INFO} 4x3')), WARN,
+     'widening 29.8 images per second; no camera_info: the camera is assumed to be 4x3'),
+    (health(snapshot(camera_note=f'{NO_CAMERA_INFO} 4x3'), subscribed=False), OK,
+     'nobody subscribes to wide/*: images are not widened'),
+    (health(conflict='/x is best effort'), WARN,
      'widening 29.8 images per second; /x is best effort'),
     (health(snapshot(recent_rejected=3, recent_published=0, last_rejection='size'),
-            qos_conflict='/x is best effort'), ERROR, 'rejected: size; /x is best effort'),
+            conflict='/x is best effort'), ERROR, 'rejected: size; /x is best effort'),
     (health(subscribed=False), OK, 'nobody subscribes'),
     (health(REJECTING), WARN, 'some images are rejected: size: too big'),
     (health(snapshot(recent_rejected=3, recent_published=0, last_rejection='step')), ERROR,

@@ -77,10 +77,10 @@ def test_shipped_parameters_are_the_defaults():
 
 
 def test_profile_is_used_unless_the_user_has_one():
-    environment = {}
+    environment: dict[str, str] = {}
     assert use_large_image_profile(environment) is True
-    transports = ElementTree.parse(environment[VARIABLE]).findall('.//{*}segment_size')
-    assert int(transports[0].text) >= 16 * 2**20
+    size = ElementTree.parse(environment[VARIABLE]).findtext('.//{*}segment_size')
+    assert size is not None and int(size) >= 16 * 2**20
     for name in (VARIABLE, 'FASTDDS_DEFAULT_PROFILES_FILE'):
         environment = {name: 'mine.xml'}
         assert use_large_image_profile(environment) is False
@@ -89,9 +89,11 @@ def test_profile_is_used_unless_the_user_has_one():
 
 def test_security_policy_grants_what_the_node_needs_and_nothing_more(tmp_path):
     profile = ElementTree.parse(share_dir() / 'config' / 'sros2_policy.xml').find('.//profile')
+    assert profile is not None
     assert (profile.get('ns'), profile.get('node')) == ('/', 'fov_extrapolator')
-    granted = {key: {f'/{entry.text}' if entry.text[0] not in '/~' else entry.text
-                     for group in profile.findall(f'{kind}s[@{key}="ALLOW"]') for entry in group}
+    granted = {key: {f'/{text}' if text[0] not in '/~' else text
+                     for group in profile.findall(f'{kind}s[@{key}="ALLOW"]')
+                     for text in group.itertext() if text.strip()}
                for kind, key in (('topic', 'subscribe'), ('topic', 'publish'),
                                  ('service', 'reply'))}
     with ros_graph() as graph:
@@ -140,6 +142,7 @@ def launch_system():
 @pytest.mark.usefixtures('launch_system')
 def test_launch_file_describes_its_arguments(monkeypatch):
     specification = importlib.util.spec_from_file_location('launch_file', LAUNCH)
+    assert specification is not None and specification.loader is not None
     module = importlib.util.module_from_spec(specification)
     specification.loader.exec_module(module)
     monkeypatch.setattr(module, 'get_package_share_directory', lambda name: str(share_dir()))
@@ -161,4 +164,4 @@ def test_launch_file_starts_the_node(tmp_path):
             '-c', LAUNCHER, str(LAUNCH), 'namespace', 'robot', 'model', str(model))
         camera.wait_for_node()
         camera.widen(noise_image(SOURCE, 0), 1)
-        assert end(process, signal.SIGINT)[0] == 0, process.stdout.read()
+        assert end(process, signal.SIGINT)[0] == 0, process.stdout and process.stdout.read()

@@ -65,10 +65,12 @@ def test_no_frame_yet_has_no_latency():
 def test_what_the_images_were_like_is_that_of_the_window():
     clock = HandClock()
     statistics = Statistics(clock)
-    for score, guided in ((1.0, True), (1.0, True)):
-        statistics.count_published({}, score, guided, 'resampled')
+    for _ in range(2):
+        statistics.count_published({}, 1.0, True, 'resampled')
     clock.time += WINDOW_S + 0.1
-    for score, guided in ((0.2, True), (0.4, False), (None, False), (None, False), (None, None)):
+    more: tuple[tuple[float | None, bool | None], ...] = (
+        (0.2, True), (0.4, False), (None, False), (None, False), (None, None))
+    for score, guided in more:
         statistics.count_published({}, score, guided, 'as the model takes it')
     counts = statistics.snapshot()
     assert (counts.out_of_scene, counts.guided) == (pytest.approx(0.3), 0.25)

@@ -19,7 +19,7 @@ def test_live_node_counts_every_broken_message_and_widens_the_good_ones(tmp_path
     model = write_tiny_model(tmp_path / 'tiny.onnx')
     with ros_graph() as graph:
         node = ExtrapolatorNode(context=graph.context, parameter_overrides=[
-            Parameter('model', value=str(model)), Parameter('transport', value=transport),
+            Parameter('model', value=str(model)), Parameter('image_transport', value=transport),
             Parameter('reliable', value=True), Parameter('rectify', value=True)])
         node.autostart()
         ways = fuzz_node(graph, node, 150, seed=0)

@@ -110,7 +110,7 @@ def test_a_scene_of_arbitrary_scale_is_not_called_map(tmp_path, graph):
     node = ExtrapolatorNode(context=graph.context, parameter_overrides=[
         Parameter('model', value=str(write_box_model(tmp_path, arbitrary_scale=True)))])
     assert node.trigger_configure() == TransitionCallbackReturn.SUCCESS
-    assert node._outputs.scene_frame == 'scene'
+    assert node._outputs is not None and node._outputs.scene_frame == 'scene'
     node.destroy_node()
 
 

@@ -7,7 +7,7 @@ from neo_ros.node.one_slot import Mailbox
 
 @given(st.lists(st.integers(), min_size=1))
 def test_newest_item_wins_and_every_replaced_one_is_told(items):
-    mailbox = Mailbox()
+    mailbox: Mailbox = Mailbox()
     replaced = [mailbox.put(item) for item in items]
     assert replaced == [False] + [True] * (len(items) - 1)
     assert mailbox.take() == items[-1]
@@ -15,7 +15,8 @@ def test_newest_item_wins_and_every_replaced_one_is_told(items):
 
 
 def test_take_waits_for_an_item():
-    mailbox, taken = Mailbox(), []
+    mailbox: Mailbox = Mailbox()
+    taken: list = []
     reader = threading.Thread(target=lambda: taken.append(mailbox.take()))
     reader.start()
     mailbox.put('frame')
@@ -24,7 +25,8 @@ def test_take_waits_for_an_item():
 
 
 def test_close_wakes_the_reader_and_loses_what_is_inside():
-    mailbox, taken = Mailbox(), []
+    mailbox: Mailbox = Mailbox()
+    taken: list = []
     reader = threading.Thread(target=lambda: taken.append(mailbox.take()))
     reader.start()
     mailbox.close()

@@ -53,7 +53,9 @@ def parse(path):
 
 def decoded(uri):
     content = base64.b64decode(uri.split(',', 1)[1])
-    return cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
+    image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
+    assert image is not None
+    return image[..., ::-1]
 
 
 def test_a_page_is_self_contained_and_holds_every_section(tmp_path):
@@ -103,7 +105,8 @@ def drawn_paths(svg, series):
     """Return the paths and the markers' centres (N, 2) of a series in an SVG file."""
     spaces = {'svg': 'http://www.w3.org/2000/svg', 'link': 'http://www.w3.org/1999/xlink'}
     group = ElementTree.fromstring(svg).find(f'.//svg:g[@id="series_{series}"]', spaces)
-    lines = [re.findall(r'[ML] (\S+) (\S+)', path.get('d'))
+    assert group is not None
+    lines = [re.findall(r'[ML] (\S+) (\S+)', path.get('d', ''))
              for path in group.findall('svg:path', spaces)]
     marks = [(use.get('x'), use.get('y')) for use in group.iterfind('.//svg:use', spaces)]
     return [np.array(line, float) for line in lines], np.array(marks, float)
@@ -168,6 +171,7 @@ def test_a_strip_png_has_a_row_per_strip(tmp_path):
               Strip('Two', [('a', smooth(512, 512)), ('b', smooth(512, 512))], 'a note')]
     write_strip_png(tmp_path / 'new/strip.png', strips)
     sheet = cv2.imread(str(tmp_path / 'new/strip.png'))
+    assert sheet is not None
     height, width = sheet.shape[:2]
     assert width >= 4 * 320 and height >= 240 + 320
     # The short second row ends in white paper; its first picture is there, brought to size.

@@ -4,23 +4,25 @@ from pathlib import Path
 import subprocess
 import sys
 import threading
-import time
 from typing import Any
 
 from bag_files import walk_frames, write_walk_bag
+from hand_clock import HandClock
 from neo_ros.bags import BagReader, BagWriter, replay
 from neo_ros.errors import BagError, ConfigError
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.messages import read_image
 from neo_ros.runtime import FovExtrapolator
-from neo_ros.viewer.bag_source import BagSource
+from neo_ros.viewer.bag_source import BagSource, LATE_S, LEAST_ROUND_S
 from neo_ros.viewer.hub import Wanted
 import numpy as np
 import pytest
 from tiny_model import write_tiny_model
+from viewer_server import WAIT_S
 
 EXPANSION = ViewExpansion.to_size(Intrinsics.from_hfov(32, 24, math.pi / 2), 64, 48)
 FRAMES = 6
+ROOT = Path(__file__).parents[2]
 SEEN = (0.25, 0.25, 0.5, 0.5)
 
 
@@ -50,11 +52,13 @@ class Collector:
         self.times: list[float] = []
         self.states: list = []
         self.stop = threading.Event()
+        self.clock, self.work_s = HandClock(), 0.0
         self._count = count
 
     def publish(self, picture) -> None:
         self.pictures.append(picture)
-        self.times.append(time.monotonic())
+        self.times.append(self.clock.now())
+        self.clock.turn(self.work_s)
         if len(self.pictures) >= self._count:
             self.stop.set()
 
@@ -93,20 +97,29 @@ def test_a_camera_is_widened_as_the_replay_does(walk_bag, wide_bag, model):
 
 def test_timing_and_rounds(wide_bag, model):
     hub = collect(BagSource(wide_bag, None, model, rate=2.0), 2 * FRAMES, confidence=False)
-    gaps = np.diff(hub.times)
-    # 10 Hz twice as fast; the next round begins at once.
-    assert 0.03 < np.median(gaps) < 0.07 and len(hub.pictures) == 2 * FRAMES
+    # 10 Hz twice as fast, by the clock; the next round begins with the last picture.
+    for times in (hub.times[:FRAMES], hub.times[FRAMES:]):
+        assert np.allclose(np.diff(times), 0.05)
     assert all(picture.confidence is None and picture.timed for picture in hub.pictures)
-    assert all(0 <= shown - picture.captured < 0.3
-               for shown, picture in zip(hub.times, hub.pictures))
+    assert [picture.captured for picture in hub.pictures] == hub.times
+
+
+def test_pictures_that_would_come_late_are_left_out(wide_bag, model):
+    hub: Any = Collector(4)
+    hub.work_s = 0.35  # of what comes every 0.1 s
+    BagSource(wide_bag, None, model).run(hub, hub.stop)
+    late = [shown - picture.captured for picture, shown in zip(hub.pictures, hub.times)]
+    assert all(0 <= seconds <= LATE_S for seconds in late)
+    assert [round((picture.captured - hub.pictures[0].captured) / 0.1)
+            for picture in hub.pictures[:2]] == [0, 2]
 
 
 def test_nothing_is_widened_while_nobody_watches(walk_bag, model, monkeypatch):
     source = BagSource(walk_bag, None, model, rate=20.0)
     monkeypatch.setattr(FovExtrapolator, 'expand', lambda *_: pytest.fail('was widened'))
-    hub = Collector(1)
+    hub: Any = Collector(1)
     hub.wanted = Wanted()
-    threading.Timer(0.3, hub.stop.set).start()
+    hub.clock.at(0.9, hub.stop.set)
     source.run(hub, hub.stop)
     assert hub.pictures == []
 
@@ -126,7 +139,7 @@ def test_a_late_viewer_gets_what_the_camera_said_at_the_beginning(model, tmp_pat
     source = BagSource(bag, None, model)
     hub: Any = Collector(1)
     hub.wanted = Wanted()
-    threading.Timer(0.25, lambda: setattr(hub, 'wanted', Wanted(True))).start()
+    hub.clock.at(0.25, lambda: setattr(hub, 'wanted', Wanted(True)))
     source.run(hub, hub.stop)
     assert hub.pictures[0].image.shape == (48, 64, 3)
     assert not any(state.message for state in hub.states)
@@ -135,7 +148,7 @@ def test_a_late_viewer_gets_what_the_camera_said_at_the_beginning(model, tmp_pat
 def test_a_bag_of_one_picture_is_not_opened_all_the_time(model, tmp_path):
     bag = write_walk_bag(tmp_path / 'walk', EXPANSION, 1)
     hub = collect(BagSource(bag, None, model), 3)
-    assert hub.times[-1] - hub.times[0] > 0.8
+    assert np.allclose(np.diff(hub.times), LEAST_ROUND_S)
 
 
 def test_what_cannot_be_shown_is_named(walk_bag, model, tmp_path):
@@ -150,24 +163,22 @@ def test_what_cannot_be_shown_is_named(walk_bag, model, tmp_path):
 def test_a_bag_is_shown_without_ros():
     code = ('import sys, neo_ros.viewer.bag_source, neo_ros.viewer.server, neo_ros.cli.view; '
             'print(*[name for name in ("rclpy", "torch", "sensor_msgs") if name in sys.modules])')
-    root = Path(sys.modules['neo_ros'].__file__).parents[1]
-    result = subprocess.run([sys.executable, '-c', code], cwd=root, text=True,
+    result = subprocess.run([sys.executable, '-c', code], cwd=ROOT, text=True,
                             capture_output=True, check=True)
     assert result.stdout.split() == []
 
 
 def test_the_command_prints_its_address_and_ends_cleanly(walk_bag, model):
-    root = Path(sys.modules['neo_ros'].__file__).parents[1]
     process = subprocess.Popen(
         [sys.executable, '-m', 'neo_ros.cli.main', 'view', '--bag', walk_bag, '--model', model,
-         '--port', '0'], cwd=root, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+         '--port', '0'], cwd=ROOT, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     assert process.stdout is not None
     line = process.stdout.readline()
     assert line.startswith('Viewer: http://127.0.0.1:')
     port = line.strip().rstrip('/').rpartition(':')[-1]
     taken = subprocess.run(
         [sys.executable, '-m', 'neo_ros.cli.main', 'view', '--bag', walk_bag, '--model', model,
-         '--port', port], cwd=root, text=True, capture_output=True, timeout=60)
+         '--port', port], cwd=ROOT, text=True, capture_output=True, timeout=WAIT_S)
     assert taken.returncode == 2 and 'cannot listen on 127.0.0.1' in taken.stderr
     process.terminate()
-    assert process.wait(10) == 0 and process.stderr.read() == ''
+    assert process.wait(WAIT_S) == 0 and process.communicate()[1] == ''

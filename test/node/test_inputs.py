@@ -1,0 +1,167 @@
+"""Which topics the node listens to, and what it says when they are not what it needs."""
+import math
+
+from camera_messages import noise_image
+from diagnostic_msgs.msg import DiagnosticStatus
+from live_node import Camera, node_beside, SOURCE
+from neo_ros.geometry import Intrinsics
+from neo_ros.messages import camera_info_fields
+from neo_ros.node.parameters import override_of
+import pytest
+import rclpy
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from ros_graph import ros_graph
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+from tiny_model import write_tiny_model
+
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+WIDER = Intrinsics.from_hfov(64, 48, math.radians(100))
+WARN, OK = DiagnosticStatus.WARN, DiagnosticStatus.OK
+
+
+@pytest.fixture
+def graph():
+    with ros_graph() as graph:
+        yield graph
+
+
+@pytest.fixture(scope='module')
+def model(tmp_path_factory):
+    return write_tiny_model(tmp_path_factory.mktemp('model') / 'tiny.onnx')
+
+
+def calibration(camera, frame=''):
+    message = CameraInfo(**camera_info_fields(camera))
+    message.header.frame_id = frame
+    return message
+
+
+def test_a_latched_camera_info_is_heard_by_a_node_that_comes_later(graph, model):
+    camera = Camera(graph)
+    infos = graph.node.create_publisher(CameraInfo, '/robot/camera_info', LATCHED)
+    infos.publish(calibration(WIDER))
+    with node_beside(graph, model):
+        camera.wait_for_node()
+        camera.widen(noise_image(WIDER, 0), 1)
+        lines = camera.wait_for_diagnosis(OK, 'widening')
+        assert lines['camera'].startswith('resampled from 64x48')
+        graph.node.destroy_publisher(infos)
+        camera.widen(noise_image(SOURCE, 0), 2)
+        camera.wait_for_diagnosis(WARN, 'no camera_info: the camera is assumed to be 32x24')
+
+
+@pytest.mark.parametrize('rules, image, info', [
+    (['image:=left/image_raw'], 'left/image_raw', 'left/camera_info'),
+    (['image:=left/image_raw', 'camera_info:=right/camera_info'],
+     'left/image_raw', 'right/camera_info'),
+    (['image:=/eye/image'], '/eye/image', '/eye/camera_info'),
+], ids=['follows', 'remapped', 'absolute'])
+def test_camera_info_lies_beside_the_image(graph, model, rules, image, info):
+    with node_beside(graph, model, *[word for rule in rules for word in ('-r', rule)]):
+        for topic in (image, info):
+            full = topic if topic[0] == '/' else f'/robot/{topic}'
+            graph.spin_until(lambda: graph.node.count_subscribers(full), timeout=5)
+        assert not graph.node.count_subscribers('/robot/camera_info')
+
+
+def test_compressed_images_follow_a_remapped_image(graph, model):
+    with node_beside(graph, model, '-r', 'image:=image_raw', '-p', 'image_transport:=compressed'):
+        graph.spin_until(lambda: graph.node.count_subscribers('/robot/image_raw/compressed'))
+        assert not graph.node.count_subscribers('/robot/image/compressed')
+
+
+@pytest.mark.parametrize('kind, topic, parameters, rules, words', [
+    (CompressedImage, 'image/compressed', [], [],
+     'publishers: 0; there is /robot/image/compressed: set the parameter image_transport to '
+     'compressed'),
+    (Image, 'image', ['image_transport:=compressed'], [],
+     'there is /robot/image: set the parameter image_transport to raw'),
+    (CameraInfo, 'image', [], [],
+     '/robot/image is sensor_msgs/msg/CameraInfo, expected sensor_msgs/msg/Image'),
+    (CompressedImage, 'eye/compressed', [], ['image:=eye/compressed'],
+     'remap image to /robot/eye and set the parameter image_transport to compressed'),
+    (Image, 'eye/image', [], [], 'there is /robot/eye/image: remap image to the right one'),
+], ids=['compressed', 'raw', 'another type', 'compressed by name', 'another name'])
+def test_what_the_graph_has_instead_is_named(
+        graph, model, kind, topic, parameters, rules, words):
+    camera = Camera(graph)
+    graph.node.destroy_publisher(camera.images)
+    graph.node.create_publisher(kind, f'/robot/{topic}', 10)
+    # In a process of its own: no participant may hold one topic with two types.
+    camera.start_node(model, *parameters, rules=rules)
+    camera.wait_for_diagnosis(WARN, words)
+
+
+def test_two_publishers_of_one_topic_are_named(graph, model):
+    camera = Camera(graph)
+    other = rclpy.create_node('other', namespace='eyes', context=graph.context)
+    other.create_publisher(Image, '/robot/image', 10)
+    with node_beside(graph, model):
+        camera.wait_for_diagnosis(
+            WARN, '/eyes/other and /test publish /robot/image: remap one of them')
+    other.destroy_node()
+
+
+def test_the_wait_says_what_it_waits_for_and_a_frame_that_does_not_fit_is_told(graph, model):
+    camera = Camera(graph)
+    with node_beside(graph, model) as node:
+        camera.wait_for_node()
+        infos = graph.node.create_publisher(CameraInfo, '/robot/camera_info', 10)
+        graph.spin_until(infos.get_subscription_count)
+        graph.spin_for(0.3)
+        camera.publish(noise_image(SOURCE, 0), 1)
+        graph.spin_for(0.2)
+        assert node._inputs.missing == (
+            'an image came on /robot/image; it waits up to 2 s for the camera_info on '
+            '/robot/camera_info')
+        infos.publish(calibration(WIDER, 'right'))
+        graph.spin_for(2.0)
+        camera.widen(noise_image(SOURCE, 0), 2)
+        camera.wait_for_diagnosis(
+            WARN, 'camera_info is of the frame right, the images are of camera_2; no camera_info')
+
+
+def test_each_image_of_a_camera_that_zooms_meets_its_own_camera_info(graph, model):
+    camera = Camera(graph)
+    with node_beside(graph, model):
+        camera.wait_for_node()
+        infos = graph.node.create_publisher(CameraInfo, '/robot/camera_info', 10)
+        graph.spin_until(infos.get_subscription_count)
+        graph.spin_for(0.3)
+        for number, degrees in enumerate((100, 110, 95), start=1):
+            lens = Intrinsics.from_hfov(64, 48, math.radians(degrees))
+            sent = camera.publish(noise_image(lens, 0), number)
+            message = calibration(lens)
+            message.header = sent.header
+            infos.publish(message)
+            graph.spin_until(lambda: camera.wide['image'] and
+                             camera.wide['image'][-1].header == sent.header)
+            camera.diagnostics.clear()
+            lines = camera.wait_for_diagnosis(OK, 'widening')
+            assert f'hfov {degrees:.2f}' in lines['camera']
+
+
+def test_inputs_follow_the_qos_overrides(graph, model):
+    prefix = 'qos_overrides./robot/image.subscription'
+    with node_beside(graph, model, '-p', f'{prefix}.reliability:=reliable',
+                     '-p', f'{prefix}.durability:=transient_local'):
+        def profiles(topic):
+            return {(found.qos_profile.reliability, found.qos_profile.durability)
+                    for found in graph.node.get_subscriptions_info_by_topic(topic)}
+        graph.spin_until(lambda: profiles('/robot/camera_info'))
+        assert profiles('/robot/image') == {
+            (ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL)}
+        assert profiles('/robot/camera_info') == {
+            (ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.VOLATILE),
+            (ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL)}
+
+
+def test_an_override_is_found_without_being_declared(graph):
+    node = rclpy.create_node('holder', context=graph.context, parameter_overrides=[
+        Parameter('given', value=3)])
+    assert override_of(node, 'given') == 3 and override_of(node, 'other') is None
+    assert not node.has_parameter('given') and not node.has_parameter('other')
+    node.declare_parameter('given', 1)
+    assert override_of(node, 'given') == 3
+    node.destroy_node()
