@@ -162,9 +162,9 @@ def test_a_building_becomes_a_scene_with_a_map_for_each_floor(tmp_path, monkeypa
     scene = read_scene(tmp_path)
     assert len(scene.train) == 6 and scene.train.read_images().shape == (6, 16, 16, 3)
     assert scene.test is not None and len(scene.test) % 3 == 0
-    assert scene.expansion.target.width == 32
+    assert scene.expansion is not None and scene.expansion.target.width == 32
     assert sorted({pose.position[2] for pose in scene.train.poses}) == [1.5, 4.5]
-    assert scene.walkable.camera_height == 1.5
+    assert scene.walkable is not None and scene.walkable.camera_height == 1.5
     assert read_walkable(tmp_path / 'walkable_1.json').camera_height == 4.5
     assert stages == {'light', 'images'}
     before = (tmp_path / 'train' / '0003.png').read_bytes()
