@@ -22,7 +22,7 @@ from neo_ros.machine.progress import Progress
 from neo_ros.messages import camera_info_of, FrameProcessor, image_fields, read_image
 from neo_ros.messages.image_reader import ImageReader
 from neo_ros.messages.memory_messages import MEMORY_OUTPUTS, MemorySettings
-from neo_ros.messages.scene_outputs import default_scene_frame, STATUS
+from neo_ros.messages.scene_outputs import default_scene_frame, STATUS, WIDENING
 from neo_ros.messages.stamps import stamp_of
 from neo_ros.runtime import FovExtrapolator
 import numpy as np
@@ -180,7 +180,7 @@ class _Replay:
         self.every = 1
         self._images = 0
         self._memory: ReplayOutputs | None = None
-        self._diagnosed = node_name(camera.wide).encode() + b'\0'
+        self._diagnosed = f'{node_name(camera.wide)}: {WIDENING}\0'.encode()
         self.on_frame: OnImages | None = None
         self.on_pair: OnImages | None = None
         self._unmatched: tuple[dict[int, np.ndarray], dict[int, np.ndarray]] = ({}, {})

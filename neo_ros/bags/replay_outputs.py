@@ -8,7 +8,7 @@ from neo_ros.errors import BagError
 from neo_ros.messages import SceneWatch, WideFrame
 from neo_ros.messages.memory_messages import (
     MEMORY_OUTPUTS, MemoryMessages, MemorySettings)
-from neo_ros.messages.scene_outputs import diagnostics_message, Make, OK, WARN
+from neo_ros.messages.scene_outputs import diagnostics_message, Make, OK, WARN, WIDENING
 from neo_ros.messages.stamps import NS_PER_S
 import numpy as np
 
@@ -45,7 +45,7 @@ class ReplayOutputs:
                  write: Write) -> None:
         self._make, self._names, self._write = make, frozenset(names), write
         self._messages = MemoryMessages(make, settings)
-        self._name = settings.name
+        self._name = f'{settings.name}: {WIDENING}'
         self._watch = SceneWatch()
         self._frames: deque[tuple[int, WideFrame]] = deque()
         self._published = 0

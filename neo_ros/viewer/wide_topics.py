@@ -5,6 +5,7 @@ from typing import Any
 
 from neo_ros.errors import ImageRejected
 from neo_ros.messages import read_image
+from neo_ros.messages.scene_outputs import WIDENING
 from neo_ros.pictures.header import compressed_image_size
 import numpy as np
 
@@ -84,7 +85,7 @@ class NodeDiagnosis:
     """
 
     def __init__(self, camera: str) -> None:
-        self._own = f'{camera}/fov_extrapolator'
+        self._own = f'{camera}/fov_extrapolator: {WIDENING}'
         self._heard: set[str] = set()
 
     def read(self, statuses: Sequence[Any]) -> Mapping[str, Any]:
@@ -95,7 +96,7 @@ class NodeDiagnosis:
         no status is the node's.
         """
         nodes = {status.name: status for status in statuses
-                 if status.name.endswith('fov_extrapolator')}
+                 if status.name.endswith(f'fov_extrapolator: {WIDENING}')}
         self._heard |= set(nodes)
         alone = next(iter(self._heard)) if len(self._heard) == 1 else ''
         status = nodes.get(self._own if self._own in self._heard else alone)

@@ -123,9 +123,9 @@ def test_compressed_pictures_are_passed_on_as_they_are():
 
 
 def test_diagnosis_of_the_node_beside_the_topic():
-    ours = status('/cam/fov_extrapolator', b'\x01', 'not in the scene',
+    ours = status('/cam/fov_extrapolator: widening', b'\x01', 'not in the scene',
                   {IN_SCENE: 'false', LATENCY: '12.5/20/30'})
-    other = status('/rear/fov_extrapolator', 0, 'widening')
+    other = status('/rear/fov_extrapolator: widening', 0, 'widening')
     of_ours = {'level': 1, 'message': 'not in the scene', 'node_ms': 12.5, 'out_of_scene': True}
     of_other = {'level': 0, 'message': 'widening', 'node_ms': None, 'out_of_scene': False}
     # Every node sends an array of its own.

@@ -136,7 +136,8 @@ def test_compressed_pictures_and_warnings_of_the_node(graph):
     _, url = start_viewer(graph, '-r', 'wide/image:=wide/image/compressed')
     data = cv2.imencode('.jpg', np.zeros((48, 64, 3), np.uint8))[1].tobytes()
     diagnosis = DiagnosticArray(status=[DiagnosticStatus(
-        level=DiagnosticStatus.WARN, name='/robot/fov_extrapolator', message='unlike the scene',
+        level=DiagnosticStatus.WARN, name='/robot/fov_extrapolator: widening',
+        message='unlike the scene',
         values=[KeyValue(key='in the trained scene', value='false')])])
     with Watcher(graph, url) as watcher:
         watcher.until(lambda: 'publishers: 0' in watcher.status.get('waiting', ''))
