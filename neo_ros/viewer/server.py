@@ -1,6 +1,7 @@
 """The web server: a fixed set of files, the log-in, and the stream."""
 import asyncio
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
 from importlib.resources import files
 import signal
 import socket
@@ -9,6 +10,7 @@ import threading
 from aiohttp import web, WSCloseCode
 from neo_ros.errors import ConfigError
 from neo_ros.viewer.access import Access, add_headers
+from neo_ros.viewer.connections import Connections, limit_logs, listen, PoliteHandler
 from neo_ros.viewer.hub import Hub, Source
 from neo_ros.viewer.settings import ViewerSettings
 from neo_ros.viewer.viewer_link import ViewerLink
@@ -36,7 +38,8 @@ class Server:
     def __init__(self, settings: ViewerSettings, hub: Hub) -> None:
         self._settings = settings
         self._hub = hub
-        self._access = Access(settings)
+        self.connections = Connections(hub.clock)
+        self._access = Access(settings, hub.clock)
         self._viewers: set[web.WebSocketResponse] = set()
         folder = files('neo_ros.viewer') / 'page'
         self._pages = {url: ((folder / name).read_bytes(), kind)
@@ -45,6 +48,7 @@ class Server:
         self.app = web.Application(
             middlewares=[self._access.middleware], client_max_size=MAX_REQUEST_BYTES)
         self.app.on_response_prepare.append(add_headers)
+        self.app.on_response_prepare.append(self._touch)
         self.app.on_shutdown.append(self._close_sockets)
         self.app.add_routes([
             *(web.get(url, self._get_page) for url in PAGE),
@@ -63,8 +67,11 @@ class Server:
     async def _post_login(self, request: web.Request) -> web.Response:
         self._access.check_origin(request)
         token = (await request.post()).get('token', '')
+        if not self._access.may_guess():
+            return self._login_page('Too many wrong tokens. Try again in a minute.', 429)
         if not isinstance(token, str) or not self._access.is_token(token):
-            await asyncio.sleep(WRONG_TOKEN_PAUSE_S)
+            self._access.count_wrong_token()
+            await self._hub.clock.sleep(WRONG_TOKEN_PAUSE_S)
             return self._login_page('That is not the token.', 403)
         response = web.HTTPSeeOther('/')
         self._access.begin_session(request, response)
@@ -86,6 +93,7 @@ class Server:
         link = ViewerLink(viewer, self._settings.max_mbit, self._hub.update_wanted,
                           self._hub.clock)
         self._viewers.add(viewer)
+        self.connections.touch(request, watching=True)
         self._hub.add(link)
         try:
             await viewer.send_json({
@@ -97,7 +105,11 @@ class Server:
         finally:
             self._hub.remove(link)
             self._viewers.discard(viewer)
+            self.connections.touch(request)
         return viewer
+
+    async def _touch(self, request: web.Request, response: web.StreamResponse) -> None:
+        self.connections.touch(request)
 
     async def _close_sockets(self, app: web.Application) -> None:
         for viewer in list(self._viewers):
@@ -119,8 +131,6 @@ async def _serve(source: Source, settings: ViewerSettings,
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, finished.set)
-    runner = web.AppRunner(Server(settings, hub).app, access_log=None, shutdown_timeout=1.0)
-    await runner.setup()
     failures: list[BaseException] = []
 
     def feed() -> None:
@@ -133,28 +143,49 @@ async def _serve(source: Source, settings: ViewerSettings,
     thread = threading.Thread(target=feed, name='viewer source', daemon=True)
     telling = asyncio.create_task(hub.keep_telling())
     try:
-        report(_describe(settings, await _listen(runner, settings)))
-        thread.start()
-        await finished.wait()
+        async with opened(settings, hub) as port:
+            report(_describe(settings, port))
+            thread.start()
+            await finished.wait()
+            stop.set()
     finally:
         stop.set()
         telling.cancel()
-        await runner.cleanup()
         if thread.is_alive():
             await asyncio.to_thread(thread.join, 2.0)
     if failures:
         raise failures[0]
 
 
-async def _listen(runner: web.AppRunner, settings: ViewerSettings) -> int:
-    """Open the port and return it."""
-    site = web.TCPSite(runner, settings.host, settings.port, ssl_context=settings.tls())
+@asynccontextmanager
+async def opened(settings: ViewerSettings, hub: Hub) -> AsyncIterator[int]:
+    """Serve a hub at the settings' port, which is given; raises ConfigError."""
+    tls = settings.tls()
     try:
-        await site.start()
+        listeners = listen(settings.host, settings.port)
     except OSError as error:
         raise ConfigError(f'host, port: cannot listen on {settings.host}:{settings.port}: '
                           f'{error.strerror}; choose another') from error
-    return runner.addresses[0][1]
+    server = Server(settings, hub)
+    runner = web.AppRunner(server.app, access_log=None, shutdown_timeout=1.0)
+    await runner.setup()
+    manager, loop = runner.server, asyncio.get_running_loop()
+    assert manager is not None
+    undo = limit_logs(hub.clock)
+    tasks = [asyncio.create_task(server.connections.keep_clearing()), *(
+        asyncio.create_task(server.connections.serve(
+            listener, lambda: PoliteHandler(manager, loop=loop), tls))
+        for listener in listeners)]
+    try:
+        yield listeners[0].getsockname()[1]
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        for listener in listeners:
+            listener.close()
+        await runner.cleanup()
+        undo()
 
 
 def _describe(settings: ViewerSettings, port: int) -> str:
@@ -162,6 +193,8 @@ def _describe(settings: ViewerSettings, port: int) -> str:
     scheme = 'https' if settings.cert else 'http'
     host = socket.gethostname() if settings.host in ('0.0.0.0', '::') else settings.host
     lines = [f'Viewer: {scheme}://{f"[{host}]" if ":" in host else host}:{port}/']
+    if settings.public_origin:
+        lines.append(f'Through the proxy: {settings.public_origin}/')
     if settings.fresh_token:
         lines.append(f'Token: {settings.token}')
     if settings.cert is None and not settings.on_loopback:
