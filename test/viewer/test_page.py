@@ -317,7 +317,7 @@ def test_age_is_true_on_a_thin_link(browser: Any, viewer: Viewer) -> None:
     with narrow_link(viewer.port) as link:
         page.goto(f'http://127.0.0.1:{link.port}/')
         wait_for_state(page, 'live')
-        link.narrow(5e3, 0.1)
+        link.narrow(3e3, 0.1)
         wait_for_state(page, 'lost')
         wait_for(page, lambda: page.evaluate('window.arrivals.length') >= 30, 120.0)
         shown, arrivals = page.evaluate("""() => new Promise((done) => {
@@ -339,7 +339,7 @@ def test_a_thin_link_says_that_its_picture_is_smaller(browser: Any, viewer: View
     with narrow_link(viewer.port) as link:
         page.goto(f'http://127.0.0.1:{link.port}/')
         wait_for_state(page, 'live')
-        assert page.inner_text('#size') == f'{WIDTH} × {HEIGHT}'
+        wait_for(page, lambda: page.inner_text('#size') == f'{WIDTH} × {HEIGHT}')
         link.narrow(2e3, 0.0)
         small = f'{WIDTH // 2} × {HEIGHT // 2} (thin link: smaller picture)'
         wait_for(page, lambda: page.inner_text('#size') == small, 120.0)
