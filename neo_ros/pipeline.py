@@ -34,7 +34,8 @@ from neo_ros.training.folder import claim, drop_made_of_a_field, take_field
 from neo_ros.training.memory import memory_step, name_memory
 from neo_ros.training.report import Scoring, write_training_report
 from neo_ros.training.run import LEAST_PHOTOS, TrainingRun
-from neo_ros.training.time_plan import plan_training, read_plan, share_network_minutes
+from neo_ros.training.time_plan import (
+    plan_training, read_plan, share_network_minutes, TimeLeft)
 from neo_ros.training.views import (
     held_out_views, held_out_wide_views, make_stream, note_poses, real_frames)
 import numpy as np
@@ -66,7 +67,8 @@ def train(scene_folder: Path, experiment: Experiment, out: Path,
                               lambda chosen: progress('plan', 1, 1, chosen))
         wait_for_all()
         plan = None if minutes is None else read_plan(out)
-        experiment = experiment if plan is None else plan.experiment
+        if plan is not None:
+            experiment, progress = plan.experiment, TimeLeft(plan, progress)
         run = TrainingRun(scene, experiment, out, progress, cache_gb, plan=plan)
         check_training(run)
         if rank == 0:
