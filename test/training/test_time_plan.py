@@ -148,14 +148,14 @@ def test_a_training_by_the_minute_leaves_a_whole_model_and_is_not_done_twice(
     def note(stage: str, done: int, total: int, note: str = '') -> None:
         seen.append(stage)
 
-    run = train(tmp_path / 'scene', TINY, tmp_path / 'out', note, minutes=0.4)
-    assert run.plan is not None and run.plan.experiment.field.minutes == pytest.approx(0.18)
+    run = train(tmp_path / 'scene', TINY, tmp_path / 'out', note, minutes=0.15)
+    assert run.plan is not None and run.plan.experiment.field.minutes == pytest.approx(0.0675)
     model = FovExtrapolator.load(run.model_path)
     assert model.card.memory is not None
     content = run.model_path.read_bytes(), run.memory_path.read_bytes()
     order = list(dict.fromkeys(seen))
     assert order.index('plan') < order.index('field') < order.index('keyframes') \
         < order.index('outpainter')
-    again = train(tmp_path / 'scene', TINY, tmp_path / 'out', note, minutes=0.4)
+    again = train(tmp_path / 'scene', TINY, tmp_path / 'out', note, minutes=0.15)
     assert again.samples == run.samples
     assert again.memory_path.read_bytes() == content[1]
