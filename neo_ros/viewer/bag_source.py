@@ -1,19 +1,21 @@
 """Pictures from a bag, with the timing that it was recorded with, over and over."""
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 import threading
 from typing import Any
 
 from neo_ros.bags import BagReader, BagTopic
 from neo_ros.bags.camera_topics import COMPRESSED, find_camera, IMAGE
-from neo_ros.errors import BagError, ConfigError, ImageRejected
+from neo_ros.errors import BagError, ConfigError, GeometryError, ImageRejected
 from neo_ros.messages import camera_info_of, FrameProcessor, SceneWatch
 from neo_ros.messages.stamps import NS_PER_S, stamp_of
 from neo_ros.runtime import FovExtrapolator
 from neo_ros.viewer.hub import Hub
 from neo_ros.viewer.pictures import SourcePicture, SourceState
+from neo_ros.viewer.whereabouts import Place, PoseJoiner
 from neo_ros.viewer.wide_topics import (
-    NodeDiagnosis, read_grey, read_picture, seen_share, WideTopics)
+    NodeDiagnosis, read_grey, read_picture, read_pixels, read_pose, seen_share, WideTopics)
 
 WIDE = '/wide/image'
 # A picture that would come later than this after its time is left out for a newer one.
@@ -37,6 +39,8 @@ class BagSource:
         if not rate > 0:
             raise ConfigError(f'rate: expected a number > 0, got {rate}')
         self._bag, self._rate = bag, rate
+        # The model that its camera is widened with; None where it has wide images.
+        self.model: Path | None = None
         self._processor: FrameProcessor | None = None
         with BagReader(bag) as reader:
             wide = _find_wide(reader, topic)
@@ -45,6 +49,7 @@ class BagSource:
                 self._topics = WideTopics(wide.name)
             else:
                 extrapolator = FovExtrapolator.load(model)
+                self.model = model
                 self._processor = FrameProcessor(extrapolator)
                 camera = find_camera(reader, extrapolator.expansion.source, topic)
                 self._image = camera.image
@@ -52,7 +57,7 @@ class BagSource:
                 self._info_topic = camera.info.name if camera.info is not None else ''
         self._read = {self._image.name, self._info_topic, '/diagnostics'}
         if self._processor is None:
-            self._read |= {self._topics.mask, self._topics.confidence}
+            self._read |= {self._topics.mask, self._topics.confidence, self._topics.pose}
         self._state = SourceState(f'{bag.name} {self._image.name}')
         self._diagnosis = NodeDiagnosis(self._topics.camera)
 
@@ -66,6 +71,8 @@ class BagSource:
             self._seen: tuple[float, float, float, float] | None = None
             if self._processor is not None:
                 self._processor.reset()
+            hub.where.forget()
+            self._joiner = PoseJoiner(hub.where)
             hub.report(self._state)
             ends = hub.clock.now() + LEAST_ROUND_S
             if not self._play(hub, stop):
@@ -90,7 +97,7 @@ class BagSource:
                 try:
                     self._take(message.topic.name, message.read(), due, hub)
                     hub.report(self._state)
-                except (ImageRejected, BagError) as error:
+                except (ImageRejected, GeometryError, BagError) as error:
                     hub.report(replace(self._state, level=1, message=str(error)))
         return pictures > 0
 
@@ -103,6 +110,8 @@ class BagSource:
             self._seen = self._seen or seen_share(read_grey(content))
         elif name == self._topics.confidence:
             self._confidence = content
+        elif name == self._topics.pose:
+            self._joiner.add_pose(stamp_of(content.header), read_pose(content))
         elif self._processor is None:
             self._show_recorded(content, due, hub)
         else:
@@ -114,6 +123,7 @@ class BagSource:
         if (hub.wanted.confidence and self._confidence is not None
                 and stamp_of(self._confidence.header) == stamp_of(content.header)):
             confidence = read_grey(self._confidence)
+        self._joiner.add_image(stamp_of(content.header), due, partial(read_pixels, content))
         hub.publish(SourcePicture(read_picture(content), due, True, confidence, self._seen))
 
     def _widen(self, processor: FrameProcessor, content: Any, due: float, hub: Hub) -> None:
@@ -124,6 +134,8 @@ class BagSource:
             self._state = replace(
                 self._state, out_of_scene=self._scene_watch.update(self._unlike))
         self._seen = self._seen or seen_share(frame.extrapolated_mask)
+        if frame.guide is not None:
+            hub.where.put(Place(frame.guide.pose, due, lambda: frame.image))
         hub.publish(SourcePicture(frame.image, due, True, frame.confidence, self._seen))
 
 

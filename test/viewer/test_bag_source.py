@@ -15,6 +15,7 @@ from neo_ros.messages import read_image
 from neo_ros.runtime import FovExtrapolator
 from neo_ros.viewer.bag_source import BagSource, LATE_S, LEAST_ROUND_S
 from neo_ros.viewer.hub import Wanted
+from neo_ros.viewer.whereabouts import Whereabouts
 import numpy as np
 import pytest
 from tiny_model import write_tiny_model
@@ -53,6 +54,7 @@ class Collector:
         self.states: list = []
         self.stop = threading.Event()
         self.clock, self.work_s = HandClock(), 0.0
+        self.where = Whereabouts()
         self._count = count
 
     def publish(self, picture) -> None:
