@@ -101,8 +101,8 @@ def import_capture(source: Path, scene: Path, format_: CaptureFormat, options: I
         capture = select_frames(
             capture, options.keyframe_distance, None if angle is None else math.radians(angle),
             of_stage(progress, 'sharpness'))
-    return [*write_capture(capture, scene, of_stage(progress, 'photos'),
-                           of_stage(progress, 'depth')), *notes]
+    return [*notes, *write_capture(capture, scene, of_stage(progress, 'photos'),
+                                   of_stage(progress, 'depth'))]
 
 
 def finish_scene(scene: Path, notes: Sequence[str], test_runs: int,

@@ -8,6 +8,7 @@ from typing import Any
 
 import cv2
 from neo_ros.captures.capture import Capture, CapturedFrame
+from neo_ros.captures.depth_agreement import fit_to_depth
 from neo_ros.captures.depth_writing import depth_name, write_depths
 from neo_ros.errors import SceneError
 from neo_ros.geometry import CameraPose, Intrinsics
@@ -50,6 +51,10 @@ def write_capture(capture: Capture, scene: Path, progress: Progress = no_progres
         tuple(pose for index in kept if (pose := capture.frames[index].pose) is not None),
         tuple(capture.frames[index].path_id for index in kept), capture.z_up,
         capture.arbitrary_scale, tuple(depths[index] for index in kept) if depths else ())
+    if depths:
+        units = {frame.depth.unit for frame in capture.frames if frame.depth is not None}
+        images, agreement = fit_to_depth(images, units.pop())
+        depth_notes.append(agreement)
     clear_earlier_import(scene)
     write_transforms(scene / 'transforms_train.json', images)
     return (*capture.notes, *unreadable_note(capture, names), *depth_notes)

@@ -1,7 +1,8 @@
-"""The tables of topics, parameters and services in docs/reference/node.md, from the code."""
+"""The tables of topics, parameters, services and keys in docs/reference/node.md, from the code."""
 from collections.abc import Iterable
 from typing import Any
 
+from neo_ros.node.diagnostics import KEYS
 from neo_ros.node.interface import DIAGNOSTICS, Endpoint, INPUTS, OUTPUTS, SERVICES
 from neo_ros.node.parameters import declare_parameters
 from rcl_interfaces.msg import ParameterDescriptor
@@ -30,6 +31,8 @@ def interface_tables() -> dict[str, str]:
               *_rows('out, ', [DIAGNOSTICS])]
     return {'topics': _table('| topic | type | |', topics),
             'parameters': _table('| parameter | default | |', parameters.rows),
+            'diagnostics': _table('| key | meaning |', [
+                f'| `{key}` | {words} |' for key, words in KEYS.items()]),
             'services': _table('| service | type | |', _rows('', SERVICES))}
 
 

@@ -258,7 +258,9 @@ export class Around {
     const stage = find('stage').getBoundingClientRect();
     label.style.left = `${left - stage.left + this.point[0] * width}px`;
     label.style.top = `${top - stage.top + this.point[1] * height}px`;
-    label.classList.toggle('left', this.point[0] > 0.6);
+    const flip = this.point[0] > 0.5;
+    label.classList.toggle('left', flip);
+    label.style.maxWidth = `${(flip ? this.point[0] : 1 - this.point[0]) * width - 24}px`;
     const digits = plusMinus < 0.095 ? 2 : 1;
     const unit = this.about.metric ? ' m' : '';
     label.textContent = metres === undefined ? 'Distance not known'
