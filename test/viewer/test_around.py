@@ -60,7 +60,8 @@ async def joined(client: TestClient) -> AsyncIterator[ClientWebSocketResponse]:
 async def receive(socket: ClientWebSocketResponse, kind: str
                   ) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
     """Return meta, image RGB and kinds of the next message of a kind; confirm what comes."""
-    image = kinds = np.zeros(0)
+    image: Any = None
+    kinds: Any = None
     while True:
         message = await asyncio.wait_for(socket.receive(), 20)
         assert message.type in (WSMsgType.TEXT, WSMsgType.BINARY), message
