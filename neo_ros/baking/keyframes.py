@@ -53,11 +53,16 @@ class MemoryConfig:
 
 @dataclass(frozen=True, eq=False)
 class Photos:
-    """Photos uint8 (N, H, W, 3), their camera and T_world_cam (N, 4, 4)."""
+    """
+    Photos uint8 (N, H, W, 3), their camera and T_world_cam (N, 4, 4).
+
+    usable: bool (N, H, W), False where a photo does not show the scene; None: it does.
+    """
 
     images: np.ndarray
     intrinsics: Intrinsics
     T_world_cam: np.ndarray
+    usable: np.ndarray | None = None
 
 
 def bake_memory(field: RadianceField, photos: Photos, expansion: ViewExpansion,
@@ -78,8 +83,13 @@ def bake_memory(field: RadianceField, photos: Photos, expansion: ViewExpansion,
     seen, gains = np.empty(photos.images.shape[:3], np.float32), []
     for index, (image, T) in enumerate(zip(photos.images, photos.T_world_cam)):
         rendering = render_rays(field, *world_rays(photos.intrinsics, CameraPose(T)))
-        seen[index] = np.where(rendering.coverage > rules.least_coverage, rendering.depth, 0)
-        gains.append(_gain(rendering.image, image))
+        usable = (np.ones(image.shape[:2], bool) if photos.usable is None
+                  else photos.usable[index])
+        # A colour is made of pixels up to two away; at depth 0 a photo colours nothing.
+        clear = cv2.erode(usable.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+        seen[index] = np.where(clear & (rendering.coverage > rules.least_coverage),
+                               rendering.depth, 0)
+        gains.append(_gain(rendering.image[usable], image[usable]))
         progress(index + 1, total)
     frames: list[tuple[bytes, bytes, Glances]] = []
     for index, position in enumerate(positions):
@@ -145,11 +155,13 @@ def keyframe_positions(sampler: PoseSampler, photos: Photos, distance: float) ->
 
 def _gain(rendered: np.ndarray, photo: np.ndarray) -> np.ndarray:
     """
-    Return what multiplies a photo's colours, (3,), to the exposure of the field.
+    Return what multiplies a photo's pixels (P, 3) to the exposure of the field, (3,).
 
     By their means: the field was fitted to this photo, so its errors have no sign.
     """
-    ratio = 255 * rendered.mean((0, 1)) / np.maximum(photo.mean((0, 1)), 1)
+    if not len(photo):
+        return np.ones(3, np.float32)
+    ratio = 255 * rendered.mean(0, np.float64) / np.maximum(photo.mean(0), 1)
     return np.clip(ratio, 0.5, 2).astype(np.float32)
 
 

@@ -38,7 +38,7 @@ def memory_step(run: TrainingRun, field: RadianceField) -> None:
         landmarks = find_landmarks(run.fitted, scale, run.expansion.source, run.out / WORK,
                                    run.progress)
         photos = Photos(run.fitted.read_images(scale), run.fitted.intrinsics.scaled(scale),
-                        run.fitted.T_world_cam)
+                        run.fitted.T_world_cam, run.fitted.read_all_usable(scale))
         memory = bake_memory(
             field, photos, run.expansion, make_sampler(run, field), config, run.experiment.seed,
             run.out / WORK / f'keyframes_{config.distance}',
