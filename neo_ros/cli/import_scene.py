@@ -60,7 +60,19 @@ def import_scene(
         '--depth', help='Demo only: depth maps as well, with the faults of a depth camera.',
     )] = False,
     photos: Annotated[Optional[int], typer.Option(
-        help='Demo only: number of photos; default: 1000.', min=1)] = None,
+        help='Demo only: number of photos; default: 1000, of a building all that a mapping robot '
+             'takes.', min=1)] = None,
+    rooms: Annotated[Optional[int], typer.Option(
+        help='Demo only: instead of the flat a building with so many rooms on each floor, 20 m2 '
+             'each.')] = None,
+    floors: Annotated[Optional[int], typer.Option(
+        help='Demo only: floors of the building; default: 1.')] = None,
+    twins: Annotated[Optional[int], typer.Option(
+        help='Demo only: pairs of rooms of a floor that are equal; default: 0.')] = None,
+    own_picture: Annotated[bool, typer.Option(
+        '--own-picture', help='Demo only: the rooms of a pair differ in one picture.')] = False,
+    seed: Annotated[Optional[int], typer.Option(
+        help='Demo only: another building for each number; default: 0.', min=0)] = None,
 ) -> None:
     """
     Bring photos with poses into a scene folder, check them, and say how good the capture is.
@@ -75,7 +87,8 @@ def import_scene(
     from neo_ros.captures.report import REPORT_FILE
     from neo_ros.cli.options import refuse, tell_next
     from neo_ros.cli.progress import stage_progress
-    from neo_ros.flat.scene_writing import write_demo_scene
+    from neo_ros.flat.building_plan import BuildingPlan
+    from neo_ros.flat.scene_writing import write_building_scene, write_demo_scene
     import rich
     from rich.markup import escape
 
@@ -90,11 +103,19 @@ def import_scene(
                    keyframe_distance=keyframe_distance, keyframe_angle=keyframe_angle,
                    level=level, scale=scale, fisheye_view=fisheye_view, depth_unit=depth_unit,
                    **of_bags, **of_folders)
-            write_demo_scene(scene, image_size=size or 128, n_train=photos or 1000, depth=depth,
-                             progress=lambda done, total: show('images', done, total))
+            if rooms is None:
+                refuse('expected only with --rooms', floors=floors, twins=twins,
+                       own_picture=own_picture, seed=seed)
+                write_demo_scene(scene, image_size=size or 128, n_train=photos or 1000,
+                                 depth=depth,
+                                 progress=lambda done, total: show('images', done, total))
+            else:
+                write_building_scene(
+                    scene, BuildingPlan(floors or 1, rooms, seed or 0, twins or 0, own_picture),
+                    image_size=size or 128, n_train=photos, depth=depth, progress=show)
         else:
-            refuse('expected only with "demo"', size=size, photos=photos,
-                   depth=depth)
+            refuse('expected only with "demo"', size=size, photos=photos, depth=depth, rooms=rooms,
+                   floors=floors, twins=twins, own_picture=own_picture, seed=seed)
             format_ = (detect_format(Path(source)) if format_name is None
                        else _named_format(format_name))
             if format_ != CaptureFormat.BAG:

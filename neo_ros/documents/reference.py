@@ -59,7 +59,7 @@ def rooms(root: Path) -> str:
 
 
 def interface(root: Path, name: str) -> str:
-    """Return the node's topics, parameters or services."""
+    """Return the node's topics, parameters, services or diagnostics."""
     from neo_ros.node.interface_tables import interface_tables
     return interface_tables()[name].rstrip('\n')
 

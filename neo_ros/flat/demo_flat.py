@@ -43,23 +43,25 @@ class DemoFlat:
         distance, solid = hits.distance.ravel(), hits.solid.ravel()
         radiance = np.empty((len(rays), 3), np.float32)
         outside = solid < 0
-        radiance[outside] = _outside(rays[outside])
+        radiance[outside] = outside_radiance(rays[outside])
         inside = np.flatnonzero(~outside)
-        spread = np.float32(1 / (SAMPLES * intrinsics.fx))
-        radiance[inside] = self._inside(
+        radiance[inside] = self.radiance(
             solid[inside], pose.position.astype(np.float32), rays[inside], distance[inside],
-            spread)
-        shown = _tone(radiance).reshape(intrinsics.height, SAMPLES, intrinsics.width, SAMPLES, 3)
-        linear = shown.sum(axis=(1, 3)) / np.float32(SAMPLES ** 2)
-        centres = slice(SAMPLES // 2, None, SAMPLES)
-        return _encoded(linear), hits.distance[centres, centres].copy()
+            sample_spread(intrinsics))
+        return developed(radiance, intrinsics), centre_samples(hits.distance)
+
+    def depth(self, intrinsics: Intrinsics, pose: CameraPose) -> np.ndarray:
+        """Return the depth along the optical axis, float32 (H, W) metres."""
+        return cast_camera(self.solids, intrinsics, pose,
+                           camera_directions(intrinsics, pose, 1)).distance
 
     def walkable(self) -> WalkableMap:
         """Return the free floor of both rooms, in cells of 0.05 m."""
         return free_floor(self.solids)
 
-    def _inside(self, solid: np.ndarray, position: np.ndarray, rays: np.ndarray,
-                distance: np.ndarray, spread: np.float32) -> np.ndarray:
+    def radiance(self, solid: np.ndarray, position: np.ndarray, rays: np.ndarray,
+                 distance: np.ndarray, spread: np.float32) -> np.ndarray:
+        """Return what leaves the solids (M,) towards a camera along rays (M, 3): (M, 3)."""
         points = position + rays * distance[:, None]
         places = locate(self.solids, solid, points, rays)
         footprint = distance * spread / np.sqrt(np.maximum(places.slant, np.float32(0.03)))
@@ -123,7 +125,25 @@ def _panorama() -> MipMap:
     return MipMap(panorama(), wrap=False)
 
 
-def _outside(rays: np.ndarray) -> np.ndarray:
+def sample_spread(intrinsics: Intrinsics) -> np.float32:
+    """Return the angle between two samples, radians."""
+    return np.float32(1 / (SAMPLES * intrinsics.fx))
+
+
+def centre_samples(values: np.ndarray) -> np.ndarray:
+    """Return the samples (h, w) at the centres of the pixels."""
+    centres = slice(SAMPLES // 2, None, SAMPLES)
+    return values[centres, centres].copy()
+
+
+def developed(radiance: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
+    """Average the samples (M, 3) of each pixel as a camera would: RGB uint8 (H, W, 3)."""
+    shown = _tone(radiance).reshape(intrinsics.height, SAMPLES, intrinsics.width, SAMPLES, 3)
+    return _encoded(shown.sum(axis=(1, 3)) / np.float32(SAMPLES ** 2))
+
+
+def outside_radiance(rays: np.ndarray) -> np.ndarray:
+    """Return how bright the world outside is along rays (M, 3): (M, 3)."""
     across = np.arctan2(rays[:, 1], rays[:, 0]) / np.float32(2 * np.pi) % 1
     level = np.arctan2(rays[:, 2], np.hypot(rays[:, 0], rays[:, 1]))
     down = np.clip(np.float32(0.5) - level / np.float32(np.radians(120)), 0, 1)

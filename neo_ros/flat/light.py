@@ -10,13 +10,42 @@ from neo_ros.flat.shapes import BOX, FACES, Solids
 from neo_ros.flat.surfaces import chart_places, face_sizes, locate, SurfacePoints
 import numpy as np
 
-TEXEL = 0.11  # metres
 BRIGHTEST = 5.0  # irradiance that is stored as 255; stored values are square roots
 LIGHT_FILE = Path(__file__).with_name('light.npz')
 WINDOW_RADIANCE = np.array([6.6, 7.0, 7.5])
 LAMP_RADIANCE = np.array([15.0, 13.4, 11.0])
-SHADOW_RAYS, BOUNCE_RAYS, BOUNCES = 48, 96, 7
 Layout = tuple[np.ndarray, np.ndarray, np.ndarray]  # first texel, columns, rows of charts
+# Of points on windows and lamps: where, normals, radiance, area.
+Samples = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+
+@dataclass(frozen=True)
+class LightQuality:
+    """How finely light is baked: texels in metres, rays to each lamp or window, rays around."""
+
+    texel: float = 0.11
+    shadow_rays: int = 48
+    bounce_rays: int = 96
+    bounces: int = 7
+
+
+FINE = LightQuality()
+
+
+@dataclass(frozen=True)
+class LightSources:
+    """
+    Where light comes from, metres.
+
+    windows  each: axis of the wall's normal, its coordinate, from, to, sill, top, side of the room
+    lamps    round ceiling lamps, each: x, y, radius
+    """
+
+    windows: tuple[tuple[int, float, float, float, float, float, int], ...]
+    lamps: tuple[tuple[float, float, float], ...]
+
+
+DEMO_SOURCES = LightSources(WINDOWS, LAMPS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,9 +78,9 @@ class LightMap:
         return lower * (1 - v) + upper * v
 
 
-def chart_layout(solids: Solids) -> Layout:
+def chart_layout(solids: Solids, texel: float = FINE.texel) -> Layout:
     """Return first texel, columns and rows of all charts, int32 (N * FACES,)."""
-    counts = np.rint(face_sizes(solids) / TEXEL).astype(np.int32)
+    counts = np.rint(face_sizes(solids) / texel).astype(np.int32)
     empty = (face_sizes(solids) == 0).any(axis=1)
     counts = np.where(empty[:, None], 0, np.maximum(counts, 1))
     is_round = np.repeat(solids.kind != BOX, FACES) & (np.arange(len(counts)) % FACES == 0)
@@ -74,30 +103,33 @@ def demo_light() -> LightMap:
     return LightMap(values, start, columns, rows)
 
 
-def bake_light(solids: Solids) -> np.ndarray:
+def bake_light(solids: Solids, sources: LightSources = DEMO_SOURCES,
+               quality: LightQuality = FINE) -> np.ndarray:
     """Compute irradiance of all texels, float32 (T, 3); deterministic; about a minute."""
-    layout = chart_layout(solids)
+    layout = chart_layout(solids, quality.texel)
     points, normals, chart = _texels(solids, layout)
-    direct = _direct(solids, points, normals)
-    targets = _bounce_targets(solids, points, normals, layout)
+    direct = _direct(solids, points, normals, _light_samples(sources, quality.shadow_rays))
+    targets = _bounce_targets(solids, points, normals, layout, quality.bounce_rays)
     values = direct
-    for _ in range(BOUNCES):
+    for _ in range(quality.bounces):
         values = direct + _leaving(solids, chart, values)[targets].mean(axis=1)
     return _smooth(values, _inside_something(solids, points + 0.004 * normals), layout)
 
 
-def gather_light(solids: Solids, known: np.ndarray, charts: np.ndarray) -> np.ndarray:
+def gather_light(solids: Solids, known: np.ndarray, charts: np.ndarray,
+                 quality: LightQuality = FINE) -> np.ndarray:
     """
     Compute irradiance of the texels of some charts anew, given that of all: float32 (t, 3).
 
     Light that is in balance comes out as it went in, up to smoothing and noise.
     """
-    layout = chart_layout(solids)
+    layout = chart_layout(solids, quality.texel)
     points, normals, chart = _texels(solids, layout)
     leaving = _leaving(solids, chart, known)
     keep = np.isin(chart, charts)
-    targets = _bounce_targets(solids, points[keep], normals[keep], layout)
-    return _direct(solids, points[keep], normals[keep]) + leaving[targets].mean(axis=1)
+    targets = _bounce_targets(solids, points[keep], normals[keep], layout, quality.bounce_rays)
+    samples = _light_samples(DEMO_SOURCES, quality.shadow_rays)
+    return _direct(solids, points[keep], normals[keep], samples) + leaving[targets].mean(axis=1)
 
 
 def _leaving(solids: Solids, chart: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -121,16 +153,15 @@ def _texels(solids: Solids, layout: Layout) -> tuple[np.ndarray, np.ndarray, np.
     return np.concatenate(points), np.concatenate(normals), np.concatenate(charts)
 
 
-def _light_samples() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _light_samples(sources: LightSources, n: int) -> Samples:
     """Return points, normals, radiance and area share of samples on windows and lamps."""
     rng = np.random.default_rng(77)
     points, normals, radiance, area = [], [], [], []
-    n = SHADOW_RAYS
-    for axis, wall, low, high, sill, top, side in WINDOWS:
+    for axis, wall, low, high, sill, top, side in sources.windows:
         along = (np.arange(n) + rng.random(n)) / n
         up = (rng.permutation(n) + rng.random(n)) / n
         p = np.empty((n, 3))
-        p[:, axis], p[:, 1 - axis] = wall - 0.02, low + along * (high - low)
+        p[:, axis], p[:, 1 - axis] = wall - 0.02 * side, low + along * (high - low)
         p[:, 2] = sill + up * (top - sill)
         normal = np.zeros(3)
         normal[axis] = side
@@ -138,7 +169,7 @@ def _light_samples() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         normals.append(np.tile(normal, (n, 1)))
         radiance.append(np.tile(WINDOW_RADIANCE, (n, 1)))
         area.append(np.full(n, (high - low) * (top - sill) / n))
-    for x, y, radius in LAMPS:
+    for x, y, radius in sources.lamps:
         m = n // 2
         turn, out = rng.random(m) * 2 * np.pi, radius * np.sqrt((np.arange(m) + 0.5) / m)
         points.append(np.stack([x + out * np.cos(turn), y + out * np.sin(turn),
@@ -150,12 +181,13 @@ def _light_samples() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
             np.concatenate(area))
 
 
-def _direct(solids: Solids, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+def _direct(solids: Solids, points: np.ndarray, normals: np.ndarray,
+            samples: Samples) -> np.ndarray:
     """Sum the light of all window and lamp samples that each texel sees; pi is left out."""
     total = np.zeros((len(points), 3), np.float32)
     everything = np.arange(len(solids))
     starts = points + 0.003 * normals
-    for place, facing, radiance, area in zip(*_light_samples()):
+    for place, facing, radiance, area in zip(*samples):
         way = place - starts
         square = (way ** 2).sum(axis=1)
         length = np.sqrt(square)
@@ -173,15 +205,15 @@ def _direct(solids: Solids, points: np.ndarray, normals: np.ndarray) -> np.ndarr
 
 
 def _bounce_targets(solids: Solids, points: np.ndarray, normals: np.ndarray,
-                    layout: Layout) -> np.ndarray:
+                    layout: Layout, count: int) -> np.ndarray:
     """Return which texel cosine-distributed rays hit, (M, rays); T for the outside."""
     start, columns, rows = layout
     outside = int((columns * rows).sum())
     rng = np.random.default_rng(78)
-    targets = np.empty((len(points), BOUNCE_RAYS), np.int32)
+    targets = np.empty((len(points), count), np.int32)
     origins = np.ascontiguousarray((points + 0.003 * normals).T, np.float32)
-    for ray in range(BOUNCE_RAYS):
-        height = (ray + rng.random(len(points))) / BOUNCE_RAYS
+    for ray in range(count):
+        height = (ray + rng.random(len(points))) / count
         turn = (ray * 0.618034 + rng.random(len(points))) * 2 * np.pi
         ball = np.sqrt(1 - (2 * height - 1) ** 2)
         sphere = np.stack([ball * np.cos(turn), ball * np.sin(turn), 2 * height - 1], axis=1)

@@ -1,6 +1,7 @@
 """Bitmaps of the demo flat, drawn by formula: paintings, rugs, screens, the view outside."""
 from functools import lru_cache
 
+import cv2
 from neo_ros.flat.shapes import srgb
 import numpy as np
 
@@ -12,7 +13,8 @@ def draw_picture(name: str) -> np.ndarray:
     """Draw the bitmap `name`: linear RGB float32 (h, w, 3), first row at the top."""
     kind, _, variant = name.partition('_')
     draw = {'landscape': _landscape, 'abstract': _abstract, 'portrait': _portrait,
-            'rug': _rug, 'screen': _screen, 'desktop': _desktop}[kind]
+            'rug': _rug, 'screen': _screen, 'desktop': _desktop, 'canvas': _canvas,
+            'sign': _sign}[kind]
     image = draw(variant)
     image.setflags(write=False)
     return image
@@ -146,6 +148,12 @@ def _abstract(variant: str) -> np.ndarray:
         for line in ys[1:-1]:
             image = _mix(image, colours[1], _soft(np.abs(y - line) - 0.018))
         return image.astype(np.float32)
+    return _shapes(image, colours[1:], rng, x, y)
+
+
+def _shapes(image: np.ndarray, colours: list[np.ndarray], rng: np.random.Generator,
+            x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Paint discs, bars and rings over an image (h, w, 3)."""
     for k in range(7):
         cx, cy, r = rng.uniform(0.1, 0.9), rng.uniform(0.1, 0.9), rng.uniform(0.1, 0.3)
         angle = rng.uniform(0, np.pi)
@@ -154,8 +162,23 @@ def _abstract(variant: str) -> np.ndarray:
         shape = (np.hypot(x - cx, y - cy) - r if k % 3 == 0
                  else np.maximum(np.abs(u) - r * 1.6, np.abs(v) - r * 0.28) if k % 3 == 1
                  else np.abs(np.hypot(x - cx, y - cy) - r) - 0.025)
-        image = _mix(image, colours[1 + k % 4], _soft(shape, 0.015))
+        image = _mix(image, colours[k % 4], _soft(shape, 0.015))
     return (image * (0.94 + 0.06 * _waves(x * 20, y * 20, 3)[..., None])).astype(np.float32)
+
+
+def _canvas(number: str) -> np.ndarray:
+    """Paint one of as many abstract pictures as there are numbers."""
+    x, y = _grid(112, 96)
+    rng = np.random.default_rng([41, int(number)])
+    colours = [rng.uniform(0.03, 0.85, 3).astype(np.float32) for _ in range(5)]
+    return _shapes(colours[0] * np.ones((*x.shape, 1)), colours[1:], rng, x, y)
+
+
+def _sign(text: str) -> np.ndarray:
+    """Letter the plate beside a door."""
+    plate = np.full((48, 96), 235, np.uint8)
+    cv2.putText(plate, text, (6, 34), cv2.FONT_HERSHEY_SIMPLEX, 0.9, 20, 2, cv2.LINE_AA)
+    return np.repeat(((plate / 255) ** 2.2)[..., None], 3, axis=2).astype(np.float32)
 
 
 def _portrait(variant: str) -> np.ndarray:

@@ -1,4 +1,5 @@
 """Exact rays against the solids of the demo flat: for one camera, and for any bundle of rays."""
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from neo_ros.flat.shapes import BOX, FRUSTUM, Solids
@@ -7,8 +8,7 @@ import numpy as np
 
 NEAR = 1e-3  # metres; hits closer than this belong to the surface a ray starts on
 # The world outside the windows is the inside of this box: every ray ends somewhere.
-OUTSIDE_LOWER = np.array([-22.0, -24.0, -9.0])
-OUTSIDE_UPPER = np.array([32.0, 28.0, 22.0])
+OUTSIDE = np.array([[-22.0, -24.0, -9.0], [32.0, 28.0, 22.0]])
 _CORNERS = np.array([[i & 1, i >> 1 & 1, i >> 2 & 1] for i in range(8)], bool)
 _EDGES = np.array([(i, i | 1 << bit) for i in range(8) for bit in range(3) if not i >> bit & 1])
 Vector = tuple  # three scalars or arrays: x, y, z
@@ -49,26 +49,45 @@ def cast_camera(solids: Solids, intrinsics: Intrinsics, pose: CameraPose,
     rectangle its bounding box covers in the image, nearest solids first, and not at all where
     that rectangle is already filled by something nearer: this changes the time, not the result.
     """
+    inverse = inverse_directions(directions)
+    hits = leave_outside(tuple(pose.position.tolist()), inverse)
+    cast_into(hits, solids, intrinsics, pose, directions, inverse)
+    return hits
+
+
+def cast_into(hits: Hits, solids: Solids, intrinsics: Intrinsics, pose: CameraPose,
+              directions: np.ndarray, inverse: np.ndarray, first: int = 0) -> None:
+    """
+    Put into `hits`, in place, what `cast_camera` finds nearer; the solids count from `first`.
+
+    pose and directions in the frame of the solids; inverse from `inverse_directions`.
+    """
+    origin = tuple(pose.position.tolist())
     samples = directions.shape[2] // intrinsics.width
-    origin = pose.position
-    rectangles, nearest = _screen_rectangles(solids, intrinsics, pose, samples)
-    inverse = _inverse(directions)
-    distance = _leave_outside(tuple(origin.tolist()), inverse)
-    solid = np.full(distance.shape, -1, np.int16)
+    for window, index in unhidden(hits.distance, solids.lower, solids.upper, intrinsics, pose,
+                                  samples):
+        rays = directions[(slice(None), *window)]
+        found = _hit(solids, index, origin, tuple(rays), tuple(inverse[(slice(None), *window)]))
+        closer = found < hits.distance[window]
+        np.copyto(hits.distance[window], found, where=closer)
+        hits.solid[window][closer] = first + index
+
+
+def unhidden(distance: np.ndarray, lower: np.ndarray, upper: np.ndarray, intrinsics: Intrinsics,
+             pose: CameraPose, samples: int) -> Iterator[tuple[tuple[slice, slice], int]]:
+    """
+    Yield the boxes (N, 3) that a camera sees, the nearest first: rows and columns, and index.
+
+    `distance` (h, w) may shrink meanwhile: a box behind all of it is left out.
+    """
+    rectangles, nearest = _screen_rectangles(lower, upper, intrinsics, pose, samples)
     for index in np.argsort(nearest, kind='stable'):
         left, right, top, bottom = rectangles[index]
         if left >= right or top >= bottom:
             continue
         window = (slice(top, bottom), slice(left, right))
-        if distance[window].max() < nearest[index]:
-            continue
-        rays = directions[(slice(None), *window)]
-        found = _hit(solids, index, tuple(origin.tolist()), tuple(rays),
-                     tuple(inverse[(slice(None), *window)]))
-        closer = found < distance[window]
-        np.copyto(distance[window], found, where=closer)
-        solid[window][closer] = index
-    return Hits(distance, solid)
+        if distance[window].max() >= nearest[index]:
+            yield window, int(index)
 
 
 def cast_rays(solids: Solids, candidates: np.ndarray, origins: np.ndarray,
@@ -78,21 +97,19 @@ def cast_rays(solids: Solids, candidates: np.ndarray, origins: np.ndarray,
 
     origins and directions float32 (3, M).
     """
-    inverse = _inverse(directions)
-    distance = _leave_outside(tuple(origins), inverse)
-    solid = np.full(distance.shape, -1, np.int16)
+    inverse = inverse_directions(directions)
+    hits = leave_outside(tuple(origins), inverse)
     for index in candidates:
         found = _hit(solids, index, tuple(origins), tuple(directions), tuple(inverse))
-        closer = found < distance
-        distance[closer] = found[closer]
-        solid[closer] = index
-    return Hits(distance, solid)
+        closer = found < hits.distance
+        hits.distance[closer] = found[closer]
+        hits.solid[closer] = index
+    return hits
 
 
-def _screen_rectangles(solids: Solids, intrinsics: Intrinsics, pose: CameraPose,
-                       samples: int) -> tuple[np.ndarray, np.ndarray]:
-    """Bound each solid in the image: (N, 4) left right top bottom in samples; depth (N,)."""
-    lower, upper = solids.lower, solids.upper
+def _screen_rectangles(lower: np.ndarray, upper: np.ndarray, intrinsics: Intrinsics,
+                       pose: CameraPose, samples: int) -> tuple[np.ndarray, np.ndarray]:
+    """Bound each box in the image: (N, 4) left right top bottom in samples; depth (N,)."""
     corners = np.where(_CORNERS[None], upper[:, None], lower[:, None]) - pose.position
     camera = corners @ pose.T_world_cam[:3, :3]
     start, end = camera[:, _EDGES[:, 0]], camera[:, _EDGES[:, 1]]
@@ -126,7 +143,7 @@ def _hit(solids: Solids, index: int, origin: Vector, direction: Vector,
     half = solids.half[index].tolist()
     if solids.kind[index] == BOX:
         if yaw:
-            inverse = tuple(_inverse(axis) for axis in direction)
+            inverse = tuple(inverse_directions(axis) for axis in direction)
         return _hit_box(origin, inverse, half)
     if solids.kind[index] == FRUSTUM:
         return _hit_frustum(origin, direction, half)
@@ -138,15 +155,18 @@ def _turned(vector: Vector, cos: float, sin: float) -> Vector:
     return cos * x + sin * y, cos * y - sin * x, z
 
 
-def _inverse(directions: np.ndarray) -> np.ndarray:
+def inverse_directions(directions: np.ndarray) -> np.ndarray:
+    """Return 1 / directions, without zeros."""
     return 1 / np.where(np.abs(directions) < 1e-9, np.float32(1e-9), directions)
 
 
-def _leave_outside(origin: Vector, inverse: np.ndarray) -> np.ndarray:
-    lower, upper = OUTSIDE_LOWER.tolist(), OUTSIDE_UPPER.tolist()
+def leave_outside(origin: Vector, inverse: np.ndarray, outside: np.ndarray = OUTSIDE) -> Hits:
+    """Return where rays end that meet no solid: on the box (2, 3) around the world."""
+    lower, upper = outside.tolist()
     exits = [np.where(inverse[i] > 0, upper[i] - origin[i], lower[i] - origin[i]) * inverse[i]
              for i in range(3)]
-    return np.minimum(np.minimum(exits[0], exits[1]), exits[2]).astype(np.float32)
+    distance = np.minimum(np.minimum(exits[0], exits[1]), exits[2]).astype(np.float32)
+    return Hits(distance, np.full(distance.shape, -1, np.int32))
 
 
 def _hit_box(origin: Vector, inverse: Vector, half: list[float]) -> np.ndarray:
@@ -175,7 +195,7 @@ def _hit_frustum(origin: Vector, direction: Vector, half: list[float]) -> np.nda
     side = start + (-b - np.sqrt(np.maximum(root, 0))) / np.where(np.abs(a) < 1e-9, 1e-9, a)
     valid = (root >= 0) & (np.abs(origin[2] + side * dz) <= height) & (side > NEAR)
     nearest = np.where(valid, side, np.inf)
-    inverse = _inverse(dz)
+    inverse = inverse_directions(dz)
     for level, cap in ((-height, bottom), (height, top)):
         t = (level - origin[2]) * inverse
         u, v = origin[0] + t * dx, origin[1] + t * dy

@@ -3,8 +3,8 @@ from functools import lru_cache
 
 from neo_ros.flat import furniture as furniture
 from neo_ros.flat.shapes import Material, paint, SolidBuilder, Solids
+from neo_ros.flat.shell import add_ceiling_lamp, add_wall, add_window, CEILING, TRIM
 
-CEILING = 2.6
 LIVING = ((0.0, 0.0), (6.0, 4.2))
 BEDROOM = ((6.14, 0.6), (10.0, 4.2))
 DOOR = (2.1, 3.0)  # opening in y of the wall between the rooms
@@ -19,7 +19,6 @@ THICK = 0.07
 OAK = paint('b98a58', 'wood', '8d6238', 0.12)
 WALNUT = paint('6b4630', 'wood', '452b1c', 0.1)
 BIRCH = paint('d8bd93', 'wood', 'bf9d6e', 0.14)
-TRIM = paint('efece4')
 SHADE = paint('fff0d2', emission=1.1)
 
 
@@ -46,44 +45,25 @@ def _add_shell(b: SolidBuilder) -> None:
     b.box((x0 - 0.2, y0 - 0.2, CEILING), (x1 + THICK, y1 + 0.2, CEILING + 0.1), ceiling)
     door = [(*DOOR, 0.0, DOOR_TOP)]
     windows = [[(w[2], w[3], w[4], w[5])] for w in WINDOWS]
-    _add_wall(b, 0, x0 - 0.16, x0, (y0 - 0.16, y1 + 0.16), windows[0], cream)
-    _add_wall(b, 0, x1, x1 + THICK, (y0, y1), door, ochre)
-    _add_wall(b, 1, y0 - 0.16, y0, (x0, x1 + THICK), windows[1], cream)
-    _add_wall(b, 1, y1, y1 + 0.16, (x0, x1 + THICK), [], sage)
+    add_wall(b, 0, x0 - 0.16, x0, (y0 - 0.16, y1 + 0.16), windows[0], cream)
+    add_wall(b, 0, x1, x1 + THICK, (y0, y1), door, ochre)
+    add_wall(b, 1, y0 - 0.16, y0, (x0, x1 + THICK), windows[1], cream)
+    add_wall(b, 1, y1, y1 + 0.16, (x0, x1 + THICK), [], sage)
     _add_skirting(b, LIVING, paint('f0ede6'), door_on_high_x=True)
     (x0, y0), (x1, y1) = BEDROOM
     b.box((x0 - THICK, y0 - 0.2, -0.1), (x1 + 0.2, y1 + 0.2, 0),
           paint('b5654a', 'tiles', 'd9c4a5', 0.3))
     b.box((x0 - THICK, y0 - 0.2, CEILING), (x1 + 0.2, y1 + 0.2, CEILING + 0.1), ceiling)
-    _add_wall(b, 0, x0 - THICK, x0, (y0 - 0.16, y1), door, blue)
-    _add_wall(b, 0, x1, x1 + 0.16, (y0 - 0.16, y1 + 0.16), [], navy)
-    _add_wall(b, 1, y0 - 0.16, y0, (x0, x1), windows[2], blue)
-    _add_wall(b, 1, y1, y1 + 0.16, (x0, x1), [], blue)
+    add_wall(b, 0, x0 - THICK, x0, (y0 - 0.16, y1), door, blue)
+    add_wall(b, 0, x1, x1 + 0.16, (y0 - 0.16, y1 + 0.16), [], navy)
+    add_wall(b, 1, y0 - 0.16, y0, (x0, x1), windows[2], blue)
+    add_wall(b, 1, y1, y1 + 0.16, (x0, x1), [], blue)
     _add_skirting(b, BEDROOM, paint('f4f2ee'), door_on_high_x=False)
     _add_door_frame(b)
     for window in WINDOWS:
-        _add_window(b, *window)
+        add_window(b, *window)
     for x, y, radius in LAMPS:
-        b.frustum(x, y, (CEILING - 0.02, CEILING - 0.001), (radius * 0.5, radius * 0.5), TRIM)
-        b.ellipsoid((x, y, CEILING - 0.07), (radius, radius, 0.06),
-                    paint('fff6e4', emission=2.2))
-
-
-def _add_wall(b: SolidBuilder, axis: int, low: float, high: float, span: tuple[float, float],
-              openings: list[tuple[float, float, float, float]], material: Material) -> None:
-    def piece(start: float, end: float, bottom: float, top: float) -> None:
-        if axis == 0:
-            b.box((low, start, bottom), (high, end, top), material)
-        else:
-            b.box((start, low, bottom), (end, high, top), material)
-    at = span[0]
-    for start, end, sill, top in openings:
-        piece(at, start, 0, CEILING)
-        if sill > 0:
-            piece(start, end, 0, sill)
-        piece(start, end, top, CEILING)
-        at = end
-    piece(at, span[1], 0, CEILING)
+        add_ceiling_lamp(b, x, y, radius)
 
 
 def _add_skirting(b: SolidBuilder, room: tuple, material: Material,
@@ -113,27 +93,6 @@ def _add_door_frame(b: SolidBuilder) -> None:
 
 
 WALNUT_SILL = paint('5a3d2a', 'wood', '452b1c', 0.1)
-
-
-def _add_window(b: SolidBuilder, axis: int, wall: float, start: float, end: float,
-                sill: float, top: float, _side: int) -> None:
-    """Frame, mullion and sill of a window; all windows lie in low-x or low-y walls."""
-    def bar(u0: float, u1: float, v0: float, v1: float, depth: tuple[float, float]) -> None:
-        low, high = wall + depth[0], wall + depth[1]
-        if axis == 0:
-            b.box((low, u0, v0), (high, u1, v1), TRIM)
-        else:
-            b.box((u0, low, v0), (u1, high, v1), TRIM)
-    w, depth = 0.055, (-0.1, -0.05)
-    bar(start, end, sill, sill + w, depth)
-    bar(start, end, top - w, top, depth)
-    bar(start, start + w, sill, top, depth)
-    bar(end - w, end, sill, top, depth)
-    middle = (start + end) / 2
-    bar(middle - w / 2, middle + w / 2, sill, top, depth)
-    upper = top - (top - sill) * 0.27
-    bar(start, end, upper - w / 3, upper + w / 3, (-0.095, -0.055))
-    bar(start - 0.06, end + 0.06, sill - 0.03, sill + 0.001, (-0.1, 0.13))
 
 
 def _add_living(b: SolidBuilder) -> None:

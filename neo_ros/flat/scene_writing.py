@@ -1,20 +1,21 @@
-"""Write the demo flat as a scene folder: training photos, wide test walks, the floor map."""
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+"""Write the flat or a building as a scene folder: photos, wide test walks, the floor map."""
+from collections.abc import Mapping, Sequence
 import hashlib
+import itertools
 import json
-import multiprocessing
 import os
 from pathlib import Path
-from typing import Any, TypeVar
 
 import cv2
 from neo_ros.errors import SceneError
+from neo_ros.flat.building import build_building, Building, open_building
+from neo_ros.flat.building_plan import BuildingPlan
+from neo_ros.flat.building_routes import door_walks, mapping_poses
 from neo_ros.flat.demo_flat import build_demo_flat, DemoFlat, sample_training_poses, walking_paths
 from neo_ros.flat.depth_sensor import DepthSensor
-from neo_ros.flat.raycast import camera_directions, cast_camera
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
-from neo_ros.machine.progress import no_progress, Progress
+from neo_ros.machine.processes import map_in_processes
+from neo_ros.machine.progress import no_progress, of_stage, Progress, StageProgress
 from neo_ros.pictures.depth import to_millimetres, write_depth
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.scene import DEMO_NOTE
@@ -22,8 +23,10 @@ from neo_ros.scenes.transforms_json import write_transforms
 from neo_ros.scenes.walkable import write_walkable
 import numpy as np
 
-Job = tuple[str, Intrinsics, np.ndarray]
-Result = TypeVar('Result')
+# A building by its plan and the file with its light, or the flat.
+Site = tuple[BuildingPlan, Path] | None
+Job = tuple[str, Intrinsics, np.ndarray, Site]
+BUILDING_LIGHT = 'building_light.npz'
 
 
 def write_demo_scene(folder: Path, *, image_size: int = 128, n_train: int = 1000,
@@ -41,31 +44,74 @@ def write_demo_scene(folder: Path, *, image_size: int = 128, n_train: int = 1000
     A run that was broken off goes on where it stopped. Raises SceneError where the folder
     holds a demo scene of other settings or cannot be written.
     """
-    folder = Path(folder)
-    narrow = Intrinsics.from_hfov(image_size, image_size, np.pi / 2)
-    expansion = ViewExpansion.to_size(narrow, 2 * image_size, 2 * image_size)
     flat = build_demo_flat()
     train = sample_training_poses(flat, n_train, seed)
     walks = walking_paths(flat, n_paths, frames_per_path, seed)
-    test = [(f'test/p{path_id}_{index:02d}.png', pose, path_id)
-            for path_id, walk in enumerate(walks) for index, pose in enumerate(walk)]
-    names = [f'train/{index:04d}.png' for index in range(n_train)]
-    jobs: list[Job] = [(str(folder / name), narrow, pose.T_world_cam)
-                       for name, pose in zip(names, train)]
-    jobs += [(str(folder / name), expansion.target, pose.T_world_cam) for name, pose, _ in test]
+    poses = [pose.T_world_cam for pose in (*train, *itertools.chain(*walks))]
     _claim(folder, {'image_size': image_size, 'n_train': n_train, 'n_paths': n_paths,
                     'frames_per_path': frames_per_path, 'seed': seed,
-                    'fingerprint': fingerprint(flat, [pose for _, _, pose in jobs])})
+                    'fingerprint': fingerprint(flat, poses)})
+    _write_views(folder, None, image_size, train, walks, seed, depth, progress, workers)
+    write_walkable(folder / 'walkable.json', flat.walkable())
+
+
+def write_building_scene(folder: Path, plan: BuildingPlan, *, image_size: int = 128,
+                         n_train: int | None = None, frames_per_path: int = 25,
+                         depth: bool = False, progress: StageProgress,
+                         workers: int | None = None) -> Building:
+    """
+    Write a building as `write_demo_scene` writes the flat; photos as a mapping robot takes them.
+
+    Test walks cross the doors of rooms all over the building. There is a walkable map for each
+    floor: walkable.json and, where there are more floors, walkable_1.json and so on.
+    n_train: photos, evenly chosen of all that the robot takes, which is the default.
+    """
+    workers = workers or len(os.sched_getaffinity(0))
+    _claim(folder, {'image_size': image_size, 'n_train': n_train or 0,
+                    'frames_per_path': frames_per_path, 'building': repr(plan)})
+    light = folder / BUILDING_LIGHT
+    building = build_building(plan, light, of_stage(progress, 'light'), workers)
+    floors = range(plan.floors)
+    train = [pose for floor in floors for pose in mapping_poses(building, floor)]
+    if n_train is not None:
+        if n_train > len(train):
+            raise SceneError(f'photos: expected at most {len(train)}, which a mapping robot takes '
+                             f'of this building, got {n_train}')
+        train = [train[index] for index in
+                 np.linspace(0, len(train) - 1, n_train).round().astype(int)]
+    walks = [walk for floor in floors
+             for walk in door_walks(building, floor, frames_per_path, plan.seed)]
+    _write_views(folder, (plan, light), image_size, train, walks, plan.seed, depth,
+                 of_stage(progress, 'images'), workers)
+    for floor in floors:
+        name = 'walkable.json' if floor == 0 else f'walkable_{floor}.json'
+        write_walkable(folder / name, building.walkable(floor))
+    return building
+
+
+def _write_views(folder: Path, site: Site, image_size: int, train: Sequence[CameraPose],
+                 walks: Sequence[Sequence[CameraPose]], seed: int, depth: bool,
+                 progress: Progress, workers: int | None) -> None:
+    """Render photos and test walks that are not there yet, and list them."""
+    narrow = Intrinsics.from_hfov(image_size, image_size, np.pi / 2)
+    expansion = ViewExpansion.to_size(narrow, 2 * image_size, 2 * image_size)
+    test = [(f'test/p{path_id}_{index:02d}.png', pose, path_id)
+            for path_id, walk in enumerate(walks) for index, pose in enumerate(walk)]
+    names = [f'train/{index:04d}.png' for index in range(len(train))]
+    jobs: list[Job] = [(str(folder / name), narrow, pose.T_world_cam, site)
+                       for name, pose in zip(names, train)]
+    jobs += [(str(folder / name), expansion.target, pose.T_world_cam, site)
+             for name, pose, _ in test]
     missing = [job for job in jobs if not os.path.exists(job[0])]
     progress(len(jobs) - len(missing), len(jobs))
-    written = _map(_render_to_file, missing, workers or len(os.sched_getaffinity(0)))
+    written = map_in_processes(_render_to_file, missing,
+                               workers or len(os.sched_getaffinity(0)))
     for done, _ in enumerate(written, start=1):
         progress(len(jobs) - len(missing) + done, len(jobs))
-    depths = _write_depths(folder, names, narrow, train, seed) if depth else ()
-    write_walkable(folder / 'walkable.json', flat.walkable())
+    depths = _write_depths(folder, site, names, narrow, train, seed) if depth else ()
     if train:
         write_transforms(folder / 'transforms_train.json', PosedImages(
-            narrow, tuple(folder / name for name in names), tuple(train), (0,) * n_train,
+            narrow, tuple(folder / name for name in names), tuple(train), (0,) * len(train),
             depth_paths=depths))
     if test:
         paths, poses, path_ids = zip(*test)
@@ -73,22 +119,26 @@ def write_demo_scene(folder: Path, *, image_size: int = 128, n_train: int = 1000
             expansion.target, tuple(folder / path for path in paths), poses, path_ids), expansion)
 
 
-def _write_depths(folder: Path, names: Sequence[str], camera: Intrinsics,
+def open_site(site: Site) -> DemoFlat | Building:
+    """Return what is looked at; a process builds it once."""
+    return build_demo_flat() if site is None else open_building(*site)
+
+
+def _write_depths(folder: Path, site: Site, names: Sequence[str], camera: Intrinsics,
                   poses: Sequence[CameraPose], seed: int) -> tuple[Path, ...]:
     """Write what a depth camera reads at each pose, where it is not there yet."""
-    sensor, solids = DepthSensor(), build_demo_flat().solids
-    paths: list[Path] = []
+    sensor, paths = DepthSensor(), list[Path]()
     for index, (name, pose) in enumerate(zip(names, poses)):
         path = folder / 'depth' / Path(name).name
         if not path.exists():
-            true = cast_camera(solids, camera, pose, camera_directions(camera, pose, 1)).distance
-            read = sensor.reading(true, np.random.default_rng([seed, 7, index]))
+            read = sensor.reading(open_site(site).depth(camera, pose),
+                                  np.random.default_rng([seed, 7, index]))
             write_depth(path, to_millimetres(read))
         paths.append(path)
     return tuple(paths)
 
 
-def _claim(folder: Path, settings: dict[str, int | str]) -> None:
+def _claim(folder: Path, settings: Mapping[str, int | str]) -> None:
     """Make the folders and note what they are for, so that two scenes are never mixed."""
     note = folder / DEMO_NOTE
     if not note.exists() and (folder / 'transforms_train.json').exists():
@@ -127,21 +177,10 @@ def render_demo_views(intrinsics: Intrinsics, poses: Sequence[CameraPose],
     """Render RGB uint8 (H, W, 3) views of the demo flat, one per pose."""
     jobs = [(intrinsics, pose.T_world_cam) for pose in poses]
     images = []
-    for image in _map(_render, jobs, workers or len(os.sched_getaffinity(0))):
+    for image in map_in_processes(_render, jobs, workers or len(os.sched_getaffinity(0))):
         images.append(image)
         progress(len(images), len(jobs))
     return images
-
-
-def _map(function: Callable[[Any], Result], jobs: Sequence[Any],
-         workers: int) -> Iterator[Result]:
-    """Yield the results in order, from several processes if that pays."""
-    if workers == 1 or len(jobs) < 8:
-        yield from map(function, jobs)
-        return
-    # spawn: forking a process that has threads (torch, ROS) may hang the child.
-    with ProcessPoolExecutor(workers, multiprocessing.get_context('spawn')) as pool:
-        yield from pool.map(function, jobs, chunksize=4)
 
 
 def _render(job: tuple[Intrinsics, np.ndarray]) -> np.ndarray:
@@ -150,8 +189,8 @@ def _render(job: tuple[Intrinsics, np.ndarray]) -> np.ndarray:
 
 
 def _render_to_file(job: Job) -> None:
-    path, intrinsics, T_world_cam = job
-    image = _render((intrinsics, T_world_cam))
+    path, intrinsics, T_world_cam, site = job
+    image, _ = open_site(site).render(intrinsics, CameraPose(T_world_cam))
     encoded, data = cv2.imencode('.png', image[..., ::-1])
     if not encoded:
         raise SceneError(f'{path}: OpenCV could not encode the image as PNG')

@@ -2,6 +2,7 @@
 from functools import lru_cache
 import heapq
 import math
+from typing import NamedTuple
 
 from neo_ros.errors import SceneError
 from neo_ros.flat.rooms import BEDROOM, DOOR, LIVING
@@ -13,8 +14,18 @@ import numpy as np
 RESOLUTION, CLEARANCE, CAMERA_HEIGHT = 0.05, 0.25, 1.5
 OBSTACLE_HEIGHTS = (0.1, 1.7)  # what lies flatter or hangs higher is no obstacle
 STEP = 0.08  # metres a frame: 0.5 m/s at about 6 Hz
-DOORWAY = ((LIVING[1][0] + BEDROOM[0][0]) / 2, sum(DOOR) / 2)
 LOOK_AROUND = math.radians(18)
+
+
+class Doorway(NamedTuple):
+    """The middle of a door, metres, and the axis that one walks along to go through it."""
+
+    x: float
+    y: float
+    axis: int
+
+
+DOORWAY = Doorway((LIVING[1][0] + BEDROOM[0][0]) / 2, sum(DOOR) / 2, 0)
 
 
 @lru_cache(maxsize=2)
@@ -67,26 +78,43 @@ def plan_walks(walkable: WalkableMap, n_paths: int, n_frames: int,
     walks = []
     for path_id in range(n_paths):
         for _ in range(50):
-            track = _plan_track(walkable, rng, STEP * n_frames, path_id == 0)
+            track = _plan_track(walkable, rng, STEP * n_frames, DOORWAY if path_id == 0 else None)
             places = _spaced(track, n_frames)
             if walkable.contains(places).all():
                 break
         else:
             raise SceneError(f'walk {path_id}: found no way of {n_frames} frames in 50 tries')
-        walks.append([CameraPose.from_planar(x, y, walkable.camera_height, yaw) for (x, y), yaw
-                      in zip(places.tolist(), _headings(places, rng).tolist())])
+        walks.append(level_walk(walkable, places, rng))
     return walks
 
 
+def plan_walk_through(walkable: WalkableMap, door: Doorway, n_frames: int,
+                      rng: np.random.Generator) -> list[CameraPose]:
+    """Plan a smooth walk through one door; SceneError where there is no way."""
+    for _ in range(50):
+        places = _spaced(_plan_track(walkable, rng, STEP * n_frames, door), n_frames)
+        if walkable.contains(places).all():
+            return level_walk(walkable, places, rng)
+    raise SceneError(f'door at {door.x:.1f}, {door.y:.1f}: found no way of {n_frames} frames '
+                     'through it in 50 tries')
+
+
+def level_walk(walkable: WalkableMap, places: np.ndarray, rng: np.random.Generator
+               ) -> list[CameraPose]:
+    """Return poses at places (M, 2), looking ahead and a little around."""
+    return [CameraPose.from_planar(x, y, walkable.camera_height, yaw) for (x, y), yaw
+            in zip(places.tolist(), _headings(places, rng).tolist())]
+
+
 def _plan_track(walkable: WalkableMap, rng: np.random.Generator, length: float,
-                through_door: bool) -> np.ndarray:
+                door: Doorway | None) -> np.ndarray:
     """Join shortest ways between random cells until they are long enough, and smooth them."""
     cells = np.argwhere(walkable.cells)
-    x = (cells[:, 1] + 0.5) * walkable.resolution + walkable.origin[0]
-    if through_door:  # start and goal about half a walk from the doorway, either side
-        from_door = np.hypot(*(walkable.centres() - DOORWAY).T)
+    if door is not None:  # start and goal about half a walk from the doorway, either side
+        from_door = np.hypot(*(walkable.centres() - door[:2]).T)
         near = np.abs(from_door - min(length / 2 + 0.35, 1.7)) < 0.15
-        ends = [cells[near & (x < DOORWAY[0])], cells[near & (x > DOORWAY[0])]]
+        through = walkable.centres()[:, door.axis] - door[door.axis]
+        ends = [cells[near & (through < 0)], cells[near & (through > 0)]]
         at, goal = (tuple(side[rng.integers(len(side))].tolist()) for side in ends)
         way = _shortest_way(walkable, at, goal)
     else:  # of some ways the one whose length fits best, so that walks seldom turn back

@@ -1,8 +1,24 @@
-"""Processes of a ROS graph that a measurement or the demo started."""
+"""Processes that do a part of the work, and those of a ROS graph that are to end."""
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+import multiprocessing
 import signal
 import subprocess
+from typing import Any, TypeVar
 
 GRACE_S = 10.0
+Result = TypeVar('Result')
+
+
+def map_in_processes(function: Callable[[Any], Result], jobs: Sequence[Any],
+                     workers: int) -> Iterator[Result]:
+    """Yield the results in order, from several processes if that pays."""
+    if workers == 1 or len(jobs) < 8:
+        yield from map(function, jobs)
+        return
+    # spawn: forking a process that has threads (torch, ROS) may hang the child.
+    with ProcessPoolExecutor(workers, multiprocessing.get_context('spawn')) as pool:
+        yield from pool.map(function, jobs, chunksize=4)
 
 
 def end_process(process: subprocess.Popen) -> None:

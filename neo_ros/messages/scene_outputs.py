@@ -19,6 +19,8 @@ POSE, HEADER = 'geometry_msgs/msg/PoseWithCovarianceStamped', 'std_msgs/msg/Head
 STATUS, OK, WARN = 'diagnostic_msgs/msg/DiagnosticArray', 0, 1
 # The frame of a scene of arbitrary scale must not be taken for a map in metres.
 MAP_FRAME, UNSCALED_FRAME = 'map', 'scene'
+# The task of the node's own diagnosis; a status is named "node: task".
+WIDENING = 'widening'
 
 
 class Panorama(Protocol):

@@ -25,6 +25,7 @@ class CameraInputs:
         self._topics = InputTopics(node)
         self._pairing = CameraPairing(self._take_pair, self._is_announced)
         self._subscriptions: list[Subscription] = []
+        self.frame_id = ''  # Of the images; '' before the first.
         self.choose('raw', reliable=False)
 
     @property
@@ -105,6 +106,7 @@ class CameraInputs:
         return self._has_camera_info() and not self._qos_conflict()
 
     def _take_pair(self, image: Any, camera_info: Any | None) -> None:
+        self.frame_id = image.header.frame_id
         self._take(image, camera_info and camera_info_of(camera_info, self.topic))
 
     def _qos_conflict(self) -> str:

@@ -17,6 +17,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from neo_ros.messages import image_fields
+from neo_ros.messages.scene_outputs import WIDENING
 from neo_ros.node.fastdds_profile import use_large_image_profile
 import numpy as np
 import rclpy
@@ -101,7 +102,7 @@ class CameraProbe:
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
-            if status.name.endswith('fov_extrapolator'):
+            if status.name.endswith(f'fov_extrapolator: {WIDENING}'):
                 self.stages = {entry.key: entry.value for entry in status.values}
                 self.beats.append((time.monotonic(), _rss_mb(self._pid)))
 

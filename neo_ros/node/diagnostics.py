@@ -2,12 +2,42 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from neo_ros.messages.camera_fit import NO_CAMERA_INFO
+from neo_ros.messages.scene_outputs import WIDENING
 from neo_ros.node.frame_statistics import Snapshot
 
 # Share of the widened images: a memory that knows the place guides nearly all of them.
 LEAST_GUIDED = 0.1
+# What the lines of the status say.
+KEYS = {
+    'state': 'of the lifecycle',
+    'enabled': 'false: stopped by `~/enable`',
+    'image topic': 'full name after remapping',
+    'image publishers': 'how many it has',
+    'model path': 'what runs; so do the next three',
+    'model scene': '',
+    'model config': '',
+    'model network': '',
+    'model knows its scene': 'whether it can tell other scenes apart',
+    'model has a scene memory': 'whether it is guided',
+    'model widens': "sizes of the camera's and the wide image",
+    'model runs on': 'providers of ONNX Runtime',
+    'model not here': 'providers that were asked for and are not there',
+    'rate in [Hz]': 'images received',
+    'rate out [Hz]': 'images published',
+    'received': 'count, as the next four',
+    'published': '',
+    'dropped for a newer image': '',
+    'rejected': '',
+    'rejected: REASON': 'of a reason, below',
+    'last rejection': 'what was expected and what came',
+    'camera': 'what is done to its images for the model: nothing, cropped, resampled, rectified',
+    'guided by the scene memory': 'share of the frames that the memory knew',
+    'out of the scene': '0 as trained, 1 nothing like it',
+    'in the trained scene': 'false while the mean score was above 0.5, until it is below 0.35',
+    'latency STAGE median/p95/max [ms]': 'queue, decode, infer, check, publish, total',
+}
 
 
 @dataclass(frozen=True)
@@ -17,7 +47,8 @@ class Health:
 
     state: lifecycle state. fault: why the last transition failed, or empty. topic: the image
     topic's full name, publishers: how many it has. missing: what keeps images away, in
-    words. conflict: which publisher does not fit, in words, or empty.
+    words. conflict: which publisher does not fit, twin: who publishes what this node does; in
+    words, or empty. camera: the images' frame_id, or empty.
     subscribed: whether anybody reads an output. unlike_scene: the verdict of the SceneWatch.
     memory: the model has a scene memory. loading: a model is being loaded, and no image is taken
     meanwhile.
@@ -31,6 +62,8 @@ class Health:
     publishers: int
     missing: str
     conflict: str
+    twin: str
+    camera: str
     subscribed: bool
     unlike_scene: bool
     memory: bool
@@ -40,7 +73,7 @@ class Health:
 def judge(health: Health) -> tuple[bytes, str]:
     """Return the level and the one line that tells an operator what to do."""
     level, message = _judge_frames(health)
-    notes = [health.conflict] if health.conflict else []
+    notes = [note for note in (health.conflict, health.twin) if note]
     if health.subscribed and health.counts.camera_note.startswith(NO_CAMERA_INFO):
         notes.append(health.counts.camera_note)
     if notes:
@@ -81,7 +114,7 @@ def _judge_frames(health: Health) -> tuple[bytes, str]:
 
 
 def build_status(name: str, health: Health, model: Mapping[str, str]) -> DiagnosticStatus:
-    """Return the full status; `model` are extra lines about the loaded model."""
+    """Return the full status of a node; `model` are extra lines about the loaded model."""
     counts = health.counts
     lines = {
         'state': health.state,
@@ -111,12 +144,6 @@ def build_status(name: str, health: Health, model: Mapping[str, str]) -> Diagnos
     }
     level, message = judge(health)
     return DiagnosticStatus(
-        level=level, name=name, message=message, hardware_id=model.get('scene', ''),
+        level=level, name=f'{name}: {WIDENING}', message=message,
+        hardware_id=health.camera or health.topic,
         values=[KeyValue(key=key, value=value) for key, value in lines.items()])
-
-
-def build_array(stamp: object, status: DiagnosticStatus) -> DiagnosticArray:
-    """Wrap a status for the topic; `stamp` is a builtin_interfaces Time."""
-    array = DiagnosticArray(status=[status])
-    array.header.stamp = stamp
-    return array

@@ -1,17 +1,15 @@
 """The lifecycle node: wires ROS to the frame worker and keeps the states."""
-from concurrent.futures import Future, wait
-import threading
 import time
 from typing import Any
 
 from neo_ros.errors import NeoError
-from neo_ros.messages import SceneWatch
 from neo_ros.node.camera_inputs import CameraInputs
-from neo_ros.node.diagnostics import build_array, build_status, Health
+from neo_ros.node.diagnosing import Diagnosing, NodeState
 from neo_ros.node.frame_statistics import Statistics
 from neo_ros.node.frame_worker import Frame, FrameWorker
-from neo_ros.node.interface import DIAGNOSTICS, ENABLE, RELOAD_MODEL, RELOCALIZE
-from neo_ros.node.loaded_model import Load, load_model, LoadedModel
+from neo_ros.node.interface import ENABLE, RELOAD_MODEL, RELOCALIZE
+from neo_ros.node.loaded_model import Load, LoadedModel
+from neo_ros.node.loading import ModelLoader
 from neo_ros.node.parameters import (
     declare_parameters,
     INPUT_PARAMETERS,
@@ -25,7 +23,6 @@ from neo_ros.node.transitions import answer_every_request, logged
 from neo_ros.node.wide_publishers import WidePublishers
 from neo_ros.runtime import FovExtrapolator
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool, Trigger
@@ -33,8 +30,6 @@ from std_srvs.srv import SetBool, Trigger
 NODE_NAME = 'fov_extrapolator'
 # How long a transition waits for the frame in work; its result is thrown away in any case.
 STOP_TIMEOUT_S = 0.3
-LOOK_S = 0.1
-DIAGNOSTICS_PERIOD_S = 1.0
 REPORT_PERIOD_S = 5.0
 
 
@@ -56,11 +51,8 @@ class ExtrapolatorNode(LifecycleNode):
     def __init__(self, load: Load = FovExtrapolator.load, **node_options: Any) -> None:
         super().__init__(NODE_NAME, **node_options)
         self.fault = ''
-        self._load = load
         self._statistics = Statistics()
-        self._scene_watch = SceneWatch()
         self._enabled = True
-        self._loading: threading.Thread | None = None
         self._model: LoadedModel | None = None
         self._candidate: LoadedModel | None = None
         self._outputs: WidePublishers | None = None
@@ -76,11 +68,8 @@ class ExtrapolatorNode(LifecycleNode):
         self.create_service(ENABLE.kind, ENABLE.name, self._on_enable)
         self.create_service(RELOAD_MODEL.kind, RELOAD_MODEL.name, self._on_reload_model)
         self.create_service(RELOCALIZE.kind, RELOCALIZE.name, self._on_relocalize)
-        self._diagnostics = self.create_publisher(DIAGNOSTICS.kind, DIAGNOSTICS.name, 10)
-        # Steady, so that a paused simulation is still diagnosed.
-        self._diagnosed_s = time.monotonic()
-        self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics,
-                          clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._diagnosing = Diagnosing(self, self._inputs, self._statistics, self._look)
+        self._loader = ModelLoader(load, self._diagnosing.keep_up, lambda: not self.context.ok())
 
     def autostart(self) -> None:
         """Configure and activate, if the parameter asks for it; failures are logged."""
@@ -98,7 +87,7 @@ class ExtrapolatorNode(LifecycleNode):
         """Load, check and warm up the model, announce the outputs."""
         try:
             values = read_parameters(self)
-            self._model = self._load_model(values)
+            self._model = self._loader.load(values)
         except NeoError as error:
             self.fault = f'cannot configure: {error}'
             self.get_logger().error(self.fault)
@@ -121,7 +110,7 @@ class ExtrapolatorNode(LifecycleNode):
         self._worker = FrameWorker(self._model.processor, self._outputs, self._statistics,
                                    self._report, values.max_fps)
         self._statistics.begin()
-        self._scene_watch = SceneWatch()
+        self._diagnosing.begin()
         self._worker.start()
         self._inputs.choose(values.image_transport, values.reliable)
         if self._enabled:
@@ -159,7 +148,7 @@ class ExtrapolatorNode(LifecycleNode):
         if worker is not None and not worker.stop(STOP_TIMEOUT_S):
             self._lingering.append(worker)
         self._lingering = [worker for worker in self._lingering if worker.busy]
-        return not self._lingering and (self._loading is None or not self._loading.is_alive())
+        return not self._lingering and not self._loader.busy
 
     def _free(self) -> None:
         self.stop()
@@ -212,7 +201,7 @@ class ExtrapolatorNode(LifecycleNode):
         try:
             if self._model is None:
                 raise NeoError(f'{self.state_label}: configure loads the model')
-            self._take_over(self._load_model(read_parameters(self)))
+            self._take_over(self._loader.load(read_parameters(self)))
         except Exception as error:  # What leaves a callback ends the node.
             response.message = f'the model stays as it is: {_reason(error)}'
             self.get_logger().error(response.message)
@@ -229,7 +218,7 @@ class ExtrapolatorNode(LifecycleNode):
             values: NodeParameters = read_parameters(self, parameters)
             changes_model = any(parameter.name in MODEL_PARAMETERS for parameter in parameters)
             if self._model is not None and changes_model:
-                self._candidate = self._load_model(values)
+                self._candidate = self._loader.load(values)
         except Exception as error:  # What leaves a callback ends the node.
             return SetParametersResult(successful=False, reason=_reason(error))
         return SetParametersResult(successful=True)
@@ -253,33 +242,11 @@ class ExtrapolatorNode(LifecycleNode):
                 if self._enabled:
                     self._inputs.subscribe()
 
-    def _load_model(self, values: NodeParameters) -> LoadedModel:
-        """Load a model in another thread: the executor's keeps up the diagnostics meanwhile."""
-        loaded: Future[LoadedModel] = Future()
-
-        def load() -> None:
-            try:
-                loaded.set_result(load_model(values, self._load))
-            except Exception as error:
-                loaded.set_exception(error)
-
-        # A daemon, so that a signal can end the process: TensorRT takes minutes.
-        self._loading = threading.Thread(target=load, name='load', daemon=True)
-        self._loading.start()
-        while not wait([loaded], LOOK_S).done:
-            if not self.context.ok():
-                raise KeyboardInterrupt  # As from a signal: rclpy swallows all else.
-            if time.monotonic() > self._diagnosed_s + DIAGNOSTICS_PERIOD_S:
-                self._publish_diagnostics()
-        self._loading.join()
-        self._loading = None
-        return loaded.result()
-
     def _take_over(self, model: LoadedModel) -> None:
         """Let the next frame go through this model."""
         self._model = model
         self._statistics.forget_model()
-        self._scene_watch = SceneWatch()
+        self._diagnosing.begin()
         if self._outputs is not None:
             self._outputs.use(read_parameters(self), model.arbitrary_scale)
             self._use_hints()
@@ -296,20 +263,6 @@ class ExtrapolatorNode(LifecycleNode):
         if self.context.ok():
             self.get_logger().warning(message, throttle_duration_sec=REPORT_PERIOD_S)
 
-    def _publish_diagnostics(self) -> None:
-        self._diagnosed_s = time.monotonic()
-        if not self.context.ok():
-            return  # a model may still be loading at the shutdown, and a publisher would raise
-        self._inputs.forget_lost_camera()
-        counts = self._statistics.snapshot()
-        health = Health(
-            state=self.state_label, fault=self.fault, enabled=self._enabled,
-            topic=self._inputs.topic, publishers=self._inputs.publishers,
-            missing=self._inputs.missing, conflict=self._inputs.conflict,
-            loading=self._loading is not None,
-            subscribed=self._outputs is not None and any(self._outputs.wanted()),
-            unlike_scene=self._scene_watch.update(counts.out_of_scene),
-            memory=self._model is not None and self._model.memory, counts=counts)
-        status = build_status(self.get_fully_qualified_name(), health,
-                              self._model.description if self._model else {})
-        self._diagnostics.publish(build_array(self.get_clock().now().to_msg(), status))
+    def _look(self) -> NodeState:
+        return NodeState(self.state_label, self.fault, self._loader.busy, self._enabled,
+                         self._outputs is not None and any(self._outputs.wanted()), self._model)

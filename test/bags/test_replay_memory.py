@@ -29,7 +29,7 @@ def bag(tmp_path_factory):
                 frame_id='eye_optical')
             writer.write(topic, stamp_ns, types['sensor_msgs/msg/Image'](
                 header=header, **image_fields(view(pose, EXPANSION.source)[0])))
-            name = '/eye/fov_extrapolator' if number % 2 else '/motors'
+            name = '/eye/fov_extrapolator: widening' if number % 2 else '/motors'
             writer.write(old, stamp_ns, types['diagnostic_msgs/msg/DiagnosticArray'](
                 header=header, status=[types['diagnostic_msgs/msg/DiagnosticStatus'](
                     level=2, name=name, message='old', hardware_id='', values=[])]))
@@ -79,7 +79,7 @@ def test_the_viewer_reads_the_diagnosis_of_the_replay(tmp_path, bag, extrapolato
     arrays = contents(tmp_path / 'out')['/diagnostics']
     names = [status.name for array in arrays for status in array.status]
     # What the recorded node said of other images than these is gone, the motors are not.
-    assert names.count('/motors') == 3 and names.count('/eye/fov_extrapolator') == 2
+    assert names.count('/motors') == 3 and names.count('/eye/fov_extrapolator: widening') == 2
     reader = NodeDiagnosis('/eye')
     verdicts = [found for array in arrays if (found := reader.read(array.status))]
     assert [verdict['level'] for verdict in verdicts] == [0, 0]

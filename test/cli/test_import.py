@@ -113,10 +113,11 @@ def test_a_model_that_is_not_in_metres_is_scaled_and_not_turned(tmp_path: Path) 
     *[([option, '-5'], ConfigError, f'{option}: expected a number > 0, got -5')
       for option in ('--keyframe-distance', '--keyframe-angle')],
     (['--size', '64'], ConfigError, '--size: expected only with "demo"'),
+    (['--rooms', '4'], ConfigError, '--rooms: expected only with "demo"'),
     (['--pose-topic', '/odom'], ConfigError, '--pose-topic: expected only with a bag'),
 ], ids=['unknown format', 'another format', 'a scene cannot be levelled', 'nor scaled',
         'scale 0', 'negative scale', 'no scale', 'infinite scale', 'negative step',
-        'negative turn', 'no demo', 'no bag'])
+        'negative turn', 'no demo', 'no building', 'no bag'])
 def test_a_wrong_format_is_named(tmp_path: Path, arguments: list[str], error: type[Exception],
                                  message: str) -> None:
     source = write_transforms_capture(tmp_path / 'source', demo_photos())

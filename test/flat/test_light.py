@@ -21,16 +21,15 @@ def test_the_shipped_file_is_small():
     assert demo_light.LIGHT_FILE.stat().st_size < 200_000
 
 
-def test_gathering_light_anew_agrees_with_the_shipped_light(light, monkeypatch):
-    monkeypatch.setattr(demo_light, 'SHADOW_RAYS', 12)  # fewer rays: noisier, but a test's time
-    monkeypatch.setattr(demo_light, 'BOUNCE_RAYS', 48)
+def test_gathering_light_anew_agrees_with_the_shipped_light(light):
+    fewer = demo_light.LightQuality(shadow_rays=12, bounce_rays=48)  # noisier, but a test's time
     sizes = light.columns * light.rows
     means = np.array([light.values[start:start + size].mean() if size else 0
                       for start, size in zip(light.start, sizes)])
     # Faces that see something: of some size, and not inside a wall or under a cabinet.
     bright = np.flatnonzero((sizes >= 12) & (sizes < 300) & (means > 0.3))
     charts = np.sort(np.random.default_rng(3).choice(bright, 12, replace=False))
-    again = demo_light.gather_light(demo_solids(), light.values, charts)
+    again = demo_light.gather_light(demo_solids(), light.values, charts, fewer)
     shipped = light.values[_texels_of(light, charts)]
     assert np.median(np.abs(again - shipped) / shipped) < 0.1
     # The median: texels inside other solids are shipped with the light of their neighbours.

@@ -1,15 +1,16 @@
 """The one line that tells an operator what is wrong."""
-from pathlib import Path
-import re
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 from diagnostic_msgs.msg import DiagnosticStatus
-import neo_ros
 from neo_ros.messages import SceneWatch
 from neo_ros.messages.camera_fit import NO_CAMERA_INFO
-from neo_ros.node.diagnostics import build_status, Health, judge
+from neo_ros.node.diagnostics import build_status, Health, judge, KEYS
 from neo_ros.node.frame_statistics import Snapshot, Spread
+from neo_ros.node.loaded_model import load_model
+from neo_ros.node.parameters import NodeParameters
 import pytest
+from tiny_model import write_tiny_model
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
@@ -26,7 +27,8 @@ def snapshot(**changes):
 def health(counts=None, **changes):
     fields: dict[str, Any] = {'state': 'active', 'fault': '', 'loading': False, 'enabled': True,
                               'topic': '/camera/image', 'publishers': 1, 'conflict': '',
-                              'missing': 'waiting for image', 'subscribed': True,
+                              'missing': 'waiting for image', 'twin': '',
+                              'camera': 'eye', 'subscribed': True,
                               'unlike_scene': False, 'memory': False}
     return Health(**(fields | changes), counts=counts or snapshot())
 
@@ -50,6 +52,7 @@ REJECTING = snapshot(recent_rejected=3, last_rejection='size: too big')
      'widening 29.8 images per second; /x is best effort'),
     (health(snapshot(recent_rejected=3, recent_published=0, last_rejection='size'),
             conflict='/x is best effort'), ERROR, 'rejected: size; /x is best effort'),
+    (health(twin='another node'), WARN, 'widening 29.8 images per second; another node'),
     (health(subscribed=False), OK, 'nobody subscribes'),
     (health(REJECTING), WARN, 'some images are rejected: size: too big'),
     (health(snapshot(recent_rejected=3, recent_published=0, last_rejection='step')), ERROR,
@@ -67,11 +70,15 @@ def test_verdict(found, level, words):
     assert words in judge(found)[1]
 
 
+def test_without_an_image_the_hardware_is_the_topic():
+    assert build_status('/node', health(camera=''), {}).hardware_id == '/camera/image'
+
+
 def test_status_has_the_numbers():
     counts = snapshot(rejected={'step': 2, 'size': 1}, dropped=4)
     status = build_status('/robot/node', health(counts), {'scene': 'flat', 'path': 'm.onnx'})
     lines = {pair.key: pair.value for pair in status.values}
-    assert (status.name, status.hardware_id) == ('/robot/node', 'flat')
+    assert (status.name, status.hardware_id) == ('/robot/node: widening', 'eye')
     assert lines['rejected'] == '3' and lines['rejected: step'] == '2'
     assert lines['dropped for a newer image'] == '4'
     assert lines['latency infer median/p95/max [ms]'] == '1.00/2.00/3.00'
@@ -95,14 +102,15 @@ def test_verdict_on_the_scene_does_not_flicker():
         False, False, False, True, True, False, True, False, False, True]
 
 
-def test_the_reference_names_every_key():
-    page = Path(neo_ros.__file__).parent.parent / 'docs/reference/node.md'
-    if not page.is_file():
-        pytest.skip('not a source checkout')
-    table = page.read_text().split('## Diagnostics')[1].split('| reject |')[0]
-    cells = re.findall(r'^\| (`.*?`) \|', table, re.M)
-    documented = {key for cell in cells for key in re.findall('`(.*?)`', cell)}
+def test_every_key_is_explained_in_the_order_of_the_status():
     counts = snapshot(rejected={'REASON': 1}, latency_ms={'STAGE': Spread(1.0, 2.0, 3.0)})
-    model = {key.removeprefix('model '): '' for key in documented if key.startswith('model ')}
+    model = {key.removeprefix('model '): '' for key in KEYS if key.startswith('model ')}
     status = build_status('/node', health(counts), model)
-    assert {pair.key for pair in status.values} == documented
+    assert [pair.key for pair in status.values] == list(KEYS)
+
+
+def test_a_real_models_lines_are_explained(tmp_path):
+    values = SimpleNamespace(model=str(write_tiny_model(tmp_path / 'tiny.onnx')), threads=1,
+                             providers=['cuda', 'cpu'], rectify=False)
+    lines = load_model(cast(NodeParameters, values)).description
+    assert {f'model {key}' for key in lines} <= KEYS.keys()

@@ -119,7 +119,9 @@ def test_diagnostics_go_on_while_a_model_loads(graph, tmp_path):
         graph.spin_until(lambda: len(messages) >= heard + 3)
         return FovExtrapolator.load(*arguments)
 
-    node = node_of(graph, write_tiny_model(tmp_path / 'tiny.onnx'), load=load_slowly)
+    # In a namespace of its own: nodes of other tests take a while to be forgotten.
+    node = node_of(graph, write_tiny_model(tmp_path / 'tiny.onnx'), load=load_slowly,
+                   namespace='loading')
     messages = graph.collect(DiagnosticArray, '/diagnostics')
     graph.spin_until(lambda: node.count_subscribers('/diagnostics'))
     assert node.trigger_configure() == TransitionCallbackReturn.SUCCESS

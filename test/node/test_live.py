@@ -308,3 +308,23 @@ def test_qos_conflict_is_told(graph, model):
                               'be 32x24 with hfov')
     end(process)
     assert 'another RELIABILITY than this node asks for (reliable)' in process.stdout.read()
+
+
+def test_a_twin_is_noticed(graph, model):
+    camera, first = started(graph, model)
+    second = camera.start_node(model)
+    camera.wait_for_diagnosis(
+        DiagnosticStatus.WARN, 'another node is called /robot/fov_extrapolator, too: give each')
+    end(second)
+    third = camera.start_node(model, rules=['__node:=other'])
+    camera.wait_for_diagnosis(
+        DiagnosticStatus.WARN, '/robot/wide/image is published by /robot/other, too: give each')
+    end(third)
+    camera.diagnostics.clear()
+    camera.wait_for_diagnosis(DiagnosticStatus.WARN, r'publishers: 1$')
+    statuses = [entry.status[0] for entry in camera.diagnostics]
+    assert {status.name for status in statuses} == {'/robot/fov_extrapolator: widening'}
+    assert statuses[-1].hardware_id == '/robot/image'
+    camera.widen(noise_image(SOURCE, 0), 1)
+    graph.spin_until(lambda: camera.diagnostics[-1].status[0].hardware_id == 'camera_1')
+    end(first)

@@ -49,6 +49,7 @@ class Watcher:
         session = aiohttp.ClientSession()
         self.socket = await session.ws_connect(
             f'{self.url}/stream', origin=self.url, max_msg_size=0)
+        await self.socket.send_str(json.dumps({'paused': False}))
         return session
 
     async def _listen(self):
@@ -136,7 +137,8 @@ def test_compressed_pictures_and_warnings_of_the_node(graph):
     _, url = start_viewer(graph, '-r', 'wide/image:=wide/image/compressed')
     data = cv2.imencode('.jpg', np.zeros((48, 64, 3), np.uint8))[1].tobytes()
     diagnosis = DiagnosticArray(status=[DiagnosticStatus(
-        level=DiagnosticStatus.WARN, name='/robot/fov_extrapolator', message='unlike the scene',
+        level=DiagnosticStatus.WARN, name='/robot/fov_extrapolator: widening',
+        message='unlike the scene',
         values=[KeyValue(key='in the trained scene', value='false')])])
     with Watcher(graph, url) as watcher:
         watcher.until(lambda: 'publishers: 0' in watcher.status.get('waiting', ''))

@@ -1,0 +1,50 @@
+"""Load a model in another thread, so that the executor's keeps up the diagnostics meanwhile."""
+from collections.abc import Callable
+from concurrent.futures import Future, wait
+import threading
+
+from neo_ros.node.loaded_model import Load, load_model, LoadedModel
+from neo_ros.node.parameters import NodeParameters
+
+LOOK_S = 0.1
+
+
+class ModelLoader:
+    """
+    Loads one model at a time.
+
+    `load` makes an extrapolator of a path, a number of threads and ONNX Runtime's providers.
+    `meanwhile` is called ten times a second. Once `is_ended` says so, nobody waits any more:
+    KeyboardInterrupt, as from a signal, for rclpy swallows all else.
+    """
+
+    def __init__(self, load: Load, meanwhile: Callable[[], None], is_ended: Callable[[], bool]
+                 ) -> None:
+        self._load, self._meanwhile, self._is_ended = load, meanwhile, is_ended
+        self._thread: threading.Thread | None = None
+
+    @property
+    def busy(self) -> bool:
+        """Whether a model is being loaded."""
+        return self._thread is not None and self._thread.is_alive()
+
+    def load(self, values: NodeParameters) -> LoadedModel:
+        """Load, check and warm up the model that the parameters name; raises ModelError."""
+        loaded: Future[LoadedModel] = Future()
+
+        def load() -> None:
+            try:
+                loaded.set_result(load_model(values, self._load))
+            except Exception as error:
+                loaded.set_exception(error)
+
+        # A daemon, so that a signal can end the process: TensorRT takes minutes.
+        self._thread = threading.Thread(target=load, name='load', daemon=True)
+        self._thread.start()
+        while not wait([loaded], LOOK_S).done:
+            if self._is_ended():
+                raise KeyboardInterrupt
+            self._meanwhile()
+        self._thread.join()
+        self._thread = None
+        return loaded.result()
