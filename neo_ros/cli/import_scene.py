@@ -147,12 +147,12 @@ def import_scene(
                 keyframe_distance, keyframe_angle, level, scale,
                 fisheye_view, depth_unit), show)
         found, notes = finish_scene(scene, notes, test_runs, show)
-    camera = found.train.intrinsics
+    photo = found.train.intrinsics
     tests = 'no test frames' if found.test is None else f'{len(found.test)} test frames'
     for line in notes:
         rich.print(escape(line))
     rich.print(f'{escape(str(scene))}: {len(found.train)} photos of '
-               f'{camera.width}x{camera.height} pixels, {tests}')
+               f'{photo.width}x{photo.height} pixels, {tests}')
     rich.print(f'Report on the capture: {escape(str(scene / REPORT_FILE))}')
     out = Path('out', found.name)
     if out.resolve() == scene.resolve():  # A training wants a folder of its own.
