@@ -41,7 +41,7 @@ def at_30_hz(jitter_ms=0.0):
 @pytest.mark.parametrize('jitter_ms', [0, 5, 10])
 def test_a_camera_that_loses_nothing(bench, jitter_ms):
     report = bench.send(at_30_hz(jitter_ms))
-    assert report.rate == pytest.approx(30, rel=0.1)
+    assert report.rate == pytest.approx(30, rel=0.15)
     # Some of the longest gaps are taken for two.
     assert report.lost <= (0 if jitter_ms < 10 else 20)
     assert judge_stamps(report, 'x') == ''
