@@ -31,7 +31,7 @@ class LookThresholds:
     # Points along each side of the camera's frame.
     frame_points: int = 12
     # What was just seen is marked in patches, not in single pixels: of squares of this side most.
-    smoothed: int = 9
+    smoothed: int = 15
     # Keyframes that are asked for a distance, and the radius in pixels of the patch that is.
     asked: int = 4
     patch: int = 3
