@@ -47,6 +47,7 @@ def test_poses_and_pictures_of_the_graph_lead_to_looks(tmp_path):
     with ros_graph() as graph:
         process = graph.start('-m', 'neo_ros.viewer.main', '--ros-args', '-r', '__ns:=/robot',
                               '-p', 'port:=0', '-p', f'model:={model}')
+        assert process.stdout is not None
         url = process.stdout.readline().split()[-1]
         pictures = graph.node.create_publisher(Image, '/robot/wide/image', 10)
         poses = graph.node.create_publisher(find_message_class(POSE), '/robot/wide/pose', 10)
