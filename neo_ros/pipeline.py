@@ -114,7 +114,8 @@ def _fit_field(run: TrainingRun, path: Path, writes: bool) -> None:
     if writes and not checkpoint.exists():
         drop_made_of_a_field(run.out)
     trainer = field_trainer(images, run.fitted.intrinsics.scaled(scale), run.fitted.T_world_cam,
-                            config, run.experiment.seed, run.fitted.read_depths(scale))
+                            config, run.experiment.seed, run.fitted.read_depths(scale),
+                            run.fitted.read_all_usable(scale))
     train_with_checkpoints(
         run, trainer, checkpoint, 'field', lambda: trainer.done,
         trainer.train_step,
