@@ -129,7 +129,7 @@ def _read(source: Path, format_: CaptureFormat, options: ImportOptions,
     if format_ == CaptureFormat.BAG:
         return read_bag_capture(source, options.bag, of_stage(progress, 'messages'))
     if format_ == CaptureFormat.VIDEO:
-        return read_video(source, of_stage(progress, 'video frames'))
+        return read_video(source, of_stage(progress, 'video frames'), **options.folder)
     return find_masks(FOLDER_READERS[format_](source, **options.folder), source)
 
 

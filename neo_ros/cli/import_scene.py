@@ -28,8 +28,8 @@ def import_scene(
     info_topic: Annotated[Optional[str], typer.Option(
         help='Bags: the CameraInfo of the images, where it is not beside them.')] = None,
     camera_info: Annotated[Optional[Path], typer.Option(
-        help="Bags and folders without calibration: a file with it, camera_calibration's YAML or "
-             'the keys of a transforms.json.')] = None,
+        help='Bags, videos and folders without calibration: a file with it, '
+             "camera_calibration's YAML or the keys of a transforms.json.")] = None,
     images: Annotated[Optional[Path], typer.Option(
         help='COLMAP: the folder that the names of the images start from.')] = None,
     model: Annotated[Optional[int], typer.Option(

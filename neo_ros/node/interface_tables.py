@@ -1,8 +1,8 @@
 """The tables of topics, parameters, services and keys in docs/reference/node.md, from the code."""
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
-from neo_ros.node.diagnostics import KEYS
+from neo_ros.node.diagnostics import CAMERA_KEYS, KEYS
 from neo_ros.node.interface import DIAGNOSTICS, Endpoint, INPUTS, OUTPUTS, SERVICES
 from neo_ros.node.parameters import parameters
 from rcl_interfaces.msg import ParameterDescriptor
@@ -15,8 +15,8 @@ def interface_tables() -> dict[str, str]:
     return {'topics': _table('| topic | type | |', topics),
             'parameters': _table('| parameter | default | |', [
                 _parameter_row(*parameter) for parameter in parameters()]),
-            'diagnostics': _table('| key | meaning |', [
-                f'| `{key}` | {words} |' for key, words in KEYS.items()]),
+            'widening': _keys(KEYS),
+            'camera': _keys(CAMERA_KEYS),
             'services': _table('| service | type | |', _rows('', SERVICES))}
 
 
@@ -26,6 +26,10 @@ def _parameter_row(name: str, default: Any, about: ParameterDescriptor) -> str:
         words.append('read-only')
     shown = str(default).lower() if isinstance(default, bool) else repr(default)
     return f'| `{name}` | {shown} | {"; ".join(filter(None, words))} |'
+
+
+def _keys(keys: Mapping[str, str]) -> str:
+    return _table('| key | meaning |', [f'| `{key}` | {words} |' for key, words in keys.items()])
 
 
 def _ranges(about: ParameterDescriptor) -> list[str]:
