@@ -60,11 +60,10 @@ def train(scene_folder: Path, experiment: Experiment, out: Path,
     """
     scene = read_upright_scene(scene_folder)
     with process_group() as rank:
-        if rank == 0:
+        if rank == 0 and minutes is not None:
             make_output_folder(out)
-            if minutes is not None:
-                plan_training(out, scene, experiment, minutes,
-                              lambda chosen: progress('plan', 1, 1, chosen))
+            plan_training(out, scene, experiment, minutes,
+                          lambda chosen: progress('plan', 1, 1, chosen))
         wait_for_all()
         plan = None if minutes is None else read_plan(out)
         if plan is not None:
@@ -72,18 +71,21 @@ def train(scene_folder: Path, experiment: Experiment, out: Path,
         run = TrainingRun(scene, experiment, out, progress, cache_gb, plan=plan)
         check_training(run)
         if rank == 0:
+            make_output_folder(out)
             claim(out, scene, experiment)
             if field_of is not None:
                 take_field(out, scene, experiment, field_of)
         wait_for_all()
         field = fit_field_step(run, rank)
-        if rank == 0:
+        if rank == 0 and plan is not None:  # The network has what field and memory leave.
             memory_step(run, field)
         wait_for_all()
         network = fit_outpainter_step(run, field, held_out_views(run, field), rank)
     if rank > 0:
         return run
     export_step(run, network, held_out_wide_views(run, field))
+    if plan is None:  # Where it cannot be made, the model is there and works alone.
+        memory_step(run, field)
     name_memory(run)
     run.figures = write_training_report(run, field, score_step(run))
     return run
