@@ -27,6 +27,8 @@ DESCRIPTIONS = {
     'stale_after': 'Seconds until a picture counts as stale',
     'public_origin': 'What viewers open where a proxy stands before the server, such as '
                      'https://robot.example; empty: no proxy',
+    'model': 'Model whose memory shows the map and looks around; empty: neither',
+    'floor': "A walkable.json, or a map's YAML, whose outlines lie under the map",
 }
 
 
@@ -57,7 +59,7 @@ def read_settings(node: Node) -> ViewerSettings:
         values[name] = node.declare_parameter(
             name, default, ParameterDescriptor(description=description, read_only=True)).value
     token_file = values.pop('token_file')
-    for name in ('cert', 'key'):
+    for name in ('cert', 'key', 'model', 'floor'):
         values[name] = Path(values[name]) if values[name] else None
     return ViewerSettings(token=read_token(Path(token_file) if token_file else None), **values)
 

@@ -10,9 +10,11 @@ import threading
 from aiohttp import web, WSCloseCode
 from neo_ros.errors import ConfigError
 from neo_ros.viewer.access import Access, add_headers
+from neo_ros.viewer.around_link import AroundLink
 from neo_ros.viewer.connections import Connections, limit_logs, listen, PoliteHandler
 from neo_ros.viewer.hub import Hub, Source
 from neo_ros.viewer.settings import ViewerSettings
+from neo_ros.viewer.surroundings import PlanPicture, Surroundings
 from neo_ros.viewer.viewer_link import ViewerLink
 
 # Everything that is served; no name from a request ever becomes a path.
@@ -22,6 +24,10 @@ PAGE = {
     '/viewer.js': ('viewer.js', 'text/javascript'),
     '/link.js': ('link.js', 'text/javascript'),
     '/picture.js': ('picture.js', 'text/javascript'),
+    '/around.css': ('around.css', 'text/css'),
+    '/around.js': ('around.js', 'text/javascript'),
+    '/map.js': ('map.js', 'text/javascript'),
+    '/look.js': ('look.js', 'text/javascript'),
     '/icon.svg': ('icon.svg', 'image/svg+xml'),
 }
 MAX_REQUEST_BYTES = 2048
@@ -35,10 +41,12 @@ FULL = 4001
 class Server:
     """The application: serves the page and the stream of one hub."""
 
-    def __init__(self, settings: ViewerSettings, hub: Hub) -> None:
+    def __init__(self, settings: ViewerSettings, hub: Hub,
+                 surroundings: Surroundings = Surroundings(None)) -> None:
         self._settings = settings
         self._hub = hub
         self.connections = Connections(hub.clock)
+        self._surroundings = surroundings
         self._access = Access(settings, hub.clock)
         self._viewers: set[web.WebSocketResponse] = set()
         folder = files('neo_ros.viewer') / 'page'
@@ -53,7 +61,8 @@ class Server:
         self.app.add_routes([
             *(web.get(url, self._get_page) for url in PAGE),
             web.get('/login', self._get_login), web.post('/login', self._post_login),
-            web.get('/stream', self._stream)])
+            web.get('/map', self._get_map), web.get('/map.webp', self._get_map_picture),
+            web.get('/stream', self._stream), web.get('/around', self._around)])
 
     async def _get_page(self, request: web.Request) -> web.Response:
         body, kind = self._pages[request.path]
@@ -111,6 +120,42 @@ class Server:
     async def _touch(self, request: web.Request, response: web.StreamResponse) -> None:
         self.connections.touch(request)
 
+    async def _plan(self, request: web.Request) -> PlanPicture | None:
+        # It may be drawn still: who waits for it is not idle until the answer.
+        self.connections.touch(request, watching=True)
+        return await asyncio.to_thread(self._surroundings.plan)
+
+    async def _get_map(self, request: web.Request) -> web.Response:
+        plan = await self._plan(request)
+        return web.json_response(
+            {'why': self._surroundings.why} if plan is None else plan.about)
+
+    async def _get_map_picture(self, request: web.Request) -> web.Response:
+        plan = await self._plan(request)
+        if plan is None:
+            raise web.HTTPNotFound(text=self._surroundings.why)
+        return web.Response(body=plan.picture, content_type='image/webp')
+
+    async def _around(self, request: web.Request) -> web.WebSocketResponse:
+        self._access.check_origin(request)
+        viewer = web.WebSocketResponse(
+            max_msg_size=MAX_VIEWER_MESSAGE_BYTES, heartbeat=HEARTBEAT_S, compress=False)
+        await viewer.prepare(request)
+        where = self._hub.where
+        if where.wanted >= self._settings.max_viewers:
+            await viewer.close(code=FULL, message=b'too many viewers')
+            return viewer
+        self._viewers.add(viewer)
+        self.connections.touch(request, watching=True)
+        try:
+            await AroundLink(viewer, where, self._surroundings, self._hub.clock).serve()
+        except ConnectionError:
+            pass
+        finally:
+            self._viewers.discard(viewer)
+            self.connections.touch(request)
+        return viewer
+
     async def _close_sockets(self, app: web.Application) -> None:
         for viewer in list(self._viewers):
             await viewer.close(code=WSCloseCode.GOING_AWAY)
@@ -131,6 +176,7 @@ async def _serve(source: Source, settings: ViewerSettings,
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, finished.set)
+    surroundings = Surroundings(settings.model, settings.floor)
     failures: list[BaseException] = []
 
     def feed() -> None:
@@ -142,8 +188,9 @@ async def _serve(source: Source, settings: ViewerSettings,
 
     thread = threading.Thread(target=feed, name='viewer source', daemon=True)
     telling = asyncio.create_task(hub.keep_telling())
+    threading.Thread(target=surroundings.warm_up, name='viewer plan', daemon=True).start()
     try:
-        async with opened(settings, hub) as port:
+        async with opened(settings, hub, surroundings) as port:
             report(_describe(settings, port))
             thread.start()
             await finished.wait()
@@ -158,7 +205,8 @@ async def _serve(source: Source, settings: ViewerSettings,
 
 
 @asynccontextmanager
-async def opened(settings: ViewerSettings, hub: Hub) -> AsyncIterator[int]:
+async def opened(settings: ViewerSettings, hub: Hub,
+                 surroundings: Surroundings = Surroundings(None)) -> AsyncIterator[int]:
     """Serve a hub at the settings' port, which is given; raises ConfigError."""
     tls = settings.tls()
     try:
@@ -166,7 +214,7 @@ async def opened(settings: ViewerSettings, hub: Hub) -> AsyncIterator[int]:
     except OSError as error:
         raise ConfigError(f'host, port: cannot listen on {settings.host}:{settings.port}: '
                           f'{error.strerror}; choose another') from error
-    server = Server(settings, hub)
+    server = Server(settings, hub, surroundings)
     runner = web.AppRunner(server.app, access_log=None, shutdown_timeout=1.0)
     await runner.setup()
     manager, loop = runner.server, asyncio.get_running_loop()

@@ -24,8 +24,9 @@ class ViewerSettings:
     TLS. max_viewers: how many may watch at a time. max_mbit: megabit per second for each of them,
     0 = no limit. quality: of the JPEG pictures, 1 to 100. stale_after: seconds until a picture
     counts as stale. public_origin: what viewers open where a proxy stands before the server, such
-    as https://robot.example; empty: no proxy. fresh_token: whether the token was made here and
-    has to be shown once.
+    as https://robot.example; empty: no proxy. model: whose memory shows the map and looks around;
+    None: neither. floor: a walkable.json or the YAML of a map_server map, whose outlines lie under
+    that map. fresh_token: whether the token was made here and has to be shown once.
     """
 
     host: str = '127.0.0.1'
@@ -38,6 +39,8 @@ class ViewerSettings:
     quality: int = 80
     stale_after: float = 0.8
     public_origin: str = ''
+    model: Path | None = None
+    floor: Path | None = None
     fresh_token: bool = field(default=False, init=False)
 
     def __post_init__(self) -> None:

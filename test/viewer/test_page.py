@@ -353,7 +353,7 @@ def test_a_page_that_gave_its_place_away_says_so_and_comes_back(page: Any) -> No
     page.evaluate("""() => {
         Object.defineProperty(document, 'hidden', {value: true, configurable: true});
         document.dispatchEvent(new Event('visibilitychange'));
-        const socket = window.sockets.at(-1);
+        const socket = window.sockets.findLast(({ url }) => url.endsWith('/stream'));
         socket.onclose({code: 4002});
         socket.close();
     }""")

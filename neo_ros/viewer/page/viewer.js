@@ -1,4 +1,5 @@
 // The page: shows the pictures, and says plainly how much they can be trusted.
+import { Around } from './around.js';
 import { Link } from './link.js';
 import { paint, snapshot, tintOf } from './picture.js';
 
@@ -39,11 +40,15 @@ const state = {
 };
 
 const link = new Link({
-  onOpen() { state.connected = true; },
-  onClosed(reason) { state.connected = false; state.closed = reason; tick(); },
+  onOpen() { state.connected = true; around.open(); },
+  onClosed(reason) { around.close(); state.connected = false; state.closed = reason; tick(); },
   onHello(hello) { state.staleMs = hello.stale_ms; state.newest = 0; },
   onStatus(status) { state.status = status; showStatus(); },
   onPicture(picture) { showPicture(picture); },
+});
+
+const around = new Around({
+  now: () => link.now(), delay: () => link.roundTrip / 2, redraw: () => draw(),
 });
 
 function showPicture(picture) {
@@ -58,6 +63,7 @@ function showPicture(picture) {
   picture.tint = picture.sureness && tintOf(picture.sureness);
   picture.sureness?.close();
   draw();
+  around.onPicture(picture.captured);
   const now = performance.now();
   state.shown.push(now);
   state.latencies.push(link.now() - picture.captured);
@@ -118,6 +124,7 @@ function tick() {
   showTrust();
   showReadings(verdict);
   announce(verdict);
+  around.tick();
 }
 
 function plays(verdict) {
@@ -235,6 +242,7 @@ function choose(way) {
   state.way = way;
   document.querySelector(`input[name=way][value=${way}]`).checked = true;
   remember('way', way);
+  around.setWay(way);
   link.ask({ confidence: way === 'confidence' });
   explain();
   draw();
