@@ -319,17 +319,23 @@ def test_age_is_true_on_a_thin_link(browser: Any, viewer: Viewer) -> None:
         wait_for_state(page, 'live')
         link.narrow(3e3, 0.1)
         wait_for_state(page, 'lost')
-        wait_for(page, lambda: page.evaluate('window.arrivals.length') >= 30, 120.0)
-        shown, arrivals = page.evaluate("""() => new Promise((done) => {
+        wait_for(page, lambda: page.evaluate('window.arrivals.length') >= 60, 120.0)
+        readings = page.evaluate("""() => new Promise((done) => {
             const latency = document.getElementById('latency');
-            new MutationObserver(() => done([latency.textContent, window.arrivals.slice(-20)]))
-                .observe(latency, {childList: true, characterData: true, subtree: true});
+            const found = [];
+            new MutationObserver(() => {
+                found.push([latency.textContent, window.arrivals.slice(-20)]);
+                if (found.length === 5) done(found);
+            }).observe(latency, {childList: true, characterData: true, subtree: true});
         })""")
     context.close()
     # The server's clock began at another time than the wall's, which the browser knows.
-    true_ms = np.median(arrivals) + 1e3 * (time.monotonic() - time.time())
-    assert true_ms > 400, 'a thin link'
-    assert abs(int(shown.split()[0]) / true_ms - 1) < 0.05, (shown, true_ms)
+    began_ms = 1e3 * (time.monotonic() - time.time())
+    true_ms = [np.median(arrivals) + began_ms for _, arrivals in readings]
+    assert min(true_ms) > 400, 'a thin link'
+    # A picture may have arrived and not be counted yet: of five readings the middle one.
+    errors = [int(shown.split()[0]) / true - 1 for (shown, _), true in zip(readings, true_ms)]
+    assert abs(np.median(errors)) < 0.05, (readings, true_ms)
 
 
 def test_a_thin_link_says_that_its_picture_is_smaller(browser: Any, viewer: Viewer) -> None:
