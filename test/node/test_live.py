@@ -20,23 +20,11 @@ import pytest
 from rclpy.lifecycle import TransitionCallbackReturn
 import rclpy.parameter
 from rclpy.qos import qos_profile_sensor_data
-from ros_graph import ros_graph
 from sensor_msgs.msg import CameraInfo, Image
 from std_srvs.srv import SetBool, Trigger
-from tiny_model import TINY_EXPANSION, write_tiny_model
+from tiny_model import TINY_EXPANSION
 
 SOURCE, TARGET = TINY_EXPANSION.source, TINY_EXPANSION.target
-
-
-@pytest.fixture
-def graph():
-    with ros_graph() as graph:
-        yield graph
-
-
-@pytest.fixture(scope='module')
-def model(tmp_path_factory):
-    return write_tiny_model(tmp_path_factory.mktemp('model') / 'tiny.onnx')
 
 
 def test_frames_come_back_wide_with_their_header(graph, model):

@@ -6,18 +6,10 @@ import time
 
 import neo_ros
 import pytest
-from ros_graph import ros_graph
-from tiny_model import write_tiny_model
 
 REPOSITORY = Path(neo_ros.__file__).parent.parent
 # Seconds after the first line of the shell: interpreter, imports, rclpy, the model, spinning.
 MOMENTS = (0, 0.01, 0.03, 0.06, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1, 1.3, 1.6, 2, 2.5, 3.5)
-
-
-@pytest.fixture
-def graph():
-    with ros_graph() as graph:
-        yield graph
 
 
 @pytest.fixture
@@ -49,8 +41,7 @@ def wait_for_the_shell(process):
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM], ids=['SIGINT', 'SIGTERM'])
-def test_a_signal_at_any_moment_ends_it_quietly(graph, executable, tmp_path, number):
-    model = write_tiny_model(tmp_path / 'tiny.onnx')
+def test_a_signal_at_any_moment_ends_it_quietly(graph, executable, model, number):
     ends = {}
     for moment in MOMENTS:
         process = graph.start_program(executable, '--ros-args', '-p', f'model:={model}')
@@ -62,8 +53,7 @@ def test_a_signal_at_any_moment_ends_it_quietly(graph, executable, tmp_path, num
     assert {moment: end for moment, end in ends.items() if end[:2] != (0, False)} == {}
 
 
-def test_signals_that_come_in_a_row_do_no_harm(graph, executable, tmp_path):
-    model = write_tiny_model(tmp_path / 'tiny.onnx')
+def test_signals_that_come_in_a_row_do_no_harm(graph, executable, model):
     process = graph.start_program(executable, '--ros-args', '-p', f'model:={model}')
     time.sleep(2.5)
     while process.poll() is None:
