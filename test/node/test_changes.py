@@ -180,7 +180,7 @@ def test_a_stream_may_change_its_size_and_encoding_and_its_clock(graph, model):
         graph.spin_until(lambda: camera.wide['image'][-1].header == sent.header)
         assert camera.wide['image'][-1].data == expected
     beats = len(camera.diagnostics)
-    graph.spin_until(lambda: len(camera.diagnostics) >= beats + 2, timeout=5)
+    graph.spin_until(lambda: len(camera.diagnostics) >= beats + 2)
     assert len(camera.wide['image']) == 8
 
 

@@ -48,7 +48,7 @@ def test_camera_info_lies_beside_the_image(graph, model, rules, image, info):
     with node_beside(graph, model, *[word for rule in rules for word in ('-r', rule)]):
         for topic in (image, info):
             full = topic if topic[0] == '/' else f'/robot/{topic}'
-            graph.spin_until(lambda: graph.node.count_subscribers(full), timeout=5)
+            graph.spin_until(lambda: graph.node.count_subscribers(full))
         assert not graph.node.count_subscribers('/robot/camera_info')
 
 
@@ -98,10 +98,9 @@ def test_the_wait_says_what_it_waits_for_and_a_frame_that_does_not_fit_is_told(g
         graph.spin_until(infos.get_subscription_count)
         graph.spin_for(0.3)
         camera.publish(noise_image(SOURCE, 0), 1)
-        graph.spin_for(0.2)
-        assert node._inputs.missing == (
+        graph.spin_until(lambda: node._inputs.missing == (
             'an image came on /robot/image; it waits up to 2 s for the camera_info on '
-            '/robot/camera_info')
+            '/robot/camera_info'))
         infos.publish(calibration(WIDER, 'right'))
         graph.spin_for(2.0)
         camera.widen(noise_image(SOURCE, 0), 2)

@@ -6,6 +6,7 @@ import time
 
 import neo_ros
 import pytest
+from ros_graph import WAIT_S
 
 REPOSITORY = Path(neo_ros.__file__).parent.parent
 # Seconds after the first line of the shell: interpreter, imports, rclpy, the model, spinning.
@@ -34,7 +35,7 @@ def wait_for_the_shell(process):
         masks = [int(line.split()[1], 16) for line in lines if line[:6] in ('SigBlk', 'SigCgt')]
         return any(mask & 1 << signal.SIGTERM - 1 for mask in masks)
 
-    deadline = time.monotonic() + 10
+    deadline = time.monotonic() + WAIT_S
     while not is_taken():
         assert time.monotonic() < deadline and process.poll() is None
         time.sleep(0.001)
@@ -48,7 +49,7 @@ def test_a_signal_at_any_moment_ends_it_quietly(graph, executable, model, number
         wait_for_the_shell(process)
         time.sleep(moment)
         process.send_signal(number)
-        code, text = process.wait(10), process.stdout.read()
+        code, text = process.wait(WAIT_S), process.stdout.read()
         ends[moment] = code, 'Traceback' in text or 'Error' in text, text
     assert {moment: end for moment, end in ends.items() if end[:2] != (0, False)} == {}
 
