@@ -88,6 +88,11 @@ def test_threads_wait_for_one_another_asleep(graph, tmp_path, monkeypatch):
 
 def test_bad_messages_are_counted_and_good_ones_pass(graph, model):
     camera = Camera(graph)
+
+    def rejected():
+        return next(int(pair.value) for pair in camera.diagnostics[-1].status[0].values
+                    if pair.key == 'rejected')
+
     camera.start_node(model)
     camera.wait_for_node()
     camera.wait_for_diagnosis(
@@ -98,7 +103,7 @@ def test_bad_messages_are_counted_and_good_ones_pass(graph, model):
         {'width': 0}, {'height': 2**32 - 1}]
     for number, changes in enumerate(bad):
         camera.publish(good, 100 + number, **changes)
-        graph.spin_for(0.05)  # Newest wins: the next one would replace it.
+        graph.spin_until(lambda: rejected() == number + 1)  # Else the next one would replace it.
         camera.widen(good, number)
     camera.publish_info(k=np.diag([8.0, 8, 1]).reshape(-1))
     camera.publish(good, 200)
