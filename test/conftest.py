@@ -12,7 +12,7 @@ settings.register_profile('shared machine', deadline=None)
 settings.load_profile('shared machine')
 # What a file imports, and what fixtures a test uses, tell what it needs.
 MARKS = {'ros': r'import.*\b(ros_graph|live_node|rclpy)\b|^from (ros_graph|live_node) ',
-         'torch': r'\b(torch|tiny_training|onnx)\b'}
+         'torch': r'\b(torch|tiny_training|tiny_model|live_node|onnx)\b'}
 FIXTURES = {'tiny_run': {'slow', 'torch'}, 'graph': {'ros'}, 'model': {'torch'}}
 
 
