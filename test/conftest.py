@@ -10,9 +10,10 @@ import pytest
 # The machines that run the tests are shared: how long an example takes says nothing.
 settings.register_profile('shared machine', deadline=None)
 settings.load_profile('shared machine')
-# What a file imports tells what its tests need.
+# What a file imports, and what fixtures a test uses, tell what it needs.
 MARKS = {'ros': r'import.*\b(ros_graph|live_node|rclpy)\b|^from (ros_graph|live_node) ',
-         'torch': r'\b(torch|tiny_training|onnx)\b'}
+         'torch': r'\b(torch|tiny_training|tiny_model|live_node|onnx)\b'}
+FIXTURES = {'tiny_run': {'slow', 'torch'}, 'graph': {'ros'}, 'model': {'torch'}}
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -27,10 +28,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             text = item.path.read_text()
             needs[item.path] = {mark for mark, words in MARKS.items()
                                 if re.search(words, text, re.MULTILINE)}
-        trained = 'tiny_run' in getattr(item, 'fixturenames', ())
-        for mark in needs[item.path] | ({'slow', 'torch'} if trained else set()):
+        fixtures = getattr(item, 'fixturenames', ())
+        for mark in needs[item.path].union(*(FIXTURES.get(name, set()) for name in fixtures)):
             item.add_marker(mark)
-        item.add_marker(pytest.mark.xdist_group('tiny run' if trained else str(item.path)))
+        item.add_marker(pytest.mark.xdist_group(
+            'tiny run' if 'tiny_run' in fixtures else str(item.path)))
 
 
 @pytest.fixture(scope='session', autouse=True)

@@ -1,129 +1,46 @@
 """Read an MCAP file from front to back: whole, cut off, or damaged in the middle."""
 from collections import Counter
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
 import heapq
-from io import BytesIO
-import os
 from pathlib import Path
-import struct
-from typing import Any, NamedTuple
-from zlib import crc32
+from typing import Any
 
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Metadata, Schema, Statistics
+from mcap.records import Attachment, Metadata
 from neo_ros.bags.damage import Damage
-from neo_ros.bags.mcap_records import (
-    Damaged, HOLE, MAGIC, MAX_CHUNK_BYTES, MESSAGE_HEAD, Read, read_chunk_head, read_index, Record,
-    RECORD_HEAD, unpack_chunk, walk)
-from neo_ros.errors import BagError
+from neo_ros.bags.mcap_layout import McapLayout, McapMessage
+from neo_ros.bags.mcap_records import MAX_CHUNK_BYTES
 
-_FOOTER = struct.Struct('<BQQQI')
 _FOREVER_NS = 1 << 64
-# Messages outside of chunks are taken together in stretches of this size.
-_STRETCH_BYTES = 1 << 20
-_UNREADABLE = (McapError, struct.error, UnicodeDecodeError, ValueError, IndexError)
-
-
-class McapMessage(NamedTuple):
-    """One message; `offset` and `place` say where the part lies, and the message in it."""
-
-    stamp_ns: int
-    offset: int
-    place: int
-    channel: int
-    sequence: int
-    publish_ns: int
-    data: bytes
-
-
-@dataclass
-class _Part:
-    """
-    A chunk, or a stretch of messages outside of chunks.
-
-    start, end  bytes of the file: the body of a chunk, or whole records
-    claimed     messages by channel, as the index behind the chunk says; None without one
-    found       messages by channel that were read; None before the part was read
-    """
-
-    offset: int
-    start: int
-    end: int
-    is_chunk: bool
-    first_ns: int
-    last_ns: int
-    claimed: Counter[int] | None
-    found: Counter[int] | None = None
-    damaged: bool = False
-
-    @property
-    def counts(self) -> Counter[int]:
-        """The best that is known of what is in it."""
-        return self.found if self.found is not None else self.claimed or Counter()
-
-    def may_hold(self, wanted: Collection[int], known: Collection[int]) -> bool:
-        """Whether there may be messages of the wanted channels in it."""
-        # An index that names unknown channels is damaged itself.
-        sure = self.claimed is not None and all(channel in known for channel in self.claimed)
-        return not sure or any(channel in wanted for channel in self.counts)
 
 
 class McapFile:
     """
     The messages of one file in the order of their log times.
 
-    The layout is taken from the records themselves, not from the index at the end: a file that
-    was cut off or damaged is read like any other. Chunks whose checksum, size or compression
-    does not hold are left out as a whole; of a chunk that is cut off, all whole messages are
-    read. The checksum of the summary is checked too, that of the data section is not.
-    `damage` is exact once all messages were read. Raises BagError for other files.
+    A file that was cut off or damaged is read like any other. Chunks whose checksum, size or
+    compression does not hold are left out as a whole; of a chunk that is cut off, all whole
+    messages are read. `damage` is exact once all messages were read. Raises BagError for files
+    that are no MCAP.
     """
 
     def __init__(self, path: Path, expected: int | None = None) -> None:
-        self.path = path
-        self.schemas: dict[int, Schema] = {}
-        self.channels: dict[int, Channel] = {}
-        self._parts: list[_Part] = []
-        self._holes: list[int] = []
-        self._others: list[Record] = []  # attachments and metadata
-        self._orphans = 0  # messages that an index tells of, but whose chunk is not there
-        self._expected = expected
-        self._descriptor = os.open(path, os.O_RDONLY)
-        try:
-            self._size = os.fstat(self._descriptor).st_size
-            if self._read(0, len(MAGIC)) != MAGIC:
-                raise BagError(f'{path}: expected an MCAP file, its first bytes are not')
-            chunked = self._read_summary()
-            summary = self._scan(chunked)
-            self._load_undefined()
-            # What no checksum vouches for defines only what nothing else does.
-            known = len(self.channels) + len(self.schemas)
-            for record in summary:
-                self._define(self._read, record)
-            if len(self.channels) + len(self.schemas) > known:
-                self._load_undefined(again=True)
-        except BaseException:
-            self.close()
-            raise
+        self.path, self._layout = path, McapLayout(path, expected)
+        self.schemas, self.channels = self._layout.schemas, self._layout.channels
 
     def close(self) -> None:
         """Close the file."""
-        if self._descriptor >= 0:
-            os.close(self._descriptor)
-            self._descriptor = -1
+        self._layout.close()
 
     @property
     def counts(self) -> Counter[int]:
         """How many messages there are by channel id."""
-        return sum((part.counts for part in self._parts), Counter())
+        return sum((part.counts for part in self._layout.parts), Counter())
 
     @property
     def span_ns(self) -> tuple[int, int] | None:
         """First and last log time; None for a file without messages."""
-        parts = [part for part in self._parts if part.counts]
+        parts = [part for part in self._layout.parts if part.counts]
         if not parts:
             return None
         return min(part.first_ns for part in parts), max(part.last_ns for part in parts)
@@ -131,19 +48,19 @@ class McapFile:
     @property
     def damage(self) -> Damage | None:
         """What is lost, as far as the file was read; None if nothing is."""
-        found = self.counts.total()
+        layout, found = self._layout, self.counts.total()
         missing = [(part, (part.claimed or Counter()).total() - part.counts.total())
-                   for part in self._parts]
+                   for part in layout.parts]
         bad = [part for part, count in missing if count > 0 or part.damaged]
-        known = self._orphans + sum(max(count, 0) for _, count in missing)
+        known = layout.orphans + sum(max(count, 0) for _, count in missing)
         lost: int | None = known
-        if self._expected is not None and self._expected >= found:
-            lost = self._expected - found
-        elif self._holes or any(part.damaged and part.claimed is None for part in self._parts):
+        if layout.expected is not None and layout.expected >= found:
+            lost = layout.expected - found
+        elif layout.holes or any(part.damaged and part.claimed is None for part in layout.parts):
             lost = None
         if lost == 0:
             return None
-        places = [*self._holes, *(part.offset for part in bad)]
+        places = [*layout.holes, *(part.offset for part in bad)]
         return Damage(self.path.name, found, lost, f'byte {min(places)}' if places else '')
 
     def messages(self, channels: Collection[int], start_ns: int = 0,
@@ -151,7 +68,7 @@ class McapFile:
         """Yield the messages of these channels with a log time in [start_ns, stop_ns)."""
         waiting: list[McapMessage] = []
         held = 0
-        for part in sorted(self._parts, key=lambda part: part.first_ns):
+        for part in sorted(self._layout.parts, key=lambda part: part.first_ns):
             if part.last_ns < start_ns or part.first_ns >= stop_ns or not (
                     part.may_hold(channels, self.channels)):
                 continue
@@ -160,7 +77,7 @@ class McapFile:
                 message = heapq.heappop(waiting)
                 held -= len(message.data)
                 yield message
-            for message in self._load(part):
+            for message in self._layout.load(part):
                 if message.channel in channels and start_ns <= message.stamp_ns < stop_ns:
                     heapq.heappush(waiting, message)
                     held += len(message.data)
@@ -176,170 +93,8 @@ class McapFile:
         yield from self._beside(Opcode.METADATA, Metadata)
 
     def _beside(self, opcode: Opcode, kind: Any) -> Iterator[Any]:
-        for record in self._others:
+        for record in self._layout.others:
             if record.opcode == opcode:
-                found = _parse(kind, self._read(record.body, record.end - record.body))
+                found = self._layout.parse(kind, record)
                 if found is not None:
                     yield found
-
-    def _read(self, offset: int, count: int) -> bytes:
-        try:
-            return os.pread(self._descriptor, count, offset)
-        except OSError as error:  # of a bad sector, at any time
-            raise BagError(f'{self.path}: cannot read the bag: {error.strerror}') from error
-
-    def _read_summary(self) -> bool:
-        """Take schemas, channels and counts from the file's end; return whether it has chunks."""
-        end = self._size - _FOOTER.size - len(MAGIC)
-        tail = self._read(max(end, 0), _FOOTER.size + len(MAGIC))
-        if end < 0 or tail[_FOOTER.size:] != MAGIC:
-            return True
-        opcode, length, start, _, crc = _FOOTER.unpack_from(tail)
-        if (opcode, length) != (Opcode.FOOTER, 20) or not 0 < start <= end:
-            return True
-        if crc and crc32(self._read(start, end + _FOOTER.size - 4 - start)) != crc:
-            return True
-        chunked = True
-        for record in walk(self._read, start, end, False, ()):
-            if record.opcode == Opcode.STATISTICS:
-                statistics = _parse(
-                    Statistics, self._read(record.body, record.end - record.body))
-                if statistics is None:
-                    continue
-                chunked = statistics.chunk_count > 0
-                total = statistics.message_count
-                by_channel = statistics.channel_message_counts
-                if not by_channel or sum(by_channel.values()) == total:
-                    self._expected = total
-            else:
-                self._define(self._read, record)
-        return chunked
-
-    def _load_undefined(self, again: bool = False) -> None:
-        """Read the parts that nothing is known of, or whose channels are not defined yet."""
-        for part in self._parts:
-            if part.claimed is None or (again and part.found is not None) or not all(
-                    map(self._is_defined, part.claimed)):
-                self._load(part)
-
-    def _scan(self, chunked: bool) -> list[Record]:
-        """
-        Find the parts of the data section; a file cut off has no summary to say `chunked`.
-
-        Returns the records of the summary.
-        """
-        summary: list[Record] = []
-        chunk: _Part | None = None
-        complete = False
-        for record in walk(self._read, len(MAGIC), self._size, chunked, self.channels):
-            if record.opcode == Opcode.FOOTER:
-                break
-            if complete or record.opcode == Opcode.DATA_END:
-                complete = True
-                summary.append(record)
-                continue
-            if record.opcode == Opcode.MESSAGE_INDEX:
-                self._take_index(record, chunk)
-                continue
-            chunk = None
-            if record.opcode == Opcode.CHUNK:
-                chunk = self._add_chunk(record.offset, record.end)
-            elif record.opcode == Opcode.MESSAGE:
-                self._add_message(record)
-            elif record.opcode == HOLE:
-                self._holes.append(record.offset)
-                if self._read(record.offset, 1) == b'\x06':  # What there is of a chunk.
-                    self._add_chunk(record.offset, record.end)
-            elif record.opcode in (Opcode.ATTACHMENT, Opcode.METADATA):
-                self._others.append(record)
-            else:
-                self._define(self._read, record)
-        if not complete and not self._holes:
-            self._holes.append(self._size)
-        for part in self._parts:
-            if part.claimed is not None and not part.is_chunk:
-                part.found = part.claimed
-        return summary
-
-    def _add_chunk(self, offset: int, end: int) -> _Part | None:
-        body = offset + RECORD_HEAD.size
-        head = read_chunk_head(self._read(body, 64))
-        if head is None:
-            return None
-        self._parts.append(_Part(offset, body, end, True, head.first_ns, head.last_ns, None))
-        return self._parts[-1]
-
-    def _add_message(self, record: Record) -> None:
-        head = self._read(record.body, MESSAGE_HEAD.size)
-        channel, _, stamp_ns, _ = MESSAGE_HEAD.unpack(head)
-        last = self._parts[-1] if self._parts else None
-        if last is None or last.is_chunk or last.end != record.offset or (
-                record.end - last.start > _STRETCH_BYTES):
-            self._parts.append(_Part(record.offset, record.offset, record.end, False, stamp_ns,
-                                     stamp_ns, Counter()))
-            last = self._parts[-1]
-        last.end = record.end
-        last.first_ns, last.last_ns = min(last.first_ns, stamp_ns), max(last.last_ns, stamp_ns)
-        assert last.claimed is not None
-        last.claimed[channel] += 1
-
-    def _take_index(self, record: Record, chunk: _Part | None) -> None:
-        channel, count = read_index(self._read(record.body, 6))
-        if chunk is None:
-            self._orphans += count
-            self._holes.append(record.offset)
-            return
-        if chunk.claimed is None:
-            chunk.claimed = Counter()
-        if count:
-            chunk.claimed[channel] += count
-
-    def _load(self, part: _Part) -> list[McapMessage]:
-        """Return the messages of a part and note how many they are."""
-        messages: list[McapMessage] = []
-        part.found = Counter()
-        body = self._read(part.start, part.end - part.start)
-        if part.is_chunk:
-            try:
-                body = unpack_chunk(body)
-            except Damaged:
-                part.damaged = True
-                return messages
-
-        def read(offset: int, count: int) -> bytes:
-            return body[offset:offset + count]
-
-        for record in walk(read, 0, len(body), False, self.channels):
-            if record.opcode != Opcode.MESSAGE:
-                self._define(read, record)
-                continue
-            channel, sequence, stamp_ns, publish_ns = MESSAGE_HEAD.unpack_from(body, record.body)
-            if channel in self.channels:
-                part.found[channel] += 1
-                messages.append(McapMessage(
-                    stamp_ns, part.offset, record.offset, channel, sequence, publish_ns,
-                    body[record.body + MESSAGE_HEAD.size:record.end]))
-        return messages
-
-    def _is_defined(self, channel: int) -> bool:
-        found = self.channels.get(channel)
-        return found is not None and (not found.schema_id or found.schema_id in self.schemas)
-
-    def _define(self, read: Read, record: Record) -> None:
-        """Take a schema or a channel; the first one of an id holds."""
-        if record.opcode not in (Opcode.SCHEMA, Opcode.CHANNEL):
-            return
-        known: dict[int, Schema] | dict[int, Channel] = (
-            self.schemas if record.opcode == Opcode.SCHEMA else self.channels)
-        kind = Schema if record.opcode == Opcode.SCHEMA else Channel
-        found = _parse(kind, read(record.body, record.end - record.body))
-        if found is not None:
-            known.setdefault(found.id, found)
-
-
-def _parse(kind: Any, body: bytes) -> Any:
-    """Return the mcap record in these bytes; None if they are none."""
-    try:
-        return kind.read(ReadDataStream(BytesIO(body)))
-    except _UNREADABLE:
-        return None

@@ -81,18 +81,19 @@ class CameraInputs:
             # The newest only; a frame that waits here is as old as one that waits anywhere.
             qos = QoSProfile(depth=1, reliability=(
                 ReliabilityPolicy.RELIABLE if self._reliable else ReliabilityPolicy.BEST_EFFORT))
-            overrides = self._topics.qos_overrides(topic)
             self._subscriptions.append(self._node.create_subscription(
-                endpoint.kind, topic, callback, qos, qos_overriding_options=overrides,
+                endpoint.kind, topic, callback, qos,
+                qos_overriding_options=self._topics.qos_overrides(topic),
                 event_callbacks=SubscriptionEventCallbacks(
                     incompatible_qos=functools.partial(self._on_qos_conflict, topic))))
-        if overrides is None:
+        info_topic = self._topics.camera_info()
+        if self._topics.qos_overrides(info_topic) is None:
             # A latched camera_info was sent before this node came. A publisher that latches none
             # does not fit and is heard through the other one: nobody is told.
             latched = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE,
                                  durability=DurabilityPolicy.TRANSIENT_LOCAL)
             self._subscriptions.append(self._node.create_subscription(
-                CAMERA_INFO.kind, topic, self._on_info, latched,
+                CAMERA_INFO.kind, info_topic, self._on_info, latched,
                 event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False)))
 
     def unsubscribe(self) -> None:

@@ -8,6 +8,7 @@ from neo_ros.messages import SceneWatch
 from neo_ros.node.camera_inputs import CameraInputs
 from neo_ros.node.diagnostics import build_camera_status, build_status, Health
 from neo_ros.node.frame_statistics import Statistics
+from neo_ros.node.input_topics import publisher_name
 from neo_ros.node.interface import DIAGNOSTICS, OUTPUTS
 from neo_ros.node.loaded_model import LoadedModel
 from rclpy.clock import Clock, ClockType
@@ -85,7 +86,7 @@ def describe_twin(node: Node) -> str:
     if names.count(own) > 1:
         return f'another node is called {own}, too: give each camera a namespace (-r __ns:=/left)'
     topic = node.resolve_topic_name(OUTPUTS['image'].name)
-    others = sorted({f'{found.node_namespace.rstrip("/")}/{found.node_name}'
+    others = sorted({publisher_name(found)
                      for found in node.get_publishers_info_by_topic(topic)} - {own})
     if not others:
         return ''

@@ -44,7 +44,7 @@ class InputTopics:
 
     def describe_crowd(self, topic: str, endpoint: Endpoint) -> str:
         """Name the publishers of a topic that should have one; '' = it has at most one."""
-        names = sorted(_name(found) for found in self.publishers(topic, endpoint))
+        names = sorted(publisher_name(found) for found in self.publishers(topic, endpoint))
         if len(names) < 2:
             return ''
         return f'{" and ".join(names)} publish {topic}: remap one of them'
@@ -89,7 +89,7 @@ class InputTopics:
         own = self._node.get_fully_qualified_name()
         return [topic for topic, types in self._node.get_topic_names_and_types()
                 if type_name(IMAGE) in types and any(
-                    _name(found) != own for found in self.publishers(topic, IMAGE))]
+                    publisher_name(found) != own for found in self.publishers(topic, IMAGE))]
 
 
 def type_name(endpoint: Endpoint) -> str:
@@ -97,5 +97,6 @@ def type_name(endpoint: Endpoint) -> str:
     return f'{endpoint.kind.__module__.split(".")[0]}/msg/{endpoint.kind.__name__}'
 
 
-def _name(found: TopicEndpointInfo) -> str:
+def publisher_name(found: TopicEndpointInfo) -> str:
+    """Return the full name of the node that publishes."""
     return f'{found.node_namespace.rstrip("/")}/{found.node_name}'

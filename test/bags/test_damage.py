@@ -9,6 +9,7 @@ from bag_files import (
 from mcap.writer import CompressionType, IndexType
 from neo_ros.bags import BagReader, BagWriter, Damage
 from neo_ros.bags.mcap_file import McapFile
+from neo_ros.bags.mcap_layout import McapLayout
 from neo_ros.bags.mcap_records import MAX_CHUNK_BYTES
 from neo_ros.errors import BagError
 import pytest
@@ -145,7 +146,7 @@ def test_without_checksums_the_counts_still_add_up(tmp_path: Path, make: Make) -
 def test_our_own_bags_carry_checksums(tmp_path: Path) -> None:
     file = write_text_bag(tmp_path / 'bag', 9000) / 'bag.mcap'
     content = bytearray(file.read_bytes())
-    chunks = McapFile(file)._parts
+    chunks = McapLayout(file).parts
     assert len(chunks) > 1
     content[chunks[1].start + 5000] ^= 4
     file.write_bytes(content)

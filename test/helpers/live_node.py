@@ -9,6 +9,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from neo_ros.messages import camera_info_fields, image_fields
+from neo_ros.messages.scene_outputs import WIDENING
 from neo_ros.node.extrapolator_node import ExtrapolatorNode
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
@@ -78,11 +79,11 @@ class Camera:
         self.graph.spin_until(answered)
         return {name: kept[-1] for name, kept in self.wide.items()}
 
-    def wait_for_diagnosis(self, level, words):
-        """Wait for a verdict; return its lines."""
+    def wait_for_diagnosis(self, level, words, task=WIDENING):
+        """Wait for a verdict on the widening, or on the 'camera'; return its lines."""
         def found():
-            for entry in self.diagnostics:
-                status = entry.status[0]
+            for status in (status for entry in self.diagnostics for status in entry.status
+                           if status.name.endswith(f': {task}')):
                 if status.level == level and re.search(words, status.message):
                     return {pair.key: pair.value for pair in status.values}
             return None

@@ -11,19 +11,12 @@ from neo_ros.node.bag_player import BagPlayer
 from neo_ros.node.bag_recorder import BagRecorder
 from neo_ros.node.message_types import find_message_class
 import pytest
-from ros_graph import ros_graph
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image
 from tiny_model import TINY_EXPANSION
 
 IMAGE, CAMERA_INFO = '/camera/image_raw', '/camera/camera_info'
 FRAMES = 8
-
-
-@pytest.fixture
-def graph():
-    with ros_graph() as graph:
-        yield graph
 
 
 @pytest.fixture(scope='module')

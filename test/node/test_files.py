@@ -19,7 +19,7 @@ from neo_ros.node.interface import INPUTS, OUTPUTS, SERVICES
 from neo_ros.node.parameters import declare_parameters
 import pytest
 from rclpy.parameter import Parameter
-from ros_graph import ros_graph
+from ros_graph import ros_graph, WAIT_S
 from tiny_model import write_tiny_model
 import yaml
 
@@ -194,5 +194,5 @@ def test_launch_file_hands_on_its_switches(tmp_path):
 def test_launch_file_refuses(argument, words):
     with ros_graph() as graph:
         process = graph.start('-c', LAUNCHER, str(LAUNCH), argument)
-        text, _ = process.communicate(timeout=30)
+        text, _ = process.communicate(timeout=WAIT_S)
         assert process.returncode != 0 and words in text

@@ -1,6 +1,5 @@
 """Which topics the node listens to, and what it says when they are not what it needs."""
 import math
-import re
 
 from camera_messages import noise_image
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -12,24 +11,11 @@ import pytest
 import rclpy
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from ros_graph import ros_graph
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
-from tiny_model import write_tiny_model
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 WIDER = Intrinsics.from_hfov(64, 48, math.radians(100))
 WARN, OK = DiagnosticStatus.WARN, DiagnosticStatus.OK
-
-
-@pytest.fixture
-def graph():
-    with ros_graph() as graph:
-        yield graph
-
-
-@pytest.fixture(scope='module')
-def model(tmp_path_factory):
-    return write_tiny_model(tmp_path_factory.mktemp('model') / 'tiny.onnx')
 
 
 def calibration(camera, frame=''):
@@ -62,7 +48,7 @@ def test_camera_info_lies_beside_the_image(graph, model, rules, image, info):
     with node_beside(graph, model, *[word for rule in rules for word in ('-r', rule)]):
         for topic in (image, info):
             full = topic if topic[0] == '/' else f'/robot/{topic}'
-            graph.spin_until(lambda: graph.node.count_subscribers(full), timeout=5)
+            graph.spin_until(lambda: graph.node.count_subscribers(full))
         assert not graph.node.count_subscribers('/robot/camera_info')
 
 
@@ -112,10 +98,9 @@ def test_the_wait_says_what_it_waits_for_and_a_frame_that_does_not_fit_is_told(g
         graph.spin_until(infos.get_subscription_count)
         graph.spin_for(0.3)
         camera.publish(noise_image(SOURCE, 0), 1)
-        graph.spin_for(0.2)
-        assert node._inputs.missing == (
+        graph.spin_until(lambda: node._inputs.missing == (
             'an image came on /robot/image; it waits up to 2 s for the camera_info on '
-            '/robot/camera_info')
+            '/robot/camera_info'))
         infos.publish(calibration(WIDER, 'right'))
         graph.spin_for(2.0)
         camera.widen(noise_image(SOURCE, 0), 2)
@@ -168,18 +153,6 @@ def test_an_override_is_found_without_being_declared(graph):
     node.destroy_node()
 
 
-def camera_status(graph, camera, level, words):
-    """Wait for what the second status says of the camera; return its lines."""
-    def found():
-        for entry in camera.diagnostics:
-            status = entry.status[1]
-            if status.level == level and re.search(words, status.message):
-                return {pair.key: pair.value for pair in status.values}
-        return None
-    camera.diagnostics.clear()
-    return graph.spin_until(found, timeout=30)
-
-
 # A driver of VGA images with the defaults of Fast DDS: rclpy's publisher is reliable.
 DRIVER = """
 import time
@@ -206,12 +179,13 @@ def test_a_driver_that_loses_large_images_is_recognised_and_the_remedy_helps(
     graph.node.destroy_publisher(camera.images)
     graph.start('-c', DRIVER)
     camera.start_node(model)
-    lines = camera_status(
-        graph, camera, WARN, '(got lost before this node|the images do not).*: set the parameter '
-        'reliable to true$')
+    lines = camera.wait_for_diagnosis(
+        WARN, '(got lost before this node|the images do not).*: set the parameter reliable to '
+        'true$', 'camera')
     assert int(lines['images']) < 0.8 * int(lines['camera_infos'])
     assert set_parameter(graph, 'reliable', True).successful
-    lines = camera_status(graph, camera, OK, r'^[2-9]\d images in five seconds')
+    camera.diagnostics.clear()
+    lines = camera.wait_for_diagnosis(OK, r'^[2-9]\d images in five seconds', 'camera')
     assert int(lines['images lost before the node']) < 5
 
 
@@ -220,7 +194,7 @@ def test_stamps_that_stand_still_are_told(graph, model):
     with node_beside(graph, model):
         camera.wait_for_node()
         graph.node.create_timer(0.1, lambda: camera.publish(noise_image(SOURCE, 0), 7))
-        camera_status(graph, camera, WARN, 'images have one stamp: the driver repeats it')
+        camera.wait_for_diagnosis(WARN, 'images have one stamp: the driver repeats it', 'camera')
 
 
 def test_images_of_another_time_are_told(graph, model):
@@ -228,4 +202,5 @@ def test_images_of_another_time_are_told(graph, model):
     with node_beside(graph, model):
         camera.wait_for_node()
         camera.publish(noise_image(SOURCE, 0), 1)
-        camera_status(graph, camera, WARN, r'the images are \d+\.\d s old when they come')
+        camera.wait_for_diagnosis(
+            WARN, r'the images are \d+\.\d s old when they come', 'camera')

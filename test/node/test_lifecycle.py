@@ -13,20 +13,12 @@ from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.messages import image_fields
 from neo_ros.node.extrapolator_node import ExtrapolatorNode
 from neo_ros.runtime import FovExtrapolator
-import pytest
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.parameter import Parameter
-from ros_graph import ros_graph
 from sensor_msgs.msg import Image
-from tiny_model import TINY_EXPANSION, write_tiny_model
+from tiny_model import TINY_EXPANSION
 
 CYCLES = 20
-
-
-@pytest.fixture
-def graph():
-    with ros_graph() as graph:
-        yield graph
 
 
 def node_of(graph, model, **options):
@@ -48,8 +40,8 @@ def allocated_bytes():
     return information.uordblks + information.hblkhd
 
 
-def test_a_stopped_worker_in_the_middle_of_a_frame_is_not_forgotten(graph, tmp_path):
-    node = node_of(graph, write_tiny_model(tmp_path / 'm.onnx'))
+def test_a_stopped_worker_in_the_middle_of_a_frame_is_not_forgotten(graph, model):
+    node = node_of(graph, model)
     worker = SimpleNamespace(busy=True, stop=lambda timeout: False)
     node._worker = worker
     for _ in range(2):  # deactivated, then asked again before the process ends
@@ -101,8 +93,8 @@ def test_cycles_with_frames_and_a_memory_leave_nothing_behind(graph, tmp_path):
     node.destroy_node()
 
 
-def test_cycles_over_the_graph_end_where_they_began(graph, tmp_path):
-    camera, process = started(graph, write_tiny_model(tmp_path / 'tiny.onnx'))
+def test_cycles_over_the_graph_end_where_they_began(graph, model):
+    camera, process = started(graph, model)
     for number in range(3):
         for transition in (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP,
                            Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
@@ -112,7 +104,7 @@ def test_cycles_over_the_graph_end_where_they_began(graph, tmp_path):
     assert end(process)[0] == 0
 
 
-def test_diagnostics_go_on_while_a_model_loads(graph, tmp_path):
+def test_diagnostics_go_on_while_a_model_loads(graph, model):
     def load_slowly(*arguments):
         # Another thread than the one that answers the transition: here the graph may be heard.
         heard = len(messages)
@@ -120,8 +112,7 @@ def test_diagnostics_go_on_while_a_model_loads(graph, tmp_path):
         return FovExtrapolator.load(*arguments)
 
     # In a namespace of its own: nodes of other tests take a while to be forgotten.
-    node = node_of(graph, write_tiny_model(tmp_path / 'tiny.onnx'), load=load_slowly,
-                   namespace='loading')
+    node = node_of(graph, model, load=load_slowly, namespace='loading')
     messages = graph.collect(DiagnosticArray, '/diagnostics')
     graph.spin_until(lambda: node.count_subscribers('/diagnostics'))
     assert node.trigger_configure() == TransitionCallbackReturn.SUCCESS

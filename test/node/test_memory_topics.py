@@ -10,21 +10,13 @@ from neo_ros.messages.hints import read_pose
 from neo_ros.node.extrapolator_node import ExtrapolatorNode
 from neo_ros.node.robot_frames import moved_covariance
 import numpy as np
-import pytest
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.parameter import Parameter
-from ros_graph import ros_graph
 from sensor_msgs.msg import Image, PointCloud2
 from std_srvs.srv import Trigger
 
 KINDS = {'pose': PoseWithCovarianceStamped, 'depth': Image, 'points': PointCloud2,
          'status': DiagnosticArray, 'panorama': Image, 'panorama_mask': Image}
-
-
-@pytest.fixture
-def graph():
-    with ros_graph() as graph:
-        yield graph
 
 
 def fill(message, pose):

@@ -6,18 +6,11 @@ import time
 
 import neo_ros
 import pytest
-from ros_graph import ros_graph
-from tiny_model import write_tiny_model
+from ros_graph import WAIT_S
 
 REPOSITORY = Path(neo_ros.__file__).parent.parent
 # Seconds after the first line of the shell: interpreter, imports, rclpy, the model, spinning.
 MOMENTS = (0, 0.01, 0.03, 0.06, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1, 1.3, 1.6, 2, 2.5, 3.5)
-
-
-@pytest.fixture
-def graph():
-    with ros_graph() as graph:
-        yield graph
 
 
 @pytest.fixture
@@ -42,28 +35,26 @@ def wait_for_the_shell(process):
         masks = [int(line.split()[1], 16) for line in lines if line[:6] in ('SigBlk', 'SigCgt')]
         return any(mask & 1 << signal.SIGTERM - 1 for mask in masks)
 
-    deadline = time.monotonic() + 10
+    deadline = time.monotonic() + WAIT_S
     while not is_taken():
         assert time.monotonic() < deadline and process.poll() is None
         time.sleep(0.001)
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM], ids=['SIGINT', 'SIGTERM'])
-def test_a_signal_at_any_moment_ends_it_quietly(graph, executable, tmp_path, number):
-    model = write_tiny_model(tmp_path / 'tiny.onnx')
+def test_a_signal_at_any_moment_ends_it_quietly(graph, executable, model, number):
     ends = {}
     for moment in MOMENTS:
         process = graph.start_program(executable, '--ros-args', '-p', f'model:={model}')
         wait_for_the_shell(process)
         time.sleep(moment)
         process.send_signal(number)
-        code, text = process.wait(10), process.stdout.read()
+        code, text = process.wait(WAIT_S), process.stdout.read()
         ends[moment] = code, 'Traceback' in text or 'Error' in text, text
     assert {moment: end for moment, end in ends.items() if end[:2] != (0, False)} == {}
 
 
-def test_signals_that_come_in_a_row_do_no_harm(graph, executable, tmp_path):
-    model = write_tiny_model(tmp_path / 'tiny.onnx')
+def test_signals_that_come_in_a_row_do_no_harm(graph, executable, model):
     process = graph.start_program(executable, '--ros-args', '-p', f'model:={model}')
     time.sleep(2.5)
     while process.poll() is None:
