@@ -7,7 +7,7 @@ from typing import Any
 
 import cv2
 from neo_ros.errors import ImageRejected
-from neo_ros.pictures.header import MAX_PIXELS
+from neo_ros.pictures.header import MAX_PIXELS, read_header
 import numpy as np
 
 # Metres that one step of an encoding means.
@@ -29,7 +29,7 @@ def read_depth_image(message: Any) -> np.ndarray:
     """
     Return the numbers of a depth image: uint16 or float32 (H, W), to be multiplied by its unit.
 
-    Raises ImageRejected: 'encoding' for what is no depth, 'size', 'step', 'data'.
+    Raises ImageRejected: 'encoding' for what is no depth, 'size', 'step', 'empty', 'data'.
     """
     encoding = depth_encoding(message)
     if encoding is None:
@@ -71,6 +71,7 @@ def _read_compressed(data: bytes, encoding: str, form: str) -> np.ndarray:
 
 
 def _decode_picture(picture: bytes, form: str) -> np.ndarray:
+    read_header(picture)  # Small data may unpack to gigabytes.
     try:
         numbers = cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_UNCHANGED) if (
             picture) else None

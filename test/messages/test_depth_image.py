@@ -37,6 +37,12 @@ def png(numbers: np.ndarray) -> bytes:
     return cv2.imencode('.png', numbers)[1].tobytes()
 
 
+def claiming(side: int) -> bytes:
+    """Return a PNG of some bytes that says it has this many pixels a side."""
+    whole = png(millimetres())
+    return whole[:16] + struct.pack('>II', side, side) + whole[24:]
+
+
 def rvl(numbers: np.ndarray) -> bytes:
     """Encode as Wilson's program does, number by number."""
     nibbles: list[int] = []
@@ -102,7 +108,8 @@ def test_metres_come_back_from_steps_of_their_inverse(encode: object, form: str)
     (SimpleNamespace(**{**vars(image(DEPTH, '16UC1')), 'step': 33}), 'step'),
     (SimpleNamespace(**{**vars(image(DEPTH, '16UC1')), 'height': 13}), 'data'),
     (SimpleNamespace(**{**vars(image(DEPTH, '16UC1')), 'height': 0}), 'size'),
-    (compressed(b'', '16UC1; compressedDepth png'), 'data'),
+    (compressed(b'', '16UC1; compressedDepth png'), 'empty'),
+    (compressed(claiming(1 << 20), '16UC1; compressedDepth png'), 'size'),
     (compressed(png(DEPTH.astype(np.uint8)), '16UC1; compressedDepth png'), 'data'),
     (compressed(rvl(DEPTH)[:40], '16UC1; compressedDepth rvl'), 'data'),
     (compressed(b'abc', '16UC1; compressedDepth rvl'), 'data'),
