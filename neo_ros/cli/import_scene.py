@@ -119,7 +119,8 @@ def import_scene(
                                  progress=lambda done, total: show('images', done, total))
             else:
                 write_building_scene(
-                    scene, BuildingPlan(floors or 1, rooms, seed or 0, twins or 0, own_picture),
+                    scene, BuildingPlan(1 if floors is None else floors, rooms, seed or 0,
+                                        twins or 0, own_picture),
                     image_size=size or 128, camera=demo_camera, n_train=photos, depth=depth,
                     progress=show)
         else:
