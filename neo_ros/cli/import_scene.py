@@ -132,8 +132,7 @@ def import_scene(
             if format_ != CaptureFormat.BAG:
                 refuse('expected only with a bag', **of_bags)
             for name, value in of_folders.items():
-                if format_ not in FOLDER_OPTIONS[name] and not (
-                        format_ == CaptureFormat.BAG and name == 'camera_info'):
+                if format_ not in FOLDER_OPTIONS[name]:
                     refuse('expected only with ' + ', '.join(
                         one.value for one in FOLDER_OPTIONS[name]), **{name: value})
             if format_ == CaptureFormat.SCENE:
