@@ -1,45 +1,28 @@
 """A recorded bag as a capture: images, calibration, and poses at the images' stamps."""
-from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from neo_ros.bags.camera_topics import find_image_topic, find_info_topic, info_topics, read_lens
-from neo_ros.bags.depth_topics import depth_topics, find_depth
+from neo_ros.bags.depth_topics import find_depth
 from neo_ros.bags.reading import BagReader
-from neo_ros.bags.recorded_poses import (
-    find_pose_source, find_pose_topics, PoseTopics, RecordedPoses)
-from neo_ros.bags.tf_tree import frame_name, PoseSource
+from neo_ros.bags.recorded_poses import find_pose_source, find_pose_topics
+from neo_ros.bags.tf_tree import PoseSource
 from neo_ros.bags.topic import BagTopic, describe_topics, describe_unread
 from neo_ros.captures.bag_depth import with_depth
+from neo_ros.captures.bag_scan import ordered_images, Scan, scan_bag
 from neo_ros.captures.camera_file import read_camera_file
 from neo_ros.captures.capture import Capture, CapturedFrame, ImageStream, origin_of
 from neo_ros.errors import BagError, ConfigError, ImageRejected
 from neo_ros.geometry import CameraPose
 from neo_ros.geometry.camera_pose import rotation_from_vector, T_BODY_OPTICAL
+from neo_ros.geometry.lens import Lens
 from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.messages.image_reader import ImageReader, is_video
-from neo_ros.messages.stamps import stamp_of
 import numpy as np
 
 # Images at whose time the way from a depth camera to them is asked for.
 MOST_ASKED = 100
-
-
-@dataclass
-class _Scan:
-    """What one pass over the bag collects; images are not decoded."""
-
-    images: list[tuple[int, int]] = field(default_factory=list)  # (stamp, place in the topic)
-    depths: dict[BagTopic, list[tuple[int, int]]] = field(default_factory=dict)  # likewise
-    places: Counter[BagTopic] = field(default_factory=Counter)
-    damaged: Counter[str] = field(default_factory=Counter)  # messages by topic
-    log_times: list[int] = field(default_factory=list)
-    camera_frame: str = ''
-    video: bool = False
-    info: Any = None
-    poses: RecordedPoses = field(default_factory=RecordedPoses)
 
 
 @dataclass(frozen=True)
@@ -107,7 +90,7 @@ def read_bag_capture(path: Path, options: BagOptions = BagOptions(),
         pose_topics = find_pose_topics(reader, options.pose_topic)
         infos = info_topics(reader)
         unread = describe_unread(reader.topics)
-        scan = _scan(reader, image, info, pose_topics, progress)
+        scan = scan_bag(reader, image, info, pose_topics, progress)
         notes = [reader.recovered] if reader.recovered else []
         depth, lack = find_depth(reader, image, scan.poses.tree,
                                  [stamp for stamp, _ in scan.images[:MOST_ASKED]],
@@ -115,14 +98,8 @@ def read_bag_capture(path: Path, options: BagOptions = BagOptions(),
         notes += [lack] if lack else []
     notes += [f'{count} messages of {name} are damaged and are left out'
               for name, count in sorted(scan.damaged.items())]
-    lens = None if scan.info is None or info is None else read_lens(
-        scan.info, image, f'{path}: {info.name}')
-    if options.camera_info is not None:
-        lens = read_camera_file(options.camera_info, image.name)
-        notes.append(f'the camera is the one of {options.camera_info}')
-    if lens is None:
-        notes.append(f'{image.name} has no camera_info beside it: the camera is estimated')
-    stamps = _ordered(scan, image, notes)
+    lens = _lens(path, scan, image, info, options.camera_info, notes)
+    stamps = ordered_images(scan, image, notes)
     choice = find_pose_source(path, scan.poses, scan.camera_frame, options.pose_topic,
                               pose_topics, notes, options.T_base_camera)
     source = None if choice is None else choice.source
@@ -132,17 +109,7 @@ def read_bag_capture(path: Path, options: BagOptions = BagOptions(),
         # The innermost step: from the optical frame to the frame that looks along x.
         source = PoseSource([('--x-forward', T_BODY_OPTICAL), *source.steps])
         notes.append(f'the frame {scan.camera_frame} looks along x, as --x-forward says')
-    frames: list[CapturedFrame] = []
-    places: list[int] = []
-    lost: list[int] = []
-    for stamp_ns, place in stamps:
-        T = None if source is None else source.at(stamp_ns)
-        if source is not None and T is None:
-            lost.append(stamp_ns)
-            continue
-        frames.append(CapturedFrame(f'images/{len(frames):06d}.png',
-                                    None if T is None else CameraPose(T), lens, 0, stamp_ns))
-        places.append(place)
+    frames, places, lost = _posed(stamps, source, lens)
     gaps = '' if source is None else _gaps(source, lost, pose_topics.poses)
     if not frames:
         raise BagError(f'{path}: no image of {image.name} has a pose near its stamp; '
@@ -167,82 +134,33 @@ def read_bag_capture(path: Path, options: BagOptions = BagOptions(),
     return capture if depth is None else with_depth(capture, path, depth, scan.depths[depth.topic])
 
 
-def _scan(reader: BagReader, image: BagTopic, info: BagTopic | None,
-          pose_topics: PoseTopics, progress: Progress) -> _Scan:
-    scan = _Scan(depths={topic: [] for topic in depth_topics(reader, image)})
-    names = {image.name, *pose_topics.names, *(topic.name for topic in scan.depths)} | (
-        {info.name} if info else set())
-    total = sum(topic.count for topic in reader.topics if topic.name in names)
-    for done, message in enumerate(reader.messages(names), start=1):
-        topic = message.topic
-        # One that cannot be decoded has its place, too.
-        place = scan.places[topic]
-        scan.places[topic] += 1
-        progress(done, total)
-        try:
-            content = message.read()
-        except BagError:
-            scan.damaged[topic.name] += 1
+def _lens(path: Path, scan: Scan, image: BagTopic, info: BagTopic | None,
+          camera_info: Path | None, notes: list[str]) -> Lens | None:
+    """Return the calibration, of a file before that of the bag; None where there is none."""
+    if camera_info is not None:
+        notes.append(f'the camera is the one of {camera_info}')
+        return read_camera_file(camera_info, image.name)
+    if scan.info is None or info is None:
+        notes.append(f'{image.name} has no camera_info beside it: the camera is estimated')
+        return None
+    return read_lens(scan.info, image, f'{path}: {info.name}')
+
+
+def _posed(stamps: Sequence[tuple[int, int]], source: PoseSource | None, lens: Lens | None
+           ) -> tuple[list[CapturedFrame], list[int], list[int]]:
+    """Return the frames, their places in the topic, and the stamps that have no pose."""
+    frames: list[CapturedFrame] = []
+    places: list[int] = []
+    lost: list[int] = []
+    for stamp_ns, place in stamps:
+        T = None if source is None else source.at(stamp_ns)
+        if source is not None and T is None:
+            lost.append(stamp_ns)
             continue
-        if topic == image:
-            scan.images.append((stamp_of(content.header), place))
-            scan.log_times.append(message.stamp_ns)
-            scan.video = scan.video or _says_video(content)
-            _take_frame(scan, frame_name(content.header.frame_id), reader.path, topic)
-        elif topic in scan.depths:
-            scan.depths[topic].append((stamp_of(content.header) or message.stamp_ns, place))
-        elif topic == info:
-            _take_info(scan, content, f'{reader.path}: {topic.name}')
-        else:
-            scan.poses.add(topic, content)
-    return scan
-
-
-def _says_video(content: Any) -> bool:
-    try:
-        return is_video(content)
-    except ImageRejected:  # Of a codec that is not known; the images say so when they are read.
-        return False
-
-
-def _take_frame(scan: _Scan, frame: str, path: Path, image: BagTopic) -> None:
-    if scan.camera_frame and frame and frame != scan.camera_frame:
-        raise BagError(f'{path}: {image.name}: expected one frame_id, but it changes from '
-                       f'{scan.camera_frame!r} to {frame!r}; two cameras on one topic? Record '
-                       'each on a topic of its own')
-    scan.camera_frame = scan.camera_frame or frame
-
-
-def _take_info(scan: _Scan, message: Any, where: str) -> None:
-    if scan.info is None:
-        scan.info = message
-        return
-    for name in ('width', 'height', 'k', 'd'):
-        if not np.array_equal(getattr(scan.info, name), getattr(message, name)):
-            raise BagError(f'{where}: expected one calibration, but {name} changes from '
-                           f'{getattr(scan.info, name)} to {getattr(message, name)}; two '
-                           'cameras on one topic?')
-
-
-def _ordered(scan: _Scan, image: BagTopic, notes: list[str]) -> list[tuple[int, int]]:
-    """Return (stamp, place) of all images by rising stamp, each stamp once."""
-    if not scan.images:
-        raise BagError(f'{image.name}: expected images, the topic has none')
-    images = scan.images
-    if not any(stamp for stamp, _ in images):
-        notes.append(f'{image.name} has no stamps: the time of recording is taken')
-        images = [(log_time, place) for log_time, (_, place) in zip(scan.log_times, images)]
-    ordered = sorted(images)
-    if ordered != images:
-        back = sum(a[0] > b[0] for a, b in zip(images, images[1:]))
-        notes.append(f'{image.name}: stamps go back {back} times; images are taken in the order '
-                     'of their stamps')
-    unique = [entry for index, entry in enumerate(ordered)
-              if index == 0 or entry[0] != ordered[index - 1][0]]
-    if len(unique) < len(ordered):
-        notes.append(f'{len(ordered) - len(unique)} images repeat the stamp of another one and '
-                     'are left out')
-    return unique
+        frames.append(CapturedFrame(f'images/{len(frames):06d}.png',
+                                    None if T is None else CameraPose(T), lens, 0, stamp_ns))
+        places.append(place)
+    return frames, places, lost
 
 
 def _gaps(source: PoseSource, lost: Sequence[int], topics: Sequence[BagTopic]) -> str:

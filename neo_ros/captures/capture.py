@@ -175,6 +175,20 @@ def scene_name(file: Path, folder: Path) -> str:
     return Path(*('beside' if part == '..' else part for part in parts)).as_posix()
 
 
+def name_beside(folder: str, photo: str) -> str:
+    """Return where depth or mask of a photo goes in the scene: below `folder`, always as PNG."""
+    name = photo.removeprefix('images/')
+    return f'{folder}/{name}' if name.endswith('.png') else f'{folder}/{name}.png'
+
+
+def files_beside(scene: Path, folder: str, names: Sequence[str | None],
+                 sources: Sequence[DepthSource | MaskSource | None]) -> dict[int, Path]:
+    """Return the files of depth or masks by index, of frames that have both name and source."""
+    return {index: scene / name_beside(folder, name)
+            for index, (name, source) in enumerate(zip(names, sources))
+            if name is not None and source is not None}
+
+
 def _chosen(stream: ImageStream, chosen: Sequence[int]) -> ImageStream:
     def read(indices: Sequence[int]) -> Iterator[tuple[int, np.ndarray | None]]:
         back = {chosen[index]: index for index in indices}

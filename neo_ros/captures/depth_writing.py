@@ -2,7 +2,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from neo_ros.captures.capture import Capture, CapturedFrame, DepthSource
+from neo_ros.captures.capture import Capture, CapturedFrame, DepthSource, files_beside
 from neo_ros.errors import SceneError
 from neo_ros.geometry import Intrinsics
 from neo_ros.geometry.lens import CENTRE, Lens, Straightener
@@ -23,12 +23,6 @@ UNITS = (1.0, 0.001, 0.01, 1 / 5000, 1 / 6553.5, 0.0001)
 OPTION = '--depth-unit'
 
 
-def depth_name(photo: str) -> str:
-    """Return where the depth of a photo goes in the scene folder."""
-    name = photo.removeprefix('images/')
-    return f'{FOLDER}/{name}' if name.endswith('.png') else f'{FOLDER}/{name}.png'
-
-
 def write_depths(capture: Capture, names: Sequence[str | None], pinhole: Intrinsics, folder: Path,
                  progress: Progress = no_progress) -> tuple[tuple[Path | None, ...], list[str]]:
     """
@@ -38,11 +32,10 @@ def write_depths(capture: Capture, names: Sequence[str | None], pinhole: Intrins
     depth that can be read, and what the user should know. Raises SceneError for depth in a unit
     that cannot be.
     """
-    wanted = [index for index, name in enumerate(names)
-              if name is not None and capture.frames[index].depth is not None]
+    paths = files_beside(folder, FOLDER, names, [frame.depth for frame in capture.frames])
+    wanted = list(paths)
     if not wanted:
         return (), []
-    paths = {index: folder / depth_name(str(names[index])) for index in wanted}
     missing = [index for index in wanted if not paths[index].is_file()]
     straightener = Straightener(pinhole)
     middles: list[float] = []

@@ -52,12 +52,12 @@ FOLDER_READERS: dict[CaptureFormat, Callable[..., Capture]] = {
     CaptureFormat.TRAJECTORY: read_trajectory,
     CaptureFormat.PHOTOS: read_photos,
 }
-# Which readers take which options of `neo import`, as keywords.
+# Which formats take which options of `neo import`; readers take them as keywords.
 FOLDER_OPTIONS = {
     'images': (CaptureFormat.COLMAP,),
     'model': (CaptureFormat.COLMAP,),
     'camera_info': (CaptureFormat.TUM, CaptureFormat.EUROC, CaptureFormat.TRAJECTORY,
-                    CaptureFormat.PHOTOS, CaptureFormat.VIDEO),
+                    CaptureFormat.BAG, CaptureFormat.PHOTOS, CaptureFormat.VIDEO),
 }
 _BAG_SUFFIXES = ('.mcap', '.db3', '.mcap.zstd', '.db3.zstd')
 

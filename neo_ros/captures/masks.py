@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from neo_ros.captures.capture import Capture, CapturedFrame, MaskSource
+from neo_ros.captures.capture import Capture, CapturedFrame, files_beside, MaskSource
 from neo_ros.errors import SceneError
 from neo_ros.geometry import Intrinsics
 from neo_ros.geometry.lens import Straightener
@@ -37,12 +37,6 @@ def find_masks(capture: Capture, source: Path) -> Capture:
     return replace(capture, frames=frames)
 
 
-def mask_name(photo: str) -> str:
-    """Return where the mask of a photo goes in the scene folder."""
-    name = photo.removeprefix('images/')
-    return f'{FOLDER}/{name}' if name.endswith('.png') else f'{FOLDER}/{name}.png'
-
-
 def write_masks(capture: Capture, names: Sequence[str | None], pinhole: Intrinsics, folder: Path,
                 progress: Progress = no_progress) -> tuple[tuple[Path | None, ...], list[str]]:
     """
@@ -51,20 +45,19 @@ def write_masks(capture: Capture, names: Sequence[str | None], pinhole: Intrinsi
     Returns the file of each frame, None where it has none, and what the user should know. Raises
     SceneError for masks that leave out nearly everything.
     """
-    wanted = [index for index, name in enumerate(names)
-              if name is not None and capture.frames[index].mask is not None]
+    paths = files_beside(folder, FOLDER, names, [frame.mask for frame in capture.frames])
+    wanted = list(paths)
     if not wanted:
         return (), []
     straightener = Straightener(pinhole)
-    paths: dict[int, Path] = {}
     unreadable, shares = [], []
     for done, index in enumerate(wanted, start=1):
         frame = capture.frames[index]
         usable = _aligned(frame, straightener)
         if usable is None:
             unreadable.append(str(frame.mask and frame.mask.file))
+            del paths[index]
         else:
-            paths[index] = folder / mask_name(str(names[index]))
             write_usable(paths[index], usable)
             shares.append(1 - usable.mean())
         progress(done, len(wanted))

@@ -7,6 +7,7 @@ from neo_ros.captures.report_map import draw_map
 from neo_ros.captures.report_measures import (
     ASSUMED_DISTANCE, CaptureMeasures, GOOD_OVERLAP, measure_capture)
 from neo_ros.machine.progress import no_progress, Progress
+from neo_ros.pictures.sharpness import SHARPNESS_FLOOR
 from neo_ros.reports.report import Picture, Plot, Section, Series, Strip, Table, Text, write_report
 from neo_ros.scenes.scene import Scene
 import numpy as np
@@ -145,9 +146,9 @@ def _places(measures: CaptureMeasures) -> list[Section]:
 
 
 def _plots(measures: CaptureMeasures) -> list[Section]:
-    logarithms = np.log10(np.maximum(measures.sharpness, 1e-3))
+    logarithms = np.log10(np.maximum(measures.sharpness, SHARPNESS_FLOOR))
     counts, edges = np.histogram(logarithms, bins=min(30, max(5, len(logarithms) // 10)))
-    threshold = float(np.log10(measures.blur_threshold))
+    threshold = float(np.log10(max(measures.blur_threshold, SHARPNESS_FLOOR)))
     shares, share_edges = np.histogram(measures.overlap, bins=20, range=(0, 1))
     order = measures.measured.tolist()
     return [

@@ -7,10 +7,10 @@ import shutil
 from typing import Any
 
 import cv2
-from neo_ros.captures.capture import Capture, CapturedFrame
+from neo_ros.captures.capture import Capture, CapturedFrame, name_beside
 from neo_ros.captures.depth_agreement import fit_to_depth
-from neo_ros.captures.depth_writing import depth_name, write_depths
-from neo_ros.captures.masks import mask_name, write_masks
+from neo_ros.captures.depth_writing import FOLDER as DEPTH_FOLDER, write_depths
+from neo_ros.captures.masks import FOLDER as MASK_FOLDER, write_masks
 from neo_ros.errors import SceneError
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.geometry.lens import common_pinhole, Lens, Straightener
@@ -237,7 +237,8 @@ def check_own(folder: Path, names: Iterable[str]) -> None:
 def _image_names(capture: Capture) -> list[str]:
     """Return all names that images of this capture may get, their masks and depth."""
     names = [name for frame in capture.frames for name in (frame.name, frame.name + '.png')]
-    return names + sorted({beside(name) for name in names for beside in (depth_name, mask_name)})
+    return names + sorted({name_beside(folder, name) for name in names
+                           for folder in (DEPTH_FOLDER, MASK_FOLDER)})
 
 
 def _numbers(xyz: np.ndarray) -> str:

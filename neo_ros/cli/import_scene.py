@@ -119,7 +119,8 @@ def import_scene(
                                  progress=lambda done, total: show('images', done, total))
             else:
                 write_building_scene(
-                    scene, BuildingPlan(floors or 1, rooms, seed or 0, twins or 0, own_picture),
+                    scene, BuildingPlan(1 if floors is None else floors, rooms, seed or 0,
+                                        twins or 0, own_picture),
                     image_size=size or 128, camera=demo_camera, n_train=photos, depth=depth,
                     progress=show)
         else:
@@ -131,8 +132,7 @@ def import_scene(
             if format_ != CaptureFormat.BAG:
                 refuse('expected only with a bag', **of_bags)
             for name, value in of_folders.items():
-                if format_ not in FOLDER_OPTIONS[name] and not (
-                        format_ == CaptureFormat.BAG and name == 'camera_info'):
+                if format_ not in FOLDER_OPTIONS[name]:
                     refuse('expected only with ' + ', '.join(
                         one.value for one in FOLDER_OPTIONS[name]), **{name: value})
             if format_ == CaptureFormat.SCENE:

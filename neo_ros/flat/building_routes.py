@@ -2,12 +2,11 @@
 from dataclasses import replace
 import math
 
-import cv2
 from neo_ros.errors import SceneError
 from neo_ros.flat.building import Building
 from neo_ros.flat.building_plan import Placed
 from neo_ros.flat.building_rooms import DOOR
-from neo_ros.flat.walks import Doorway, plan_walk_through
+from neo_ros.flat.walks import connected, Doorway, plan_walk_through
 from neo_ros.geometry import CameraPose
 from neo_ros.scenes.walkable import WalkableMap
 import numpy as np
@@ -85,9 +84,8 @@ def _part(walkable: WalkableMap, low: np.ndarray, high: np.ndarray) -> WalkableM
 
 def _joined_to(part: WalkableMap, door: Doorway) -> WalkableMap:
     """Keep what can be reached from a door without leaving the part."""
-    _, labels = cv2.connectedComponents(part.cells.astype(np.uint8), connectivity=4)
     column, row = ((np.array(door[:2]) - part.origin) / part.resolution).astype(int)
-    return replace(part, cells=labels == labels[row, column])
+    return replace(part, cells=connected(part.cells, (row, column)))
 
 
 def _stops(part: WalkableMap | None) -> list[np.ndarray]:

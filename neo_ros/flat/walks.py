@@ -4,6 +4,7 @@ import heapq
 import math
 from typing import NamedTuple
 
+import cv2
 from neo_ros.errors import SceneError
 from neo_ros.flat.rooms import BEDROOM, DOOR, LIVING
 from neo_ros.flat.shapes import FRUSTUM, Solids
@@ -39,8 +40,8 @@ def free_floor(solids: Solids) -> WalkableMap:
     centres = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     margin = CLEARANCE + RESOLUTION * math.sqrt(0.5)
     free = (obstacle_distance(solids, centres) > margin).reshape(rows, columns)
-    free = _connected(free, (int((DOORWAY[1] - origin[1]) / RESOLUTION),
-                             int((DOORWAY[0] - origin[0]) / RESOLUTION)))
+    free = connected(free, (int((DOORWAY[1] - origin[1]) / RESOLUTION),
+                            int((DOORWAY[0] - origin[0]) / RESOLUTION)))
     return WalkableMap(RESOLUTION, origin, free, CAMERA_HEIGHT, CLEARANCE)
 
 
@@ -75,28 +76,23 @@ def plan_walks(walkable: WalkableMap, n_paths: int, n_frames: int,
                seed: int) -> list[list[CameraPose]]:
     """Plan smooth walks over the free floor; the first one goes through the doorway."""
     rng = np.random.default_rng([seed, 1])
-    walks = []
-    for path_id in range(n_paths):
-        for _ in range(50):
-            track = _plan_track(walkable, rng, STEP * n_frames, DOORWAY if path_id == 0 else None)
-            places = _spaced(track, n_frames)
-            if walkable.contains(places).all():
-                break
-        else:
-            raise SceneError(f'walk {path_id}: found no way of {n_frames} frames in 50 tries')
-        walks.append(level_walk(walkable, places, rng))
-    return walks
+    return [_plan_walk(walkable, DOORWAY if path_id == 0 else None, n_frames, rng,
+                       f'walk {path_id}') for path_id in range(n_paths)]
 
 
 def plan_walk_through(walkable: WalkableMap, door: Doorway, n_frames: int,
                       rng: np.random.Generator) -> list[CameraPose]:
     """Plan a smooth walk through one door; SceneError where there is no way."""
+    return _plan_walk(walkable, door, n_frames, rng, f'door at {door.x:.1f}, {door.y:.1f}')
+
+
+def _plan_walk(walkable: WalkableMap, door: Doorway | None, n_frames: int,
+               rng: np.random.Generator, what: str) -> list[CameraPose]:
     for _ in range(50):
         places = _spaced(_plan_track(walkable, rng, STEP * n_frames, door), n_frames)
         if walkable.contains(places).all():
             return level_walk(walkable, places, rng)
-    raise SceneError(f'door at {door.x:.1f}, {door.y:.1f}: found no way of {n_frames} frames '
-                     'through it in 50 tries')
+    raise SceneError(f'{what}: found no way of {n_frames} frames in 50 tries')
 
 
 def level_walk(walkable: WalkableMap, places: np.ndarray, rng: np.random.Generator
@@ -198,17 +194,7 @@ def _headings(places: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return yaw + LOOK_AROUND * np.sin(2 * math.pi * np.arange(len(yaw)) / period + phase)
 
 
-def _connected(free: np.ndarray, start: tuple[int, int]) -> np.ndarray:
-    """Keep the free cells that can be reached from the doorway."""
-    reached = np.zeros_like(free)
-    reached[start] = free[start]
-    size = 0
-    while size != reached.sum():
-        size = int(reached.sum())
-        grown = reached.copy()
-        grown[1:] |= reached[:-1]
-        grown[:-1] |= reached[1:]
-        grown[:, 1:] |= reached[:, :-1]
-        grown[:, :-1] |= reached[:, 1:]
-        reached = grown & free
-    return reached
+def connected(free: np.ndarray, start: tuple[int, int]) -> np.ndarray:
+    """Keep the free cells, bool (rows, columns), that can be reached from one of them."""
+    _, labels = cv2.connectedComponents(free.astype(np.uint8), connectivity=4)
+    return free & (labels == labels[start])

@@ -18,7 +18,7 @@ class Endpoint(NamedTuple):
 
 IMAGE = Endpoint(
     'image', Image, 'the camera, with `image_transport` raw, in any of the encodings of '
-    '[camera images](../guides/captures.md#camera-images)')
+    '[camera images](captures.md#camera-images)')
 COMPRESSED_IMAGE = Endpoint(
     'image/compressed', CompressedImage,
     'the camera, with `image_transport` compressed: JPEG, PNG, WebP or TIFF; follows a remapped '

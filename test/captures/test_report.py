@@ -179,3 +179,10 @@ def test_the_page_stands_alone_and_says_what_the_terminal_says(tmp_path: Path) -
     assert page.count('<img ') >= 9 and page.count('<img class="plot"') == 3
     assert 'src="http' not in page and 'href=' not in page
     assert 'Places to go back to' in page
+
+
+@pytest.mark.filterwarnings('error')
+def test_photos_of_one_colour_get_a_page(tmp_path: Path) -> None:
+    blank = [np.full((24, 32, 3), 128, np.uint8)] * 12
+    write_capture_report(tmp_path, make_scene(tmp_path, turning(12), blank))
+    assert (tmp_path / 'capture.html').read_text().count('<img class="plot"') == 3

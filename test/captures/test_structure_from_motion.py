@@ -10,7 +10,8 @@ from capture_files import write_image
 from neo_ros.captures.capture import Capture
 from neo_ros.captures.photos import read_photos
 from neo_ros.captures.scene_writing import write_capture
-from neo_ros.captures.structure_from_motion import _usable, photo_pairs, reconstruct
+from neo_ros.captures.sfm_stages import is_plausible, photo_pairs
+from neo_ros.captures.structure_from_motion import reconstruct
 from neo_ros.errors import SceneError
 from neo_ros.flat.scene_writing import render_demo_views
 from neo_ros.geometry import CameraPose, Intrinsics
@@ -147,7 +148,7 @@ def test_what_counts_as_a_camera(placed: int, focal_length: float, k1: float,
                                  usable: bool) -> None:
     camera = SimpleNamespace(model=SimpleNamespace(name='SIMPLE_RADIAL'), width=320, height=240,
                              params=[focal_length, 160, 120, k1])
-    assert usable == _usable(SimpleNamespace(
+    assert usable == is_plausible(SimpleNamespace(
         num_reg_images=lambda: placed, cameras={1: camera}))
 
 

@@ -182,3 +182,8 @@ def test_a_camera_of_the_demo_that_is_none_is_refused(tmp_path: Path, camera: st
     with pytest.raises(ConfigError, match='--camera: expected WIDTHxHEIGHT@DEGREES'):
         run('demo', tmp_path / 'scene', '--camera', camera)
     assert not (tmp_path / 'scene').exists()
+
+
+def test_a_building_without_floors_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match='floors: expected 1 to 20, got 0'):
+        run('demo', tmp_path / 'scene', '--rooms', '2', '--floors', '0')
