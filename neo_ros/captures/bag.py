@@ -10,7 +10,7 @@ from neo_ros.bags.recorded_poses import find_pose_source, find_pose_topics
 from neo_ros.bags.tf_tree import PoseSource
 from neo_ros.bags.topic import BagTopic, describe_topics, describe_unread
 from neo_ros.captures.bag_depth import with_depth
-from neo_ros.captures.bag_scan import ordered_images, Scan, scan_bag
+from neo_ros.captures.bag_pass import ordered_images, Scan, scan_bag
 from neo_ros.captures.camera_file import read_camera_file
 from neo_ros.captures.capture import Capture, CapturedFrame, ImageStream, origin_of
 from neo_ros.errors import BagError, ConfigError, ImageRejected

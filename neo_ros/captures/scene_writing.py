@@ -109,7 +109,8 @@ def write_images(capture: Capture, folder: Path,
         files = [frame.file for frame in capture.frames if frame.file is not None]
         raise SceneError(f'{folder}: none of the {len(names)} images can be read'
                          f'{heic_advice(files)}')
-    return [None if index in set(unreadable) else name
+    left_out = set(unreadable)
+    return [None if index in left_out else name
             for index, name in enumerate(names)], straightener.pinhole
 
 
