@@ -215,6 +215,24 @@ def test_ones_own_direction_holds_while_the_robot_turns(page: Any, viewer: Viewe
     wait_for_look(page, camera_yaw() - 8 * STEP)
 
 
+def test_a_look_goes_on_after_the_page_was_hidden(page: Any, viewer: Viewer) -> None:
+    page.keyboard.press('ArrowLeft')
+    wait_for_look(page, camera_yaw() + STEP)
+    # Then looks come for 4 s more, and no others: what follows are few.
+    viewer.tell(lost=True)
+    page.wait_for_timeout(5000)
+    for hidden in ('true', 'false'):
+        page.evaluate(f"""() => {{
+            Object.defineProperty(document, 'hidden', {{value: {hidden}, configurable: true}});
+            document.dispatchEvent(new Event('visibilitychange'));
+        }}""")
+    for _ in range(6):
+        page.keyboard.press('ArrowLeft')
+    wait_for_look(page, camera_yaw() + 7 * STEP)
+    # The look before, moved there, would leave this edge empty.
+    wait_for(page, lambda: pixels(page, 'look', [(0.02, 0.5)]).max() > 40)
+
+
 def test_what_is_behind_the_camera_is_never_shown_as_live(page: Any) -> None:
     for _ in range(26):
         page.keyboard.press('ArrowLeft')

@@ -23,7 +23,7 @@ export class Around {
     Object.assign(this, { now, delay, redraw });
     this.way = 'outline';
     this.place = this.direction = this.look = this.map = null;
-    this.pictured = 0;
+    this.pictured = this.newest = 0;
     this.opened = false;
     this.about = { why: 'The map is being drawn.' };
     this.pointers = new globalThis.Map();
@@ -73,9 +73,10 @@ export class Around {
     const socket = new WebSocket(`${scheme}://${location.host}/around`);
     socket.binaryType = 'arraybuffer';
     this.socket = socket;
+    this.newest = 0;  // Every connection counts anew.
     socket.onopen = () => { this.changed = this.direction !== null; };
     socket.onmessage = (event) => (typeof event.data === 'string'
-      ? this.hear(JSON.parse(event.data)) : this.receive(event.data));
+      ? this.hear(JSON.parse(event.data)) : this.receive(socket, event.data));
     socket.onclose = () => {
       if (this.socket !== socket) return;
       this.socket = null;
@@ -110,7 +111,7 @@ export class Around {
     }
   }
 
-  async receive(buffer) {
+  async receive(socket, buffer) {
     const view = new DataView(buffer);
     const [first, second] = [view.getUint32(0, true), view.getUint32(4, true)];
     const meta = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 8, first)));
@@ -119,7 +120,10 @@ export class Around {
     try {
       const [bitmap, kinds] = await Promise.all([part(8 + first, 8 + first + second),
         part(8 + first + second, buffer.byteLength)]);
-      if (this.direction && meta.seq > (this.look?.seq ?? 0)) {
+      if (this.socket !== socket) return;
+      // Decoding may overtake.
+      if (this.direction && meta.seq > this.newest) {
+        this.newest = meta.seq;
         this.look?.bitmap.close();
         this.look?.kinds.close();
         this.look = { ...meta, bitmap, kinds };
