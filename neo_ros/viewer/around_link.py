@@ -6,10 +6,11 @@ import math
 import struct
 from typing import Any, TYPE_CHECKING
 
-from aiohttp import web, WSMsgType
+from aiohttp import web
 import cv2
 from neo_ros.messages import encode_jpeg
 from neo_ros.viewer.clock import Clock
+from neo_ros.viewer.hearing import hear
 from neo_ros.viewer.surroundings import MOST_LOOKING, Surroundings
 from neo_ros.viewer.whereabouts import Place, Whereabouts
 import numpy as np
@@ -71,7 +72,7 @@ class AroundLink:
         self._where.wanted += 1
         sender = asyncio.create_task(self._send())
         try:
-            await self._listen()
+            await hear(self._socket, self._clock, self._answer)
         finally:
             self._where.wanted -= 1
             self._look(None)
@@ -124,19 +125,6 @@ class AroundLink:
         # What was live is what was seen last.
         return Look(place.pose.position if position is None else position, None,
                     [*([live] if live is not None else []), *before], age)
-
-    async def _listen(self) -> None:
-        async for message in self._socket:
-            try:
-                if message.type is not WSMsgType.TEXT:
-                    raise TypeError('expected text')
-                asked = json.loads(message.data)
-                if not isinstance(asked, dict):
-                    raise TypeError('expected an object')
-                await self._answer(asked)
-            except (ValueError, TypeError, KeyError, OverflowError):
-                await self._socket.close(code=1007, message=b'not understood')
-                return
 
     async def _answer(self, asked: dict[str, Any]) -> None:
         if 'ahead' in asked:
