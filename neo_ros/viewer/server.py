@@ -3,6 +3,7 @@ import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from importlib.resources import files
+from pathlib import Path
 import signal
 import socket
 import threading
@@ -18,18 +19,12 @@ from neo_ros.viewer.surroundings import PlanPicture, Surroundings
 from neo_ros.viewer.viewer_link import ViewerLink
 
 # Everything that is served; no name from a request ever becomes a path.
-PAGE = {
-    '/': ('index.html', 'text/html'),
-    '/viewer.css': ('viewer.css', 'text/css'),
-    '/viewer.js': ('viewer.js', 'text/javascript'),
-    '/link.js': ('link.js', 'text/javascript'),
-    '/picture.js': ('picture.js', 'text/javascript'),
-    '/around.css': ('around.css', 'text/css'),
-    '/around.js': ('around.js', 'text/javascript'),
-    '/map.js': ('map.js', 'text/javascript'),
-    '/look.js': ('look.js', 'text/javascript'),
-    '/icon.svg': ('icon.svg', 'image/svg+xml'),
-}
+KINDS = {'.css': 'text/css', '.js': 'text/javascript', '.svg': 'image/svg+xml'}
+FILES = (
+    'around.css', 'around.js', 'around_link.js', 'elements.js', 'hands.js', 'icon.svg', 'link.js',
+    'look.js', 'map.js', 'picture.js', 'socket.js', 'viewer.css', 'viewer.js')
+PAGE = {'/': ('index.html', 'text/html'),
+        **{f'/{name}': (name, KINDS[Path(name).suffix]) for name in FILES}}
 MAX_REQUEST_BYTES = 2048
 MAX_VIEWER_MESSAGE_BYTES = 512
 HEARTBEAT_S = 10.0

@@ -1,5 +1,6 @@
 // The page: shows the pictures, and says plainly how much they can be trusted.
 import { Around } from './around.js';
+import { find, set, write } from './elements.js';
 import { Link } from './link.js';
 import { paint, snapshot, tintOf } from './picture.js';
 
@@ -29,7 +30,6 @@ const CLOSED = {
 };
 const UNKNOWN_FRAME = 'The camera\'s frame is not known yet: any part of the picture may be made up.';
 
-const find = (id) => document.getElementById(id);
 const stage = find('stage');
 const canvas = find('picture');
 const context = canvas.getContext('2d', { alpha: false });
@@ -273,15 +273,6 @@ async function saveSnapshot() {
 function toggleFullScreen() {
   if (document.fullscreenElement) document.exitFullscreen();
   else stage.requestFullscreen();
-}
-
-function write(id, text) {
-  const element = find(id);
-  if (element.textContent !== (text ?? '')) element.textContent = text ?? '';
-}
-
-function set(element, property, value) {
-  if (element[property] !== value) element[property] = value;
 }
 
 function clockTime(s) {
