@@ -217,8 +217,8 @@ def test_a_place_that_is_not_recognised(page: Any, viewer: Viewer) -> None:
     page.wait_for_selector('#scene-sign', state='visible')
     assert page.is_hidden('#place-sign'), 'the stronger sign alone'
     viewer.tell({'out_of_scene': False, 'recognised': True})
-    page.wait_for_selector('#place-sign', state='hidden')
-    assert 'remembers of the room' in page.inner_text('#explanation')
+    wait_for(page, lambda: 'remembers of the room' in page.inner_text('#explanation'))
+    assert page.is_hidden('#place-sign')
     viewer.tell({'recognised': None})
 
 
