@@ -113,7 +113,7 @@ def test_nothing_but_the_login_is_served_without_the_token():
             opened = {path: (await client.get(path, allow_redirects=False)).status
                       for path in [*PATHS, '/stream', '/missing']}
             assert opened == dict.fromkeys([*PATHS, '/stream', '/missing'], 401) | {
-                '/': 303, '/viewer.css': 200, '/icon.svg': 200, '/login': 200}
+                '/': 303, '/base.css': 200, '/icon.svg': 200, '/login': 200}
     run(test)
 
 
