@@ -94,19 +94,18 @@ def draw_floor_plan(memory: SceneMemory, arbitrary_scale: bool = False,
         math.sqrt(float(np.prod(high - low)) * limits.points_a_cell / points)))
     # On whole cells of the scene's axes.
     first = np.floor(low / resolution).astype(int)
-    columns, rows = np.ceil(high / resolution).astype(int) - first
+    width, height = np.ceil(high / resolution).astype(int) - first
     step = (top - floor) / limits.layers
     corner = np.array([*(first * resolution), floor - step / 2])
-    sums = np.zeros((limits.layers, rows, columns, 4), np.float32)
+    sums = np.zeros((limits.layers, height, width, 4), np.float32)
     for scan in scans:
         stack_points(rays, scan.depth, scan.colours, scan.position, corner, 1 / resolution,
                      1 / step, sums)
-    image, height = _seen_from_above(sums, floor, step, limits)
-    image, height = _closed(image, height, limits.around)
-    bottom, left = (int(np.flatnonzero((image[..., 3] > 0).any(axis))[0]) for axis in (1, 0))
-    above, right = (int(np.flatnonzero((image[..., 3] > 0).any(axis))[-1]) for axis in (1, 0))
-    shown = (slice(bottom, above + 1), slice(left, right + 1))
-    return FloorPlan(image[shown][::-1].copy(), height[shown][::-1].copy(), resolution,
+    image, z = _closed(*_seen_from_above(sums, floor, step, limits), limits.around)
+    rows, columns = (np.flatnonzero(image[..., 3].any(axis)) for axis in (1, 0))
+    bottom, left = int(rows[0]), int(columns[0])
+    shown = (slice(bottom, rows[-1] + 1), slice(left, columns[-1] + 1))
+    return FloorPlan(image[shown][::-1].copy(), z[shown][::-1].copy(), resolution,
                      (float(corner[0] + left * resolution),
                       float(corner[1] + bottom * resolution)))
 

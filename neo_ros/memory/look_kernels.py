@@ -3,6 +3,7 @@ from typing import NamedTuple
 
 from neo_ros.machine.compiled import njit
 from neo_ros.memory.kernels import CLOSEST, FAST
+from neo_ros.memory.recent_kernels import between, project
 from numba import prange
 import numpy as np
 
@@ -37,7 +38,6 @@ def bring_newest(rays, depth, brought, camera, mark, picture, kinds):
     `mark` there.
     """
     differences, depths, R, t = brought
-    fx, fy, cx, cy = camera
     height, width = depths.shape[1], depths.shape[2]
     half, one = np.float32(0.5), np.float32(1)
     for y in prange(depth.shape[0]):
@@ -47,11 +47,9 @@ def bring_newest(rays, depth, brought, camera, mark, picture, kinds):
                 continue
             px, py, pz = rays[y, x, 0] * d, rays[y, x, 1] * d, rays[y, x, 2] * d
             for k in range(len(differences)):
-                z = R[k, 2, 0] * px + R[k, 2, 1] * py + R[k, 2, 2] * pz + t[k, 2]
+                u, v, z = project(camera, R, t, k, px, py, pz)
                 if z < CLOSEST:
                     continue
-                u = fx * (R[k, 0, 0] * px + R[k, 0, 1] * py + R[k, 0, 2] * pz + t[k, 0]) / z + cx
-                v = fy * (R[k, 1, 0] * px + R[k, 1, 1] * py + R[k, 1, 2] * pz + t[k, 1]) / z + cy
                 inside = min(min(u, width - u), min(v, height - v)) - half
                 if not inside > 0:
                     continue
@@ -66,10 +64,6 @@ def bring_newest(rays, depth, brought, camera, mark, picture, kinds):
                 ax, ay = u - half - x0, v - half - y0
                 share = min(inside / FEATHER, one)
                 for c in range(3):
-                    top = (one - ax) * differences[k, y0, x0, c] \
-                        + ax * differences[k, y0, x0 + 1, c]
-                    low = (one - ax) * differences[k, y0 + 1, x0, c] \
-                        + ax * differences[k, y0 + 1, x0 + 1, c]
-                    picture[y, x, c] += share * ((one - ay) * top + ay * low)
+                    picture[y, x, c] += share * between(differences, k, y0, x0, ay, ax, c)
                 kinds[y, x] = mark
                 break

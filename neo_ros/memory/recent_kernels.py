@@ -34,6 +34,25 @@ class SeenImages(NamedTuple):
     t: np.ndarray
 
 
+@njit(**FAST)
+def project(camera, R, t, k, x, y, z):
+    """Return column, row and depth of a point in camera k, R[k] and t[k] to it, a Pinhole."""
+    depth = R[k, 2, 0] * x + R[k, 2, 1] * y + R[k, 2, 2] * z + t[k, 2]
+    return (camera.fx * (R[k, 0, 0] * x + R[k, 0, 1] * y + R[k, 0, 2] * z + t[k, 0]) / depth
+            + camera.cx,
+            camera.fy * (R[k, 1, 0] * x + R[k, 1, 1] * y + R[k, 1, 2] * z + t[k, 1]) / depth
+            + camera.cy, depth)
+
+
+@njit(**FAST)
+def between(images, k, y, x, down, right, c):
+    """Return channel c of images[k] so far (in [0, 1]) from pixel (y, x) to the next ones."""
+    one = np.float32(1)
+    top = (one - right) * images[k, y, x, c] + right * images[k, y, x + 1, c]
+    low = (one - right) * images[k, y + 1, x, c] + right * images[k, y + 1, x + 1, c]
+    return (one - down) * top + down * low
+
+
 @njit(parallel=True, **FAST)
 def bring_differences(rays, depth, gain, seen, twins, camera, brought, weight):
     """
@@ -46,7 +65,6 @@ def bring_differences(rays, depth, gain, seen, twins, camera, brought, weight):
     Fills weight (H, W) in [0, 1] and brought (H, W, 3), the mean difference times the weight.
     """
     differences, depths, trusts, order, R, t = seen
-    fx, fy, cx, cy = camera
     images, height, width = len(order), depths.shape[1], depths.shape[2]
     zero, half, one = np.float32(0), np.float32(0.5), np.float32(1)
     for y in prange(depth.shape[0]):
@@ -63,11 +81,9 @@ def bring_differences(rays, depth, gain, seen, twins, camera, brought, weight):
             px, py, pz = rays[y, x, 0] * d, rays[y, x, 1] * d, rays[y, x, 2] * d
             count = 0
             for k in range(images):
-                z = R[k, 2, 0] * px + R[k, 2, 1] * py + R[k, 2, 2] * pz + t[k, 2]
+                u, v, z = project(camera, R, t, k, px, py, pz)
                 if z < CLOSEST:
                     continue
-                u = fx * (R[k, 0, 0] * px + R[k, 0, 1] * py + R[k, 0, 2] * pz + t[k, 0]) / z + cx
-                v = fy * (R[k, 1, 0] * px + R[k, 1, 1] * py + R[k, 1, 2] * pz + t[k, 1]) / z + cy
                 inside = min(min(u, width - u), min(v, height - v)) - half
                 if not inside > 0:
                     continue
@@ -80,11 +96,7 @@ def bring_differences(rays, depth, gain, seen, twins, camera, brought, weight):
                 x0, y0 = min(int(u - half), width - 2), min(int(v - half), height - 2)
                 ax, ay = u - half - x0, v - half - y0
                 for c in range(3):
-                    top = (one - ax) * differences[own, y0, x0, c] \
-                        + ax * differences[own, y0, x0 + 1, c]
-                    low = (one - ax) * differences[own, y0 + 1, x0, c] \
-                        + ax * differences[own, y0 + 1, x0 + 1, c]
-                    found[count, c] = (one - ay) * top + ay * low
+                    found[count, c] = between(differences, own, y0, x0, ay, ax, c)
                 count += 1
             total = zero
             for k in range(count):

@@ -14,7 +14,7 @@ SESSION_S = 12 * 3600
 # More wrong tokens in so long, from all connections together, and nobody may try any more.
 MAX_WRONG_TOKENS, WRONG_TOKENS_S = 10, 60.0
 # The log-in page and what it needs.
-OPEN_TO_ALL = {'/login', '/viewer.css', '/icon.svg'}
+OPEN_TO_ALL = {'/login', '/base.css', '/icon.svg'}
 LOOPBACK_NAMES = {'localhost', '127.0.0.1', '::1'}
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 

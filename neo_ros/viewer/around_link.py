@@ -1,15 +1,15 @@
 """One viewer's second connection: where the camera is, and looks away from it."""
 import asyncio
 from dataclasses import dataclass
-import json
 import math
-import struct
 from typing import Any, TYPE_CHECKING
 
-from aiohttp import web, WSMsgType
+from aiohttp import web
 import cv2
 from neo_ros.messages import encode_jpeg
 from neo_ros.viewer.clock import Clock
+from neo_ros.viewer.hearing import hear
+from neo_ros.viewer.pictures import pack
 from neo_ros.viewer.surroundings import MOST_LOOKING, Surroundings
 from neo_ros.viewer.whereabouts import Place, Whereabouts
 import numpy as np
@@ -48,11 +48,11 @@ class AroundLink:
     """
     Tells one viewer of the camera's place, and draws where the viewer looks.
 
-    To the viewer: JSON of type `place`, `distance`, `full`; or a look: two little-endian uint32,
-    the lengths of the next two parts; a JSON object; a JPEG; a PNG of its kinds, see
-    `memory.look_around`. From the viewer: JSON objects with `look` (yaw, pitch, hfov in radians,
-    width, height in pixels; null = no more), `got` (seq of a message), `ahead` (seconds that a
-    message is on its way), `ask` (x, y in shares of the picture, id).
+    To the viewer: JSON of type `place`, `distance`, `full`; or a look, see `pictures.pack`: a
+    JSON object, a JPEG, a PNG of its kinds, see `memory.look_around`. From the viewer: JSON
+    objects with `look` (yaw, pitch, hfov in radians, width, height in pixels; null = no more),
+    `got` (seq of a message), `ahead` (seconds that a message is on its way), `ask` (x, y in
+    shares of the picture, id).
     """
 
     def __init__(self, socket: web.WebSocketResponse, where: Whereabouts,
@@ -71,7 +71,7 @@ class AroundLink:
         self._where.wanted += 1
         sender = asyncio.create_task(self._send())
         try:
-            await self._listen()
+            await hear(self._socket, self._clock, self._answer)
         finally:
             self._where.wanted -= 1
             self._look(None)
@@ -103,14 +103,14 @@ class AroundLink:
               about: dict[str, Any]) -> bytes:
         look = self._scene(place)
         drawn = looks.draw(look.position, direction, look.now, look.before)
-        meta = json.dumps(about | {
+        about = about | {
             'type': 'look', 'yaw': direction.yaw, 'pitch': direction.pitch,
             'hfov': direction.hfov, 'frame': [line.round(4).tolist() for line in drawn.frame],
             'predicted': look.predicted, 'stale': look.age > STALE_AFTER_S,
-            'age': round(look.age, 3)}).encode()
+            'age': round(look.age, 3)}
         image = bytes(encode_jpeg(drawn.image, QUALITY))
         kinds = cv2.imencode('.png', drawn.kinds[::COARSER, ::COARSER])[1].tobytes()
-        return b''.join((struct.pack('<II', len(meta), len(image)), meta, image, kinds))
+        return pack(about, image, kinds)
 
     def _scene(self, place: Place) -> Look:
         now = self._clock.now() + self._ahead
@@ -124,19 +124,6 @@ class AroundLink:
         # What was live is what was seen last.
         return Look(place.pose.position if position is None else position, None,
                     [*([live] if live is not None else []), *before], age)
-
-    async def _listen(self) -> None:
-        async for message in self._socket:
-            try:
-                if message.type is not WSMsgType.TEXT:
-                    raise TypeError('expected text')
-                asked = json.loads(message.data)
-                if not isinstance(asked, dict):
-                    raise TypeError('expected an object')
-                await self._answer(asked)
-            except (ValueError, TypeError, KeyError, OverflowError):
-                await self._socket.close(code=1007, message=b'not understood')
-                return
 
     async def _answer(self, asked: dict[str, Any]) -> None:
         if 'ahead' in asked:

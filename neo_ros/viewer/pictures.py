@@ -2,6 +2,7 @@
 from dataclasses import dataclass
 import json
 import struct
+from typing import Any
 
 import cv2
 from neo_ros.messages import encode_jpeg
@@ -61,9 +62,9 @@ class EncodedPicture:
     """
     A picture encoded once, for any number of viewers; also half as large where that is wanted.
 
-    A message is two little-endian uint32, the lengths of the next two parts; a JSON object; the
-    JPEG of the picture; the JPEG of the confidence, if it is asked for and known. The object
-    holds `seq`, `captured` (the server's clock in ms), `timed`, `seen`, `recorded` and `small`.
+    A message, see `pack`, is a JSON object, the JPEG of the picture, and the JPEG of the
+    confidence, if it is asked for and known. The object holds `seq`, `captured` (the server's
+    clock in ms), `timed`, `seen`, `recorded` and `small`.
     Raises ImageRejected for what is too large for a JPEG.
     """
 
@@ -89,13 +90,22 @@ class EncodedPicture:
                 ) -> tuple[bytes, bytes]:
         """Return the messages without and with the confidence."""
         picture = self._picture
-        meta = json.dumps({
+        plain = pack({
             'seq': self.seq, 'captured': 1e3 * picture.captured, 'timed': picture.timed,
-            'seen': picture.seen, 'recorded': picture.recorded, 'small': small}).encode()
-        plain = b''.join((struct.pack('<II', len(meta), len(image)), meta, image))
+            'seen': picture.seen, 'recorded': picture.recorded, 'small': small}, image)
         if not with_confidence or picture.confidence is None:
             return plain, plain
         return plain, plain + bytes(encode_jpeg(_shrink(picture.confidence, side), quality))
+
+
+def pack(about: dict[str, Any], image: bytes, more: bytes = b'') -> bytes:
+    """
+    Return a message of a JSON object, a coded picture, and one that may be missing.
+
+    Before them stand two little-endian uint32, the lengths of object and first picture.
+    """
+    meta = json.dumps(about).encode()
+    return b''.join((struct.pack('<II', len(meta), len(image)), meta, image, more))
 
 
 def _half(image: np.ndarray | bytes) -> np.ndarray | None:

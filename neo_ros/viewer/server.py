@@ -1,8 +1,9 @@
 """The web server: a fixed set of files, the log-in, and the stream."""
 import asyncio
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from importlib.resources import files
+from pathlib import Path
 import signal
 import socket
 import threading
@@ -18,18 +19,13 @@ from neo_ros.viewer.surroundings import PlanPicture, Surroundings
 from neo_ros.viewer.viewer_link import ViewerLink
 
 # Everything that is served; no name from a request ever becomes a path.
-PAGE = {
-    '/': ('index.html', 'text/html'),
-    '/viewer.css': ('viewer.css', 'text/css'),
-    '/viewer.js': ('viewer.js', 'text/javascript'),
-    '/link.js': ('link.js', 'text/javascript'),
-    '/picture.js': ('picture.js', 'text/javascript'),
-    '/around.css': ('around.css', 'text/css'),
-    '/around.js': ('around.js', 'text/javascript'),
-    '/map.js': ('map.js', 'text/javascript'),
-    '/look.js': ('look.js', 'text/javascript'),
-    '/icon.svg': ('icon.svg', 'image/svg+xml'),
-}
+KINDS = {'.css': 'text/css', '.js': 'text/javascript', '.svg': 'image/svg+xml'}
+FILES = (
+    'around.css', 'around.js', 'around_link.js', 'base.css', 'elements.js', 'hands.js', 'icon.svg',
+    'link.js', 'look.js', 'map.js', 'picture.js', 'socket.js', 'viewer.css', 'viewer.js',
+    'words.js')
+PAGE = {'/': ('index.html', 'text/html'),
+        **{f'/{name}': (name, KINDS[Path(name).suffix]) for name in FILES}}
 MAX_REQUEST_BYTES = 2048
 MAX_VIEWER_MESSAGE_BYTES = 512
 HEARTBEAT_S = 10.0
@@ -91,31 +87,20 @@ class Server:
                             content_type='text/html')
 
     async def _stream(self, request: web.Request) -> web.WebSocketResponse:
-        self._access.check_origin(request)
-        # Pictures are compressed already; a viewer has nothing long to say.
-        viewer = web.WebSocketResponse(
-            max_msg_size=MAX_VIEWER_MESSAGE_BYTES, heartbeat=HEARTBEAT_S, compress=False)
-        await viewer.prepare(request)
-        if len(self._hub) >= self._settings.max_viewers:
-            await viewer.close(code=FULL, message=b'too many viewers')
-            return viewer
-        link = ViewerLink(viewer, self._settings.max_mbit, self._hub.update_wanted,
-                          self._hub.clock)
-        self._viewers.add(viewer)
-        self.connections.touch(request, watching=True)
-        self._hub.add(link)
-        try:
-            await viewer.send_json({
-                'type': 'hello', 'now': 1e3 * self._hub.clock.now(),
-                'stale_ms': 1e3 * self._settings.stale_after})
-            await link.serve()
-        except ConnectionError:
-            pass
-        finally:
-            self._hub.remove(link)
-            self._viewers.discard(viewer)
-            self.connections.touch(request)
-        return viewer
+        hub = self._hub
+
+        async def show(viewer: web.WebSocketResponse) -> None:
+            link = ViewerLink(viewer, self._settings.max_mbit, hub.update_wanted, hub.clock)
+            hub.add(link)
+            try:
+                await viewer.send_json({
+                    'type': 'hello', 'now': 1e3 * hub.clock.now(),
+                    'stale_ms': 1e3 * self._settings.stale_after})
+                await link.serve()
+            finally:
+                hub.remove(link)
+
+        return await self._take(request, lambda: len(hub), show)
 
     async def _touch(self, request: web.Request, response: web.StreamResponse) -> None:
         self.connections.touch(request)
@@ -137,18 +122,27 @@ class Server:
         return web.Response(body=plan.picture, content_type='image/webp')
 
     async def _around(self, request: web.Request) -> web.WebSocketResponse:
+        where = self._hub.where
+        return await self._take(
+            request, lambda: where.wanted,
+            lambda viewer: AroundLink(viewer, where, self._surroundings, self._hub.clock).serve())
+
+    async def _take(self, request: web.Request, taken: Callable[[], int],
+                    serve: Callable[[web.WebSocketResponse], Awaitable[None]]
+                    ) -> web.WebSocketResponse:
+        """Open a viewer's WebSocket and serve it to its end, unless all places are taken."""
         self._access.check_origin(request)
+        # Pictures are compressed already; a viewer has nothing long to say.
         viewer = web.WebSocketResponse(
             max_msg_size=MAX_VIEWER_MESSAGE_BYTES, heartbeat=HEARTBEAT_S, compress=False)
         await viewer.prepare(request)
-        where = self._hub.where
-        if where.wanted >= self._settings.max_viewers:
+        if taken() >= self._settings.max_viewers:
             await viewer.close(code=FULL, message=b'too many viewers')
             return viewer
         self._viewers.add(viewer)
         self.connections.touch(request, watching=True)
         try:
-            await AroundLink(viewer, where, self._surroundings, self._hub.clock).serve()
+            await serve(viewer)
         except ConnectionError:
             pass
         finally:

@@ -1,24 +1,22 @@
 """One viewer's connection: the newest picture only, at the speed that this viewer can take."""
 import asyncio
 from collections.abc import Callable
-import json
 from typing import Any, NamedTuple
 
-from aiohttp import web, WSMsgType
+from aiohttp import web
 from neo_ros.viewer.clock import Clock
+from neo_ros.viewer.hearing import hear
 from neo_ros.viewer.pace import Pace
 from neo_ros.viewer.pictures import EncodedPicture
 
 # Two pictures may be on their way unconfirmed: with one, every picture would cost a round trip
 # of waiting; with more, a slow link would hold old pictures in its buffers.
 MAX_ON_THE_WAY = 2
-# A page says something for every picture and now and then besides.
-MESSAGES_PER_S, MOST_MESSAGES = 100.0, 200.0
 # Who looks away for longer gives the place away.
 HIDDEN_S = 60.0
 MOST_ROUND_TRIP_S = 2.0
-# The page knows these codes.
-ASLEEP, TOO_MANY_MESSAGES = 4002, 1008
+# The page knows this code.
+ASLEEP = 4002
 
 
 class _Sent(NamedTuple):
@@ -54,8 +52,7 @@ class ViewerLink:
         self._free_at = 0.0
         self._work = asyncio.Event()
         self._alarm: asyncio.Task | None = None
-        self._awake_at = self._heard_at = clock.now()
-        self._messages = MOST_MESSAGES
+        self._awake_at = clock.now()
         self._asleep = False
 
     @property
@@ -80,7 +77,7 @@ class ViewerLink:
         """Send and listen until the connection ends."""
         sender = asyncio.create_task(self._send())
         try:
-            await self._listen()
+            await hear(self._socket, self._clock, self._answer)
         finally:
             tasks = [task for task in (sender, self._alarm) if task is not None]
             for task in tasks:
@@ -122,32 +119,6 @@ class ViewerLink:
     async def _wake(self, seconds: float) -> None:
         await self._clock.sleep(seconds)
         self._work.set()
-
-    async def _listen(self) -> None:
-        async for message in self._socket:
-            if message.type is not WSMsgType.TEXT:
-                await self._socket.close(code=1003, message=b'expected text')
-                return
-            if not self._may_speak():
-                await self._socket.close(code=TOO_MANY_MESSAGES, message=b'too many messages')
-                return
-            try:
-                asked = json.loads(message.data)
-                if not isinstance(asked, dict):
-                    raise TypeError('expected an object')
-                await self._answer(asked)
-            except (ValueError, TypeError, OverflowError):
-                await self._socket.close(code=1007, message=b'not understood')
-                return
-            # What has come already is read without a pause: let the others have their turn.
-            await asyncio.sleep(0)
-
-    def _may_speak(self) -> bool:
-        now = self._clock.now()
-        gained = MESSAGES_PER_S * (now - self._heard_at)
-        self._messages = min(self._messages + gained, MOST_MESSAGES) - 1
-        self._heard_at = now
-        return self._messages >= 0
 
     async def _answer(self, asked: dict[str, Any]) -> None:
         if 'shown' in asked:

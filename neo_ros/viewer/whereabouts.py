@@ -95,7 +95,11 @@ class Whereabouts:
 
 
 class PoseJoiner:
-    """Joins wide images and poses by their stamps, whichever comes first."""
+    """
+    Joins wide images and poses by their stamps, whichever comes first.
+
+    Where the stamps of either run back, a recording was wound back: all before is forgotten.
+    """
 
     def __init__(self, where: Whereabouts) -> None:
         self._where = where
@@ -105,13 +109,21 @@ class PoseJoiner:
     def add_image(self, stamp_ns: int, captured: float,
                   read_image: Callable[[], np.ndarray | None]) -> None:
         """Take an image; captured and read_image as of a Place."""
+        self._look_back(stamp_ns, [stamp for stamp, *_ in self._images])
         self._images.append((stamp_ns, captured, read_image))
         self._join(stamp_ns)
 
     def add_pose(self, stamp_ns: int, pose: CameraPose) -> None:
         """Take a pose."""
+        self._look_back(stamp_ns, [stamp for stamp, _ in self._poses])
         self._poses.append((stamp_ns, pose))
         self._join(stamp_ns)
+
+    def _look_back(self, stamp_ns: int, before: list[int]) -> None:
+        if before and stamp_ns < before[-1]:
+            self._images.clear()
+            self._poses.clear()
+            self._where.forget()
 
     def _join(self, stamp_ns: int) -> None:
         pose = next((pose for stamp, pose in self._poses if stamp == stamp_ns), None)

@@ -12,10 +12,13 @@ from aiohttp import ClientWebSocketResponse, WSMsgType
 from aiohttp.test_utils import TestClient, TestServer
 from box_room import EXPANSION, planar, view, write_box_model
 import cv2
+from hand_clock import HandClock
 from neo_ros.errors import ModelError, SceneError
 from neo_ros.geometry import Intrinsics
 from neo_ros.memory.panorama import REMEMBERED, SEEN
 from neo_ros.scenes.walkable import WalkableMap
+from neo_ros.viewer.clock import Clock
+from neo_ros.viewer.hearing import MOST_MESSAGES, TOO_MANY_MESSAGES
 from neo_ros.viewer.hub import Hub
 from neo_ros.viewer.server import Server
 from neo_ros.viewer.settings import ViewerSettings
@@ -24,7 +27,7 @@ from neo_ros.viewer.whereabouts import Place
 import numpy as np
 import pytest
 from tiny_model import write_tiny_model
-from viewer_server import origin, run
+from viewer_server import origin, run, WAIT_S
 
 HERE = planar(1.9, 1.7, 30)
 LOOK = {'yaw': math.radians(60), 'pitch': 0.0, 'hfov': math.radians(90), 'width': 160,
@@ -38,10 +41,11 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @asynccontextmanager
-async def serving(model: Path | None) -> AsyncIterator[tuple[TestClient, Hub]]:
+async def serving(model: Path | None, clock: Clock = Clock()
+                  ) -> AsyncIterator[tuple[TestClient, Hub]]:
     values, surroundings = ViewerSettings(), Surroundings(model)
     surroundings.warm_up()
-    hub = Hub(values.quality)
+    hub = Hub(values.quality, clock)
     async with TestClient(TestServer(Server(values, hub, surroundings).app)) as client:
         yield client, hub
 
@@ -212,6 +216,16 @@ def test_what_makes_no_sense_ends_the_connection(model: Path, message: str) -> N
             while (answer := await asyncio.wait_for(socket.receive(), 5)).type is WSMsgType.TEXT:
                 pass
             assert answer.type is WSMsgType.CLOSE and answer.data == 1007
+    run(test)
+
+
+def test_a_flood_of_messages_ends(model: Path) -> None:
+    async def test() -> None:
+        # By a clock that stands nothing is forgiven.
+        async with serving(model, HandClock()) as (client, _), joined(client) as socket:
+            for _ in range(round(MOST_MESSAGES) + 1):
+                await socket.send_json({'ahead': 0.1})
+            assert (await asyncio.wait_for(socket.receive(), WAIT_S)).data == TOO_MANY_MESSAGES
     run(test)
 
 

@@ -1,93 +1,42 @@
 """The map and looking around in a real browser, in a room whose every view is known."""
-from collections.abc import Callable, Iterator
-import json
+from collections.abc import Iterator
 import math
-import os
-from pathlib import Path
-import shutil
-import subprocess
-import sys
-import time
 from typing import Any
 
 from box_room import cast, planar
-import neo_ros
 import numpy as np
 import pytest
+from viewer_pages import CONTRAST, opened_page, ServerProcess, wait_for
 
-pytestmark = pytest.mark.slow
+# The first of all fixtures: without a browser nothing need start.
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures('browser')]
 
-CHROMIUM = shutil.which('chromium') or shutil.which('chromium-browser')
-if CHROMIUM is None:
-    pytest.skip('needs a browser: apt install chromium', allow_module_level=True)
-playwright_api = pytest.importorskip('playwright.sync_api', reason='comes with the extra dev')
-
-HELPERS = Path(__file__).parents[1] / 'helpers'
-PYTHONPATH = {'PYTHONPATH': str(Path(neo_ros.__file__).parents[1])}
 START = {'x': 1.9, 'y': 1.7, 'yaw': 30.0, 'lost': False, 'late': 0.0}
 # What an arrow key turns, radians, and + zooms by; the wide view is shown at first.
 STEP, ZOOM, FIELD = 0.12, 1.15, 1.75
 YELLOW = (255, 214, 0)
 
 
-class Viewer:
-    """The server's process."""
-
-    def __init__(self, folder: str) -> None:
-        self.process = subprocess.Popen(
-            [sys.executable, HELPERS / 'around_process.py', folder], text=True,
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=os.environ | PYTHONPATH)
-        assert self.process.stdout is not None
-        self.url = self.process.stdout.readline().split()[-1]
-
-    def tell(self, **command: Any) -> None:
-        assert self.process.stdin is not None
-        self.process.stdin.write(f'{json.dumps(command)}\n')
-        self.process.stdin.flush()
-
-    def stop(self) -> None:
-        self.process.terminate()
-        assert self.process.wait(20) == 0
-
-
 @pytest.fixture(scope='module')
-def browser() -> Iterator[Any]:
-    with playwright_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(
-            executable_path=CHROMIUM, args=['--no-sandbox', '--disable-gpu'])
-        yield browser
-        browser.close()
-
-
-@pytest.fixture(scope='module')
-def viewer(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Viewer]:
-    viewer = Viewer(str(tmp_path_factory.mktemp('around')))
+def viewer(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServerProcess]:
+    viewer = start(str(tmp_path_factory.mktemp('around')))
     yield viewer
     viewer.stop()
 
 
+def start(folder: str) -> ServerProcess:
+    return ServerProcess('around_process.py', folder)
+
+
 @pytest.fixture
-def page(browser: Any, viewer: Viewer) -> Iterator[Any]:
+def page(browser: Any, viewer: ServerProcess) -> Iterator[Any]:
     """Give a page that shows the map and, at the end, has raised no error."""
-    context = browser.new_context(viewport={'width': 1000, 'height': 700}, has_touch=True)
-    page = context.new_page()
-    problems: list[str] = []
-    page.on('pageerror', lambda error: problems.append(str(error)))
-    page.on('console', lambda line: problems.append(line.text) if line.type == 'error' else None)
-    viewer.tell(**START)
-    page.goto(viewer.url)
-    page.wait_for_selector('#map', state='visible', timeout=60_000)
-    wait_for(page, lambda: 'x 1.9' in page.inner_text('#place'))
-    yield page
-    context.close()
-    assert problems == []
-
-
-def wait_for(page: Any, condition: Callable[[], bool], timeout: float = 20.0) -> None:
-    deadline = time.monotonic() + timeout
-    while not condition():
-        assert time.monotonic() < deadline, 'waited in vain'
-        page.wait_for_timeout(50)
+    with opened_page(browser, has_touch=True) as page:
+        viewer.tell(START)
+        page.goto(viewer.url)
+        page.wait_for_selector('#map', state='visible', timeout=60_000)
+        wait_for(page, lambda: 'x 1.9' in page.inner_text('#place'))
+        yield page
 
 
 def pixels(page: Any, name: str, places: list[tuple[float, float]]) -> np.ndarray:
@@ -130,7 +79,7 @@ def camera_yaw(degrees: float = 30.0) -> float:
     return math.radians(degrees)
 
 
-def test_the_map_shows_the_camera_where_it_is(page: Any, viewer: Viewer) -> None:
+def test_the_map_shows_the_camera_where_it_is(page: Any, viewer: ServerProcess) -> None:
     about = page.evaluate("fetch('/map').then((answer) => answer.json())")
 
     def there(x: float, y: float) -> bool:
@@ -139,17 +88,17 @@ def test_the_map_shows_the_camera_where_it_is(page: Any, viewer: Viewer) -> None
         return bool(np.abs(pixels(page, 'map', [at])[0] - YELLOW).max() < 30)
 
     wait_for(page, lambda: there(1.9, 1.7))
-    viewer.tell(x=3.1, y=2.4)
+    viewer.tell({'x': 3.1, 'y': 2.4})
     wait_for(page, lambda: 'x 3.1 m, y 2.4 m' in page.inner_text('#place'))
     wait_for(page, lambda: there(3.1, 2.4) and not there(1.9, 1.7))
-    assert float(page.inner_text('#place').split()[-3]) < 2
+    wait_for(page, lambda: float(page.inner_text('#place').split()[-3]) < 2)
 
 
-def test_the_map_says_when_the_place_is_not_recognised(page: Any, viewer: Viewer) -> None:
-    viewer.tell(lost=True)
+def test_the_map_says_when_the_place_is_not_recognised(page: Any, viewer: ServerProcess) -> None:
+    viewer.tell({'lost': True})
     page.wait_for_selector('#where.lost')
     wait_for(page, lambda: 'not recognised for 2 s' in page.inner_text('#place'))
-    viewer.tell(lost=False)
+    viewer.tell({'lost': False})
     page.wait_for_selector('#where:not(.lost)')
 
 
@@ -206,13 +155,31 @@ def test_two_fingers_zoom(page: Any) -> None:
     wait_for_look(page, camera_yaw() + STEP, hfov=FIELD * 66 / 120)
 
 
-def test_ones_own_direction_holds_while_the_robot_turns(page: Any, viewer: Viewer) -> None:
+def test_ones_own_direction_holds_while_the_robot_turns(page: Any, viewer: ServerProcess) -> None:
     for _ in range(8):
         page.keyboard.press('ArrowRight')
     wait_for_look(page, camera_yaw() - 8 * STEP)
-    viewer.tell(yaw=-100.0)
+    viewer.tell({'yaw': -100.0})
     wait_for(page, lambda: page.inner_text('#look-where') == 'Looking 75° to the left')
     wait_for_look(page, camera_yaw() - 8 * STEP)
+
+
+def test_a_look_goes_on_after_the_page_was_hidden(page: Any, viewer: ServerProcess) -> None:
+    page.keyboard.press('ArrowLeft')
+    wait_for_look(page, camera_yaw() + STEP)
+    # Then looks come for 4 s more, and no others: what follows are few.
+    viewer.tell({'lost': True})
+    page.wait_for_timeout(5000)
+    for hidden in ('true', 'false'):
+        page.evaluate(f"""() => {{
+            Object.defineProperty(document, 'hidden', {{value: {hidden}, configurable: true}});
+            document.dispatchEvent(new Event('visibilitychange'));
+        }}""")
+    for _ in range(6):
+        page.keyboard.press('ArrowLeft')
+    wait_for_look(page, camera_yaw() + 7 * STEP)
+    # The look before, moved there, would leave this edge empty.
+    wait_for(page, lambda: pixels(page, 'look', [(0.02, 0.5)]).max() > 40)
 
 
 def test_what_is_behind_the_camera_is_never_shown_as_live(page: Any) -> None:
@@ -228,16 +195,16 @@ def test_what_is_behind_the_camera_is_never_shown_as_live(page: Any) -> None:
     page.keyboard.press('1')
 
 
-def test_a_late_look_says_so(page: Any, viewer: Viewer) -> None:
+def test_a_late_look_says_so(page: Any, viewer: ServerProcess) -> None:
     page.keyboard.press('ArrowLeft')
     wait_for_look(page, camera_yaw() + STEP)
     assert page.is_hidden('#look-sign')
-    viewer.tell(late=1.0)
+    viewer.tell({'late': 1.0})
     page.wait_for_selector('#look-sign', state='visible')
     assert page.inner_text('#look-sign').startswith('Predicted: 1.')
-    viewer.tell(late=3.0)
+    viewer.tell({'late': 3.0})
     wait_for(page, lambda: page.inner_text('#look-sign').startswith('Stale: nothing has come for'))
-    viewer.tell(late=0.0)
+    viewer.tell({'late': 0.0})
     page.wait_for_selector('#look-sign', state='hidden')
 
 
@@ -274,7 +241,7 @@ def test_full_screen_has_the_map_in_it(page: Any) -> None:
 
 
 def test_without_a_model_the_page_says_why(browser: Any) -> None:
-    viewer = Viewer('')
+    viewer = start('')
     page = browser.new_page()
     try:
         page.goto(viewer.url)
@@ -289,19 +256,19 @@ def test_without_a_model_the_page_says_why(browser: Any) -> None:
 
 
 @pytest.mark.parametrize('scheme', ['light', 'dark'])
-def test_contrast_names_and_widths_while_looking(browser: Any, viewer: Viewer, scheme: str
+def test_contrast_names_and_widths_while_looking(browser: Any, viewer: ServerProcess, scheme: str
                                                  ) -> None:
     context = browser.new_context(color_scheme=scheme, viewport={'width': 320, 'height': 640})
     page = context.new_page()
-    viewer.tell(**START)
+    viewer.tell(START)
     page.goto(viewer.url)
     page.wait_for_selector('#map', state='visible', timeout=60_000)
-    viewer.tell(late=1.0)
+    viewer.tell({'late': 1.0})
     page.click('role=button[name="Look left"]')
     page.wait_for_selector('#look-sign', state='visible')
     page.keyboard.press('d')
     page.wait_for_selector('#distance', state='visible')
-    contrast = page.evaluate((HELPERS / 'contrast.js').read_text())
+    contrast = page.evaluate(CONTRAST)
     assert {name: ratio for name, ratio in contrast.items() if ratio < 4.5} == {}
     boxes = [page.query_selector(name).bounding_box() for name in (
         '#look-where', '#look-bar button', '#look-sign', '#picture', '.readings')]
@@ -316,5 +283,5 @@ def test_contrast_names_and_widths_while_looking(browser: Any, viewer: Viewer, s
         '#where button, #where canvas, #look, #look-bar button')].map(
             (e) => e.ariaLabel || e.textContent)""")
     assert len(names) == 9 and all(name.strip() for name in names)
-    viewer.tell(**START)
+    viewer.tell(START)
     context.close()

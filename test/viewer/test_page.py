@@ -1,34 +1,22 @@
 """The page in a real browser: plays, tells what is made up, and says when not to trust it."""
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 import json
-import os
 from pathlib import Path
-import shutil
 import signal
-import subprocess
-import sys
 import time
 from typing import Any
 
 import cv2
 from narrow_link import narrow_link
-import neo_ros
 import numpy as np
 import pytest
+from viewer_pages import CONTRAST, HELPERS, opened_page, ServerProcess, wait_for
 from viewer_process import HEIGHT, INSIDE, RING, WIDTH
 
-pytestmark = pytest.mark.slow
-
-CHROMIUM = shutil.which('chromium') or shutil.which('chromium-browser')
-if CHROMIUM is None:
-    pytest.skip('needs a browser: apt install chromium', allow_module_level=True)
-playwright_api = pytest.importorskip('playwright.sync_api', reason='comes with the extra dev')
+# The first of all fixtures: without a browser nothing need start.
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures('browser')]
 
 TOKEN = 'a token of the test'
-HELPERS = Path(__file__).parents[1] / 'helpers'
-PROCESS = HELPERS / 'viewer_process.py'
-PYTHONPATH = {'PYTHONPATH': str(Path(neo_ros.__file__).parents[1])}
-CONTRAST = HELPERS / 'contrast.js'
 MORE_VIEWERS = HELPERS / 'more_viewers.js'
 TRUE_AGES = HELPERS / 'true_ages.js'
 OVERLAPS = HELPERS / 'overlaps.js'
@@ -36,39 +24,16 @@ OVERLAPS = HELPERS / 'overlaps.js'
 LEFT_RING, RIGHT_RING, CENTRE = (0.1, 0.5), (0.9, 0.5), (0.5, 0.5)
 
 
-class Viewer:
-    """The server's process; restartable at the same port."""
+class Viewer(ServerProcess):
+    """Restartable at the same port."""
 
     def __init__(self, token: str = '') -> None:
         self.port, self.token = 0, token
         self.start()
 
     def start(self, rate: float = 20.0) -> None:
-        self.process = subprocess.Popen(
-            [sys.executable, PROCESS, str(self.port), self.token, str(rate)], text=True,
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=os.environ | PYTHONPATH)
-        assert self.process.stdout is not None
-        self.url = self.process.stdout.readline().split()[-1]
+        self.launch('viewer_process.py', str(self.port), self.token, str(rate))
         self.port = int(self.url.rstrip('/').rpartition(':')[-1])
-
-    def tell(self, command: str | dict[str, Any]) -> None:
-        line = command if isinstance(command, str) else json.dumps(command)
-        assert self.process.stdin is not None
-        self.process.stdin.write(f'{line}\n')
-        self.process.stdin.flush()
-
-    def stop(self) -> None:
-        self.process.terminate()
-        assert self.process.wait(10) == 0
-
-
-@pytest.fixture(scope='module')
-def browser() -> Iterator[Any]:
-    with playwright_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(
-            executable_path=CHROMIUM, args=['--no-sandbox', '--disable-gpu'])
-        yield browser
-        browser.close()
 
 
 @pytest.fixture(scope='module')
@@ -81,34 +46,20 @@ def viewer() -> Iterator[Viewer]:
 @pytest.fixture
 def page(browser: Any, viewer: Viewer) -> Iterator[Any]:
     """Give a page that shows live pictures and, at the end, has raised no error."""
-    context = browser.new_context(viewport={'width': 1000, 'height': 700})
-    page = context.new_page()
-    problems: list[str] = []
-    page.on('pageerror', lambda error: problems.append(str(error)))
-    page.on('console', lambda line: problems.append(line.text) if (
-        line.type == 'error' and 'CONNECTION_REFUSED' not in line.text) else None)
-    viewer.tell('go')
-    page.add_init_script("""const Socket = window.WebSocket;
-        window.sockets = [];
-        window.WebSocket = class extends Socket {
-            constructor(...address) { super(...address); window.sockets.push(this); }
-        };""")
-    page.goto(viewer.url)
-    wait_for_state(page, 'live')
-    yield page
-    context.close()
-    assert problems == []
+    with opened_page(browser, allowed='CONNECTION_REFUSED') as page:
+        viewer.tell('go')
+        page.add_init_script("""const Socket = window.WebSocket;
+            window.sockets = [];
+            window.WebSocket = class extends Socket {
+                constructor(...address) { super(...address); window.sockets.push(this); }
+            };""")
+        page.goto(viewer.url)
+        wait_for_state(page, 'live')
+        yield page
 
 
 def wait_for_state(page: Any, state: str, timeout: float = 15.0) -> None:
     page.wait_for_selector(f'#connection[data-state={state}]', timeout=1e3 * timeout)
-
-
-def wait_for(page: Any, condition: Callable[[], bool], timeout: float = 30.0) -> None:
-    deadline = time.monotonic() + timeout
-    while not condition():
-        assert time.monotonic() < deadline, 'waited in vain'
-        page.wait_for_timeout(50)
 
 
 def pixel(page: Any, place: tuple[float, float]) -> list[int]:
@@ -266,8 +217,8 @@ def test_a_place_that_is_not_recognised(page: Any, viewer: Viewer) -> None:
     page.wait_for_selector('#scene-sign', state='visible')
     assert page.is_hidden('#place-sign'), 'the stronger sign alone'
     viewer.tell({'out_of_scene': False, 'recognised': True})
-    page.wait_for_selector('#place-sign', state='hidden')
-    assert 'remembers of the room' in page.inner_text('#explanation')
+    wait_for(page, lambda: 'remembers of the room' in page.inner_text('#explanation'))
+    assert page.is_hidden('#place-sign')
     viewer.tell({'recognised': None})
 
 
@@ -479,9 +430,9 @@ def test_contrast_names_and_widths(browser: Any, viewer: Viewer, scheme: str) ->
     wait_for_state(page, 'stale')
     page.keyboard.press('3')
     page.wait_for_timeout(300)
-    contrast = page.evaluate(CONTRAST.read_text())
+    contrast = page.evaluate(CONTRAST)
     page.keyboard.press('?')
-    contrast |= page.evaluate(CONTRAST.read_text())
+    contrast |= page.evaluate(CONTRAST)
     assert len(contrast) > 20
     assert {name: ratio for name, ratio in contrast.items() if ratio < 4.5} == {}
     # Phones: nothing to scroll sideways, and targets that a finger hits.

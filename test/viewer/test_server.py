@@ -15,6 +15,7 @@ from hand_clock import HandClock
 from neo_ros.errors import ConfigError
 from neo_ros.viewer import access
 from neo_ros.viewer.access import HEADERS, MAX_WRONG_TOKENS, WRONG_TOKENS_S
+from neo_ros.viewer.server import PAGE
 from neo_ros.viewer.settings import read_token, TOKEN_VARIABLE, ViewerSettings
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ from viewer_server import (
     CONFIDENCE, origin, picture, receive_picture, run, running, until, WAIT_S, watching)
 
 TOKEN = 'a token of the test'
-PATHS = ['/', '/viewer.js', '/link.js', '/picture.js', '/viewer.css', '/icon.svg', '/login']
+PATHS = [*PAGE, '/login']
 
 
 @pytest.mark.parametrize('settings, words', [
@@ -111,10 +112,8 @@ def test_nothing_but_the_login_is_served_without_the_token():
         async with running(token=TOKEN) as (client, _):
             opened = {path: (await client.get(path, allow_redirects=False)).status
                       for path in [*PATHS, '/stream', '/missing']}
-            assert opened == {
-                '/': 303, '/viewer.js': 401, '/link.js': 401, '/picture.js': 401,
-                '/viewer.css': 200, '/icon.svg': 200, '/login': 200, '/stream': 401,
-                '/missing': 401}
+            assert opened == dict.fromkeys([*PATHS, '/stream', '/missing'], 401) | {
+                '/': 303, '/base.css': 200, '/icon.svg': 200, '/login': 200}
     run(test)
 
 

@@ -9,11 +9,11 @@ from typing import Any
 from aiohttp import WSMsgType
 import cv2
 from hand_clock import HandClock
+from neo_ros.viewer.hearing import MOST_MESSAGES, TOO_MANY_MESSAGES
 from neo_ros.viewer.hub import Hub
 from neo_ros.viewer.pace import Pace
 from neo_ros.viewer.pictures import SourcePicture
-from neo_ros.viewer.viewer_link import (
-    ASLEEP, HIDDEN_S, MAX_ON_THE_WAY, MOST_MESSAGES, TOO_MANY_MESSAGES, ViewerLink)
+from neo_ros.viewer.viewer_link import ASLEEP, HIDDEN_S, MAX_ON_THE_WAY, ViewerLink
 import numpy as np
 from viewer_server import IMAGE, run, split
 

@@ -71,3 +71,18 @@ def test_image_and_pose_of_a_stamp_make_a_place(pose_first: bool) -> None:
     place = where.last
     assert place is not None and place.pose is pose and place.captured == 12.5
     assert place.read_image() is image
+
+
+@pytest.mark.parametrize('pose_first', [False, True])
+def test_a_recording_that_is_wound_back_starts_anew(pose_first: bool) -> None:
+    where = Whereabouts()
+    joiner = PoseJoiner(where)
+    # Its images come ever later by the viewer's clock, whatever their stamps are.
+    for captured, stamp in enumerate([5, 6, 7, 1]):
+        if pose_first:
+            joiner.add_pose(stamp, at(captured, 0).pose)
+        joiner.add_image(stamp, captured, lambda: None)
+        if not pose_first:
+            joiner.add_pose(stamp, at(captured, 0).pose)
+    assert where.last is not None and where.last.captured == 3
+    assert where.recent(3.0) == []

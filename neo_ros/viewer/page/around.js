@@ -1,4 +1,7 @@
-// Where the camera is, and looking away from it: the second connection, and what people do.
+// Where the camera is, and looking away from it: what is known of both, and how it is shown.
+import { AroundLink } from './around_link.js';
+import { contentOf, find } from './elements.js';
+import { Hands } from './hands.js';
 import { coverOf, Direction, paintLook } from './look.js';
 import { Map } from './map.js';
 
@@ -8,29 +11,34 @@ const SEND_MS = 50;
 const LOST_MS = 1000;
 const MOST_WIDTH = 480;
 const FIRST_FIELD = 1.75;
-// A pointer that moves less has clicked.
-const CLICK_PX = 6;
-const KEY_STEP = 0.12;
-const ZOOM_STEP = 1.15;
 const DISTANCE_MS = 8000;
-
-const find = (id) => document.getElementById(id);
 
 export class Around {
   // `now()`: the server's clock in ms; `delay()`: ms that a message takes; `redraw()`: called
   // when the live picture has another size on the page.
   constructor({ now, delay, redraw }) {
-    Object.assign(this, { now, delay, redraw });
+    Object.assign(this, { now, redraw });
     this.way = 'outline';
     this.place = this.direction = this.look = this.map = null;
     this.pictured = 0;
-    this.opened = false;
     this.about = { why: 'The map is being drawn.' };
-    this.pointers = new globalThis.Map();
     this.asked = 0;
-    this.listen();
-    document.addEventListener('visibilitychange', () => (document.hidden ? this.drop()
-      : this.connect()));
+    this.link = new AroundLink({
+      onOpen: () => { this.changed = this.direction !== null; },
+      onPlace: (place) => this.move(place),
+      onLook: (look) => this.take(look),
+      onDistance: (distance) => this.showDistance(distance),
+      onFull: () => {
+        this.back();
+        this.say('As many as possible are looking around already: try again later.');
+      },
+    }, delay);
+    this.hands = new Hands(this);
+    document.addEventListener('fullscreenchange', () => {
+      (document.fullscreenElement ? find('stage') : find('where-home')).append(find('where'));
+      this.paint();
+    });
+    new ResizeObserver(() => { this.changed = true; this.paint(); }).observe(find('stage'));
     setInterval(() => this.sendLook(), SEND_MS);
     this.loadMap();
   }
@@ -63,74 +71,19 @@ export class Around {
   }
 
   // The main connection is there, or lost.
-  open() { this.opened = true; this.connect(); }
+  open() { this.link.open(); }
 
-  close() { this.opened = false; this.drop(); }
+  close() { this.link.close(); }
 
-  connect() {
-    if (!this.opened || document.hidden || this.socket) return;
-    const scheme = location.protocol === 'https:' ? 'wss' : 'ws';
-    const socket = new WebSocket(`${scheme}://${location.host}/around`);
-    socket.binaryType = 'arraybuffer';
-    this.socket = socket;
-    socket.onopen = () => { this.changed = this.direction !== null; };
-    socket.onmessage = (event) => (typeof event.data === 'string'
-      ? this.hear(JSON.parse(event.data)) : this.receive(event.data));
-    socket.onclose = () => {
-      if (this.socket !== socket) return;
-      this.socket = null;
-      setTimeout(() => this.connect(), RETRY_MS);
-    };
-  }
-
-  drop() {
-    const { socket } = this;
-    this.socket = null;
-    socket?.close();
-  }
-
-  send(message) {
-    if (this.socket?.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(message));
-  }
-
-  confirm(seq) {
-    const delay = this.delay();
-    this.send({ got: seq, ahead: Number.isFinite(delay) ? delay / 1000 : 0 });
-  }
-
-  hear(message) {
-    if (message.type === 'place') {
-      this.confirm(message.seq);
-      this.move(message);
-    } else if (message.type === 'distance') {
-      this.showDistance(message);
-    } else {
-      this.back();
-      this.say('As many as possible are looking around already: try again later.');
+  take(look) {
+    if (!this.direction) {
+      release(look);
+      return;
     }
-  }
-
-  async receive(buffer) {
-    const view = new DataView(buffer);
-    const [first, second] = [view.getUint32(0, true), view.getUint32(4, true)];
-    const meta = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 8, first)));
-    const part = (start, end) => createImageBitmap(new Blob([new Uint8Array(buffer, start,
-      end - start)]));
-    try {
-      const [bitmap, kinds] = await Promise.all([part(8 + first, 8 + first + second),
-        part(8 + first + second, buffer.byteLength)]);
-      if (this.direction && meta.seq > (this.look?.seq ?? 0)) {
-        this.look?.bitmap.close();
-        this.look?.kinds.close();
-        this.look = { ...meta, bitmap, kinds };
-        this.cover = coverOf(kinds, this.way);
-        this.showLook();
-      }
-    } catch {
-      // What the browser cannot decode; without its confirmation no other would come.
-    }
-    this.confirm(meta.seq);
-    this.move(meta);
+    release(this.look);
+    this.look = look;
+    this.cover = coverOf(look.kinds, this.way);
+    this.showLook();
   }
 
   move(place) {
@@ -180,8 +133,9 @@ export class Around {
   // Back to the camera.
   back() {
     if (!this.direction) return;
+    release(this.look);
     this.direction = this.look = null;
-    this.send({ look: null });
+    this.link.send({ look: null });
     find('stage').classList.remove('looking');
     for (const id of ['look', 'look-bar', 'look-legend', 'look-sign']) find(id).hidden = true;
     this.hideDistance();
@@ -195,7 +149,7 @@ export class Around {
     const box = find('look').getBoundingClientRect();
     const width = Math.min(MOST_WIDTH, Math.round(box.width)) || MOST_WIDTH;
     const { yaw, pitch, hfov } = this.direction;
-    this.send({ look: { yaw, pitch, hfov, width,
+    this.link.send({ look: { yaw, pitch, hfov, width,
       height: Math.round(width * box.height / box.width) || width } });
   }
 
@@ -247,7 +201,7 @@ export class Around {
     if (!this.able || !this.place) return;
     this.asked += 1;
     this.point = [x, y];
-    this.send({ ask: { x, y, id: this.asked } });
+    this.link.send({ ask: { x, y, id: this.asked } });
   }
 
   showDistance({ id, metres, plus_minus: plusMinus, contradicted }) {
@@ -278,99 +232,9 @@ export class Around {
   say(words) {
     find('announcer').textContent = words;
   }
-
-  listen() {
-    for (const canvas of [find('picture'), find('look')]) {
-      canvas.addEventListener('pointerdown', (event) => this.press(event));
-      canvas.addEventListener('pointermove', (event) => this.drag(event));
-      canvas.addEventListener('pointerup', (event) => this.release(event));
-      canvas.addEventListener('pointercancel', (event) => this.pointers.delete(event.pointerId));
-      canvas.addEventListener('wheel', (event) => {
-        if (!this.able || !this.place || event.ctrlKey) return;
-        event.preventDefault();
-        this.zoom(ZOOM_STEP ** (-event.deltaY / 100));
-      }, { passive: false });
-    }
-    document.addEventListener('keydown', (event) => this.press_key(event));
-    for (const button of document.querySelectorAll('#turns button, #look-bar button')) {
-      button.addEventListener('click', () => ACTIONS[button.dataset.turn](this));
-    }
-    document.addEventListener('fullscreenchange', () => {
-      (document.fullscreenElement ? find('stage') : find('where-home')).append(find('where'));
-      this.paint();
-    });
-    new ResizeObserver(() => { this.changed = true; this.paint(); }).observe(find('stage'));
-  }
-
-  press(event) {
-    if (event.button !== 0 || !this.able) return;
-    event.target.setPointerCapture(event.pointerId);
-    this.pointers.set(event.pointerId, { x: event.clientX, y: event.clientY, far: 0 });
-  }
-
-  drag(event) {
-    const held = this.pointers.get(event.pointerId);
-    if (!held) return;
-    const others = [...this.pointers.values()].filter((other) => other !== held);
-    const [dx, dy] = [event.clientX - held.x, event.clientY - held.y];
-    const before = others.length && Math.hypot(held.x - others[0].x, held.y - others[0].y);
-    held.far += Math.hypot(dx, dy);
-    [held.x, held.y] = [event.clientX, event.clientY];
-    if (held.far < CLICK_PX) return;
-    if (others.length) {
-      const now = Math.hypot(held.x - others[0].x, held.y - others[0].y);
-      others[0].far = CLICK_PX;
-      if (before > 10 && now > 10) this.zoom(now / before);
-    } else if (this.begin()) {
-      const box = find('look').getBoundingClientRect();
-      const radians = this.direction.hfov / (box.width || event.target.clientWidth);
-      this.turn(dx * radians, dy * radians);
-    }
-  }
-
-  release(event) {
-    const held = this.pointers.get(event.pointerId);
-    this.pointers.delete(event.pointerId);
-    // A look is asked for where it is; the live picture beside it leads back to it.
-    if (!held || held.far >= CLICK_PX) return;
-    if (this.direction && event.target.id === 'picture') {
-      this.back();
-      return;
-    }
-    const [left, top, width, height] = contentOf(event.target);
-    const [x, y] = [(event.clientX - left) / width, (event.clientY - top) / height];
-    if (x >= 0 && x <= 1 && y >= 0 && y <= 1) this.ask(x, y);
-  }
-
-  press_key(event) {
-    const name = event.key === '=' ? '+' : event.key;
-    if (event.ctrlKey || event.altKey || event.metaKey || event.defaultPrevented
-        || document.querySelector('dialog[open]') || !find('keys-on').checked
-        || !(name in KEYS) || event.target.closest('input, select, textarea')) return;
-    event.preventDefault();
-    ACTIONS[KEYS[name]](this);
-  }
 }
 
-const ACTIONS = {
-  left: (around) => around.turn(KEY_STEP, 0),
-  right: (around) => around.turn(-KEY_STEP, 0),
-  up: (around) => around.turn(0, KEY_STEP),
-  down: (around) => around.turn(0, -KEY_STEP),
-  closer: (around) => around.zoom(ZOOM_STEP),
-  wider: (around) => around.zoom(1 / ZOOM_STEP),
-  back: (around) => around.back(),
-  distance: (around) => around.ask(0.5, 0.5),
-};
-const KEYS = {
-  ArrowLeft: 'left', ArrowRight: 'right', ArrowUp: 'up', ArrowDown: 'down', '+': 'closer',
-  '-': 'wider', 0: 'back', Home: 'back', d: 'distance',
-};
-
-// Left, top, width and height on the page of what a canvas shows; the rest of its box is empty.
-function contentOf(canvas) {
-  const box = canvas.getBoundingClientRect();
-  const fit = Math.min(box.width / canvas.width, box.height / canvas.height);
-  const [width, height] = [canvas.width * fit, canvas.height * fit];
-  return [box.left + (box.width - width) / 2, box.top + (box.height - height) / 2, width, height];
+function release(look) {
+  look?.bitmap.close();
+  look?.kinds.close();
 }

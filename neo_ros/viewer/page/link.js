@@ -1,4 +1,6 @@
 // The connection to the server: pictures in, confirmations out, and the server's clock.
+import { openSocket, say, unpack } from './socket.js';
+
 const RETRY_MS = [250, 500, 1000, 2000, 5000];
 const PING_MS = 2000;
 // So many answers come before the first picture: behind pictures an answer would wait on a thin
@@ -51,16 +53,10 @@ export class Link {
 
   connect() {
     clearTimeout(this.retry);
-    const scheme = location.protocol === 'https:' ? 'wss' : 'ws';
-    const socket = new WebSocket(`${scheme}://${location.host}/stream`);
-    socket.binaryType = 'arraybuffer';
+    const socket = openSocket('/stream', {
+      hear: (message) => this.hear(message), receive: (buffer) => this.receive(buffer) });
     this.socket = socket;
     this.heard = performance.now();
-    socket.onmessage = (event) => {
-      this.heard = performance.now();
-      if (typeof event.data === 'string') this.hear(JSON.parse(event.data));
-      else this.receive(event.data);
-    };
     socket.onclose = (event) => {
       const reasons = { [FULL]: 'full', [ASLEEP]: 'asleep' };
       if (this.socket === socket) this.lost(reasons[event.code] ?? 'lost');
@@ -68,6 +64,7 @@ export class Link {
   }
 
   hear(message) {
+    this.heard = performance.now();
     if (message.type === 'hello') {
       this.attempt = 0;
       this.roundTrip = Infinity;
@@ -101,16 +98,11 @@ export class Link {
   }
 
   async receive(buffer) {
-    const view = new DataView(buffer);
-    const [metaLength, imageLength] = [view.getUint32(0, true), view.getUint32(4, true)];
-    const imageStart = 8 + metaLength;
-    const meta = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 8, metaLength)));
-    const image = new Blob([new Uint8Array(buffer, imageStart, imageLength)]);
-    const confidence = buffer.byteLength > imageStart + imageLength
-      ? new Blob([new Uint8Array(buffer, imageStart + imageLength)]) : null;
+    this.heard = performance.now();
+    const { meta, image, more } = unpack(buffer);
     try {
       const [bitmap, sureness] = await Promise.all([
-        createImageBitmap(image), confidence && createImageBitmap(confidence)]);
+        createImageBitmap(image), more && createImageBitmap(more)]);
       this.events.onPicture({ ...meta, bitmap, sureness });
     } catch {
       // A picture that the browser cannot decode; without its confirmation no other would come.
@@ -119,7 +111,7 @@ export class Link {
   }
 
   send(message) {
-    if (this.socket.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(message));
+    say(this.socket, message);
   }
 
   watch() {

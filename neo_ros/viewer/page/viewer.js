@@ -1,35 +1,18 @@
 // The page: shows the pictures, and says plainly how much they can be trusted.
 import { Around } from './around.js';
+import { find, set, write } from './elements.js';
 import { Link } from './link.js';
 import { paint, snapshot, tintOf } from './picture.js';
+import { bagTime, complaint, EXPLANATIONS, explanation, judge, plays, seconds } from './words.js';
 
 const RATE_WINDOW_MS = 2000;
 const TICK_MS = 100;
 const READINGS_EVERY_MS = 500;
 // A state that lasts shorter is not worth a screen reader's interruption.
 const ANNOUNCE_AFTER_MS = 1500;
-const EXPLANATIONS = {
-  outline: 'Inside the line: what the camera sees. Outside: what the model remembers of the room.',
-  dim: 'Bright: what the camera sees. Dark: what the model remembers of the room.',
-  confidence: 'Outside the line the model fills in; the stronger the colour, the less sure it is.',
-  camera: 'Only what the camera sees; what the model fills in is hidden.',
-};
-const ROUGH_EXPLANATIONS = {
-  ...EXPLANATIONS,
-  outline: 'Inside the line: what the camera sees. Outside: a rough guess of the network alone.',
-  dim: 'Bright: what the camera sees. Dark: a rough guess of the network alone.',
-};
 // What is said of single images would flicker: a place counts as recognised after so long.
 const RECOGNISED_AFTER_MS = 500;
-// Why there is no connection.
-const CLOSED = {
-  full: { title: 'No place left', text: 'As many viewers as allowed are watching.' },
-  asleep: { title: 'Asleep', text: 'This page was hidden for a minute and gave its place away.' },
-  lost: { title: 'Disconnected', text: 'Trying to reach the viewer.' },
-};
-const UNKNOWN_FRAME = 'The camera\'s frame is not known yet: any part of the picture may be made up.';
 
-const find = (id) => document.getElementById(id);
 const stage = find('stage');
 const canvas = find('picture');
 const context = canvas.getContext('2d', { alpha: false });
@@ -85,33 +68,19 @@ function draw() {
   paint(context, picture, state.way, zoom / fit, trust());
 }
 
+// How old the picture on the screen is, ms; null without one.
+function age() {
+  return state.picture ? link.now() - state.picture.captured : null;
+}
+
 // How far what lies outside of the camera's frame can be trusted; see paint().
 function trust() {
   if (state.status.out_of_scene) return 'none';
   return performance.now() < state.unknownUntil ? 'rough' : 'known';
 }
 
-// What the page says about the stream: a short title, and a sentence.
-function judge() {
-  const age = state.picture ? link.now() - state.picture.captured : null;
-  const old = age === null ? '' : ` This picture is ${seconds(age)} old.`;
-  if (!state.connected) {
-    const { title, text } = CLOSED[state.closed];
-    return { name: state.closed, title, text: state.closed === 'lost' ? text + old : text };
-  }
-  if (age !== null && age <= state.staleMs) {
-    return state.status.span ? { name: 'recording', title: 'Recording', text: '' }
-      : { name: 'live', title: 'Live', text: '' };
-  }
-  if (state.status.waiting) {
-    return { name: 'waiting', title: 'No pictures', text: `${state.status.waiting}.${old}` };
-  }
-  if (age === null) return { name: 'waiting', title: 'No pictures', text: 'None has come yet.' };
-  return { name: 'stale', title: 'Stale', text: old };
-}
-
 function tick() {
-  const verdict = judge();
+  const verdict = judge(state, age());
   const bad = !plays(verdict);
   stage.classList.toggle('old', bad);
   set(find('stale-sign'), 'hidden', !bad);
@@ -125,10 +94,6 @@ function tick() {
   showReadings(verdict);
   announce(verdict);
   around.tick();
-}
-
-function plays(verdict) {
-  return verdict.name === 'live' || verdict.name === 'recording';
 }
 
 function showTrust() {
@@ -147,13 +112,13 @@ function showTrust() {
 
 function showReadings(verdict) {
   const now = performance.now();
-  const age = state.picture ? link.now() - state.picture.captured : null;
+  const old = age();
   // No age of before may stand beside another verdict.
   if (now < state.nextReadings && plays(verdict) && verdict.name === state.verdict) return;
   state.verdict = verdict.name;
   state.nextReadings = now + READINGS_EVERY_MS;
   state.shown = state.shown.filter((time) => time > now - RATE_WINDOW_MS);
-  write('age', age === null ? '–' : seconds(Math.max(age, 0)));
+  write('age', old === null ? '–' : seconds(Math.max(old, 0)));
   const rate = state.shown.length / (RATE_WINDOW_MS / 1000);
   const offered = state.status.rate ?? 0;
   write('rate', offered > 1.25 * rate + 1 ? `${rate.toFixed(1)} of ${offered.toFixed(1)} /s`
@@ -162,15 +127,7 @@ function showReadings(verdict) {
   const median = sorted[sorted.length >> 1];
   write('latency', median === undefined ? '–'
     : `${Math.max(median, 0).toFixed(0)} ms${state.picture?.timed ? '' : ' (link)'}`);
-  write('bag-time', bagTime());
-}
-
-// Where in the bag the picture stands, and when it was recorded.
-function bagTime() {
-  const { span } = state.status;
-  const recorded = state.picture?.recorded;
-  if (!span || !recorded) return '–';
-  return `${clockTime(recorded - span[0])} of ${clockTime(span[1] - span[0])}`;
+  write('bag-time', bagTime(state));
 }
 
 function showStatus() {
@@ -190,30 +147,18 @@ function showStatus() {
   const notice = find('notice');
   set(notice, 'hidden', status.level === 0);
   notice.dataset.level = status.level;
-  write('notice', complaint());
+  write('notice', complaint(state.status));
   tick();
-}
-
-// What the node complains of, in words; empty when all is well.
-function complaint() {
-  const { level = 0, message } = state.status;
-  return level === 0 ? '' : `${level === 1 ? 'Warning' : 'Error'} of the node: ${message}`;
 }
 
 // The signs above the picture, as one would say them.
 function signs() {
   const words = { none: 'Not in the trained scene.', rough: 'Place not recognised: rough guess.' };
-  return [words[trust()], complaint()].filter(Boolean).join(' ');
-}
-
-function explanation() {
-  const known = state.picture === null || state.picture.seen !== null;
-  return known ? (trust() === 'rough' ? ROUGH_EXPLANATIONS : EXPLANATIONS)[state.way]
-    : UNKNOWN_FRAME;
+  return [words[trust()], complaint(state.status)].filter(Boolean).join(' ');
 }
 
 function explain() {
-  write('explanation', explanation());
+  write('explanation', explanation(state, trust()));
   set(find('scale'), 'hidden', state.way !== 'confidence');
 }
 
@@ -230,10 +175,10 @@ function announce(verdict) {
 }
 
 function readAloud() {
-  const verdict = judge();
-  const time = state.status.span ? `, recorded ${bagTime()}` : '';
+  const verdict = judge(state, age());
+  const time = state.status.span ? `, recorded ${bagTime(state)}` : '';
   const words = `${verdict.title}. ${verdict.text} ${signs()} Rate ${find('rate').textContent}, `
-    + `latency ${find('latency').textContent}${time}. ${explanation()}`;
+    + `latency ${find('latency').textContent}${time}. ${explanation(state, trust())}`;
   find('announcer').textContent = '';
   setTimeout(() => { find('announcer').textContent = words; }, 50);
 }
@@ -253,12 +198,12 @@ async function saveSnapshot() {
   if (!picture) return;
   const taken = new Date(picture.recorded === null
     ? Date.now() - (link.now() - picture.captured) : 1e3 * picture.recorded);
-  const verdict = judge();
+  const verdict = judge(state, age());
   const lines = [
     `${state.status.name ?? ''}  ${taken.toLocaleString()}`
       + (verdict.name === 'live' ? '' : `  (${verdict.title})`)
-      + (state.status.span ? `  ${bagTime()}` : ''),
-    explanation() + (trust() === 'none' ? ' NOT IN THE TRAINED SCENE.' : '')
+      + (state.status.span ? `  ${bagTime(state)}` : ''),
+    explanation(state, trust()) + (trust() === 'none' ? ' NOT IN THE TRAINED SCENE.' : '')
       + (trust() === 'rough' ? ' PLACE NOT RECOGNISED.' : ''),
   ];
   const url = URL.createObjectURL(await snapshot(picture, state.way, lines, trust()));
@@ -273,24 +218,6 @@ async function saveSnapshot() {
 function toggleFullScreen() {
   if (document.fullscreenElement) document.exitFullscreen();
   else stage.requestFullscreen();
-}
-
-function write(id, text) {
-  const element = find(id);
-  if (element.textContent !== (text ?? '')) element.textContent = text ?? '';
-}
-
-function set(element, property, value) {
-  if (element[property] !== value) element[property] = value;
-}
-
-function clockTime(s) {
-  const minutes = Math.floor(s / 60);
-  return `${minutes}:${(s - 60 * minutes).toFixed(1).padStart(4, '0')}`;
-}
-
-function seconds(ms) {
-  return `${(ms / 1000).toFixed(1)} s`;
 }
 
 function remember(name, value) {

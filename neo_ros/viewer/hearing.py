@@ -1,0 +1,43 @@
+"""What viewers say: JSON objects, and not too many of them."""
+import asyncio
+from collections.abc import Awaitable, Callable
+import json
+from typing import Any
+
+from aiohttp import web, WSMsgType
+from neo_ros.viewer.clock import Clock
+
+# A page says something for every picture and now and then besides.
+MESSAGES_PER_S, MOST_MESSAGES = 100.0, 200.0
+NO_TEXT, NOT_UNDERSTOOD, TOO_MANY_MESSAGES = 1003, 1007, 1008
+
+
+async def hear(socket: web.WebSocketResponse, clock: Clock,
+               answer: Callable[[dict[str, Any]], Awaitable[None]]) -> None:
+    """
+    Give what a viewer says to `answer` until the connection ends.
+
+    A flood of messages ends it, and what is no JSON object, or what `answer` cannot read: it
+    raises ValueError, TypeError, KeyError or OverflowError then.
+    """
+    messages, heard_at = MOST_MESSAGES, clock.now()
+    async for message in socket:
+        if message.type is not WSMsgType.TEXT:
+            await socket.close(code=NO_TEXT, message=b'expected text')
+            return
+        now = clock.now()
+        messages = min(messages + MESSAGES_PER_S * (now - heard_at), MOST_MESSAGES) - 1
+        heard_at = now
+        if messages < 0:
+            await socket.close(code=TOO_MANY_MESSAGES, message=b'too many messages')
+            return
+        try:
+            asked = json.loads(message.data)
+            if not isinstance(asked, dict):
+                raise TypeError('expected an object')
+            await answer(asked)
+        except (ValueError, TypeError, KeyError, OverflowError):
+            await socket.close(code=NOT_UNDERSTOOD, message=b'not understood')
+            return
+        # What has come already is read without a pause: let the others have their turn.
+        await asyncio.sleep(0)
