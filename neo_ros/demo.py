@@ -43,7 +43,8 @@ WIDE_TOPIC = '/camera/wide/image'
 DISCOVERY_S = 4.0
 # What a walk may take beyond its own length; how often a process that has ended is looked for.
 PATIENCE_S, LOOK_S = 120.0, 0.5
-OTHER_TOPICS = ('/camera/wide/mask', '/camera/wide/confidence', '/camera/wide/camera_info')
+OTHER_TOPICS = ('/camera/wide/mask', '/camera/wide/confidence', '/camera/wide/camera_info',
+                '/camera/wide/status', '/diagnostics')
 
 
 @dataclass(frozen=True)

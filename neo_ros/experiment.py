@@ -42,7 +42,8 @@ class Experiment:
 
     __pydantic_config__ = {'extra': 'forbid'}
     seed: int = 0   # one seed on one machine gives one model; on a GPU nearly
-    scale: float = 1.0                   # resolution to work at, relative to the photos
+    # resolution of the wide images, relative to the photos; field and network may see less
+    scale: float = 1.0
     # default: as the test frames say, else the photos, and twice that
     view: ViewConfig | None = None
     field: FieldConfig = FieldConfig()             # how the radiance field is fitted
@@ -56,6 +57,16 @@ class Experiment:
             raise ConfigError(f'scale: expected a number > 0, got {self.scale}')
         if not 0 <= self.seed < 2 ** 63:
             raise ConfigError(f'seed: expected 0 or more, below 2^63, got {self.seed}')
+
+    @property
+    def field_scale(self) -> float:
+        """Resolution that the field is fitted at, relative to the photos."""
+        return self.scale / self.field.shrink
+
+    @property
+    def network_scale(self) -> float:
+        """Resolution that the network works at, relative to the photos."""
+        return self.scale / self.network.shrink
 
     @property
     def config_hash(self) -> str:
@@ -101,11 +112,13 @@ class Experiment:
 
 
 def _digest(settings: dict[str, Any]) -> str:
-    # Runs of before there was measured depth go on: a scene without it has no use for its weight,
-    # and one with it has another list of photos.
-    if settings['field']['depth'] == FieldConfig.depth:
-        settings = {**settings, 'field': {**settings['field']}}
-        del settings['field']['depth']
+    # Runs of before there were these go on: at their defaults they change nothing. (A scene with
+    # measured depth has another list of photos.)
+    for part, name, default in (('field', 'depth', FieldConfig.depth), ('field', 'shrink', 1),
+                                ('network', 'shrink', 1)):
+        if settings.get(part, {}).get(name) == default:
+            settings = {**settings, part: {**settings[part]}}
+            del settings[part][name]
     text = json.dumps(settings, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 

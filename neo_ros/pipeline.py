@@ -18,9 +18,10 @@ from neo_ros.field.radiance_field import RadianceField
 from neo_ros.field.voxel_field import VoxelField
 from neo_ros.machine.files import make_output_folder
 from neo_ros.machine.progress import no_stage_progress, StageProgress
-from neo_ros.outpaint.distributed import process_group, wait_for_all
+from neo_ros.outpaint.distributed import from_first, process_group, wait_for_all
 from neo_ros.outpaint.export import calibration_factor, check_parity, export_onnx, require_parity
 from neo_ros.outpaint.fitting import OutpaintTrainer
+from neo_ros.outpaint.networks import at_full_size
 from neo_ros.outpaint.training_log import TrainingLog
 from neo_ros.runtime import FovExtrapolator, ModelCard
 from neo_ros.runtime.model_card import Parity, write_model_card
@@ -30,10 +31,12 @@ from neo_ros.speed.model import count_flops
 from neo_ros.training.checkpoint import read_notes, train_with_checkpoints, write_notes
 from neo_ros.training.checks import check_training
 from neo_ros.training.folder import claim, drop_made_of_a_field, take_field
-from neo_ros.training.memory import memory_step
+from neo_ros.training.memory import memory_step, name_memory
 from neo_ros.training.report import Scoring, write_training_report
 from neo_ros.training.run import LEAST_PHOTOS, TrainingRun
-from neo_ros.training.views import held_out_views, make_stream, note_poses, real_frames
+from neo_ros.training.time_plan import plan_training, read_plan, share_network_minutes
+from neo_ros.training.views import (
+    held_out_views, held_out_wide_views, make_stream, note_poses, real_frames)
 import numpy as np
 from torch import nn
 
@@ -43,32 +46,43 @@ REFERENCE_PHOTOS = 300
 
 def train(scene_folder: Path, experiment: Experiment, out: Path,
           progress: StageProgress = no_stage_progress,
-          cache_gb: float = 0.0, field_of: Path | None = None) -> TrainingRun:
+          cache_gb: float = 0.0, field_of: Path | None = None,
+          minutes: float | None = None) -> TrainingRun:
     """
     Run the three steps on a scene folder and leave model, report and scores in `out`.
 
     progress(stage, done, total, note) is called as work goes on; up to cache_gb GB of panoramas
     are kept in files instead of in memory. `field_of` is the folder of another run, whose field is
-    taken. Raises NeoError for scenes and settings that cannot be trained, where `out` holds a run
-    of other settings, and where the other field is of other photos or settings.
+    taken. With `minutes` all of it takes so long: settings are chosen for camera and machine, see
+    `training/time_plan.py`. Raises NeoError for scenes and settings that cannot be trained, where
+    `out` holds a run of other settings, and where the other field is of other photos or settings.
     """
     scene = read_upright_scene(scene_folder)
     with process_group() as rank:
-        run = TrainingRun(scene, experiment, out, progress, cache_gb)
-        check_training(run)
         if rank == 0:
             make_output_folder(out)
+            if minutes is not None:
+                plan_training(out, scene, experiment, minutes,
+                              lambda chosen: progress('plan', 1, 1, chosen))
+        wait_for_all()
+        plan = None if minutes is None else read_plan(out)
+        experiment = experiment if plan is None else plan.experiment
+        run = TrainingRun(scene, experiment, out, progress, cache_gb, plan=plan)
+        check_training(run)
+        if rank == 0:
             claim(out, scene, experiment)
             if field_of is not None:
                 take_field(out, scene, experiment, field_of)
         wait_for_all()
         field = fit_field_step(run, rank)
-        held_out = held_out_views(run, field)
-        network = fit_outpainter_step(run, field, held_out, rank)
+        if rank == 0:
+            memory_step(run, field)
+        wait_for_all()
+        network = fit_outpainter_step(run, field, held_out_views(run, field), rank)
     if rank > 0:
         return run
-    export_step(run, network, held_out)
-    memory_step(run, field)
+    export_step(run, network, held_out_wide_views(run, field))
+    name_memory(run)
     run.figures = write_training_report(run, field, score_step(run))
     return run
 
@@ -94,7 +108,7 @@ def fit_field_step(run: TrainingRun, rank: int = 0) -> RadianceField:
 
 def _fit_field(run: TrainingRun, path: Path, writes: bool) -> None:
     checkpoint = run.out / 'field.ckpt'
-    scale, config = run.experiment.scale, run.field_config
+    scale, config = run.experiment.field_scale, run.field_config
     images = run.fitted.read_images(
         scale, lambda done: run.progress('photos', done, len(run.fitted), ''))
     if writes and not checkpoint.exists():
@@ -119,9 +133,14 @@ def fit_outpainter_step(run: TrainingRun, field: RadianceField,
     rank is the number of this process where several train together; each has its own stream.
     """
     experiment, started = run.experiment, time.monotonic()
-    trainer = OutpaintTrainer(run.expansion, experiment.network, experiment.outpaint,
-                              experiment.seed, held_out)
     stream = make_stream(run, field, experiment.seed + 1_000_000 * rank)
+    config = experiment.outpaint
+    if run.plan is not None:
+        stream.render_for(0)  # That is none of the network's minutes.
+        spent = run.seconds + time.monotonic() - started
+        config = replace(config, minutes=share_network_minutes(run.out, from_first(spent), rank))
+    trainer = OutpaintTrainer(run.network_expansion, experiment.network, config,
+                              experiment.seed, held_out)
     run.seconds += time.monotonic() - started  # A checkpoint's time takes its place, where one is.
     log = (TrainingLog(run.out / 'tensorboard')
            if experiment.outpaint.tensorboard and rank == 0 else None)
@@ -153,7 +172,7 @@ def export_step(run: TrainingRun, network: nn.Module,
     file differ.
     """
     path = run.model_path
-    factor = 1.0
+    network, factor = at_full_size(network, run.experiment.network), 1.0
     if held_out is not None:
         factor = calibration_factor(network, run.expansion, held_out)
     else:

@@ -63,7 +63,8 @@ def test_the_old_name_of_a_setting_is_read_and_hashes_are_those_of_before(
     # The hash is that of the old word: a run folder of before is continued, not refused.
     settings = asdict(old)
     settings['network']['memory'] = settings['network'].pop('hidden')
-    del settings['field']['depth']
+    for part, name in (('field', 'depth'), ('field', 'shrink'), ('network', 'shrink')):
+        del settings[part][name]
     text = json.dumps(settings, sort_keys=True)
     assert old.config_hash == hashlib.sha256(text.encode()).hexdigest()[:12]
     with pytest.raises(ConfigError, match='network.memory is the old name of network.hidden.*'

@@ -24,7 +24,7 @@ from neo_ros.messages.image_reader import ImageReader
 from neo_ros.messages.memory_messages import MEMORY_OUTPUTS, MemorySettings
 from neo_ros.messages.scene_outputs import default_scene_frame, STATUS, WIDENING
 from neo_ros.messages.stamps import stamp_of
-from neo_ros.runtime import FovExtrapolator
+from neo_ros.runtime import FovExtrapolator, ModelCard
 import numpy as np
 
 # Truth and prediction of one stamp lie close together in a bag; unmatched ones are let go.
@@ -95,7 +95,7 @@ def replay(bag: Path | str, extrapolator: FovExtrapolator, out: Path | str,
         with BagWriter(out, custom_data=custom_data) as writer, WriteBehind() as behind:
             run = _Replay(writer, behind, FrameProcessor(extrapolator, rectify),
                           extrapolator.expansion, camera, truth, result)
-            run.write_memory(outputs, extrapolator.card.arbitrary_scale)
+            run.write_memory(outputs, extrapolator.card)
             run.every, run.on_frame, run.on_pair = section.every, on_frame, on_pair
             copied = [topic for topic in reader.topics if topic.name not in run.outputs]
             for topic in copied if copy else ():
@@ -185,16 +185,17 @@ class _Replay:
         self.on_pair: OnImages | None = None
         self._unmatched: tuple[dict[int, np.ndarray], dict[int, np.ndarray]] = ({}, {})
 
-    def write_memory(self, names: Collection[str], arbitrary_scale: bool) -> None:
+    def write_memory(self, names: Collection[str], card: ModelCard) -> None:
         """Also write these of MEMORY_OUTPUTS, and the diagnosis."""
         for name in names:
             topic = f'{self._camera.wide}/{name}'
             self.outputs[topic] = name
             self._topics[name] = self._writer.add_topic(topic, MEMORY_OUTPUTS[name])
         self._topics[DIAGNOSTICS] = self._writer.add_topic(DIAGNOSTICS, STATUS)
-        settings = MemorySettings(default_scene_frame(arbitrary_scale),
+        settings = MemorySettings(default_scene_frame(card.arbitrary_scale),
                                   node_name(self._camera.wide))
-        self._memory = ReplayOutputs(bag_maker(self._types), names, settings, self._submit)
+        self._memory = ReplayOutputs(bag_maker(self._types), names, settings, self._submit,
+                                     card.memory is not None)
 
     def replaces(self, message: BagMessage) -> bool:
         """Tell whether a message says what this replay says anew."""

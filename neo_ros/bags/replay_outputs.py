@@ -42,10 +42,11 @@ class ReplayOutputs:
     """Writes the `names` of MEMORY_OUTPUTS for every frame, and /diagnostics as the node would."""
 
     def __init__(self, make: Make, names: Collection[str], settings: MemorySettings,
-                 write: Write) -> None:
+                 write: Write, memory: bool) -> None:
+        """`memory`: whether the model has one; without, nothing is said of its guidance."""
         self._make, self._names, self._write = make, frozenset(names), write
         self._messages = MemoryMessages(make, settings)
-        self._name = f'{settings.name}: {WIDENING}'
+        self._name, self._memory = f'{settings.name}: {WIDENING}', memory
         self._watch = SceneWatch()
         self._frames: deque[tuple[int, WideFrame]] = deque()
         self._published = 0
@@ -81,6 +82,8 @@ class ReplayOutputs:
             'published': str(self._published),
             'rejected': str(rejected.total()),
             'camera': frames[-1].camera_note,
-            'guided by the scene memory': f'{np.mean([frame.guided for frame in frames]):.0%}',
+            'guided by the scene memory': (
+                f'{np.mean([frame.guided for frame in frames]):.0%}' if self._memory
+                else 'unknown'),
             'out of the scene': 'unknown' if score is None else f'{score:.2f}',
             'in the trained scene': 'unknown' if score is None else str(not unlike).lower()})

@@ -20,6 +20,13 @@ COLOUR = 60.0
 DISTANCE = 0.3
 # A photo looks at a point from at most 60 degrees aside.
 LEAST_COSINE = 0.5
+# Depths that differ by less than this share are of one surface.
+ONE_SURFACE = 0.1
+# Neighbours in a coarse depth map of a photo, of which the nearer has at least this share of the
+# other's distance, may be of one surface that slants.
+SLANT = 0.7
+# A point nearer to a photo's camera, metres, is not in it.
+CLOSEST = 0.1
 # For what rounding does to squared cosines.
 SLACK = 1 - 1e-6
 
@@ -42,9 +49,9 @@ class PhotoArrays(NamedTuple):
     """
     The photos that colour it, all of one camera.
 
-    images uint8 (N, H, W, 3); float32: depth (N, H, W) metres along the ray, rotations (N, 3, 3)
-    camera to world, positions (N, 3), gains (N, 3) that multiply a photo's colours to the
-    scene's; fx, fy, cx, cy in pixels.
+    images uint8 (N, H, W, 3); float32: depth (N, H, W) or coarser, metres along the ray, rotations
+    (N, 3, 3) camera to world, positions (N, 3), gains (N, 3) that multiply a photo's colours to
+    the scene's; fx, fy, cx, cy in pixels.
     """
 
     images: np.ndarray
@@ -70,17 +77,41 @@ def cubic(k, t):
     return (t - 1) * t * t / 2
 
 
-@njit(parallel=True, **FAST)
-def colour_from_photos(panorama, posed, out):
+@njit(**FAST)
+def _sees(depth, u, v, length, coarser):
     """
-    Blend, for every pixel of a panorama, the photos that see its point most nearly alike.
+    Tell whether a photo sees a point at `length` metres that falls on (u, v) of its depth (h, w).
 
-    Takes PanoramaPixels and PhotoArrays; fills out uint8 (h, w, 3). Photos are read by cubic
-    interpolation: what a linear one blurs would be blurred once more when the panorama is drawn.
+    Where depth is coarser than the photo, one of the four neighbours has to agree, or to lie on
+    either side of the point on one surface that slants.
     """
-    position, rays, depth, coarse = panorama
-    photos, photo_depth, rotations, positions, gains, fx, fy, cx, cy = posed
+    slack = DEPTH_SHARE * length + DEPTH_METRES
+    if not coarser:
+        return abs(depth[int(v), int(u)] - length) <= slack
+    i = min(max(int(v - 0.5), 0), depth.shape[0] - 2)
+    j = min(max(int(u - 0.5), 0), depth.shape[1] - 2)
+    nearest, farthest = depth[i, j], depth[i, j]
+    for k in range(4):
+        seen = depth[i + k // 2, j + k % 2]
+        if abs(seen - length) <= slack:
+            return True
+        nearest, farthest = min(nearest, seen), max(farthest, seen)
+    return nearest < length < farthest and nearest > SLANT * farthest
+
+
+@njit(parallel=True, **FAST)
+def choose_photos(panorama, posed, which, cost):
+    """
+    Choose, for every pixel of a panorama, the photos that see its point most nearly alike.
+
+    Takes PanoramaPixels and PhotoArrays; fills which int32 (h, w, BLENDED), -1 = none, and cost
+    float64 of that shape, radians, the least first.
+    """
+    position, rays, depth, _ = panorama
+    photos, photo_depth, rotations, positions, _, fx, fy, cx, cy = posed
     high, wide = photos.shape[1], photos.shape[2]
+    # Depth may be coarser than the photos.
+    across, down = photo_depth.shape[2] / wide, photo_depth.shape[1] / high
     offsets, squares = np.empty((len(photos), 3)), np.empty(len(photos))
     for n in range(len(photos)):
         squares[n] = 0
@@ -88,18 +119,13 @@ def colour_from_photos(panorama, posed, out):
             offsets[n, c] = position[c] - positions[n, c]
             squares[n] += offsets[n, c] ** 2
     for i in prange(depth.shape[0]):
-        score = np.empty(BLENDED)
-        which = np.empty(BLENDED, np.int64)
-        us, vs = np.empty(BLENDED), np.empty(BLENDED)
-        colour, total = np.empty(3), np.empty(3)
-        across, down = np.empty(4), np.empty(4)
         for j in range(depth.shape[1]):
-            out[i, j] = coarse[i, j]
+            chosen, score = which[i, j], cost[i, j]
+            chosen[:] = -1
+            score[:] = 1e9
             d = depth[i, j]
             if d <= 0:
                 continue
-            score[:] = 1e9
-            which[:] = -1
             # Most photos are too far aside: the angle alone, squared, tells with few operations.
             least = SLACK * LEAST_COSINE ** 2
             for n in range(len(photos)):
@@ -113,7 +139,7 @@ def colour_from_photos(panorama, posed, out):
                 pz = offsets[n, 2] + rays[i, j, 2] * d
                 R = rotations[n]
                 z = R[0, 2] * px + R[1, 2] * py + R[2, 2] * pz
-                if z < 0.1:
+                if z < CLOSEST:
                     continue
                 u = fx * (R[0, 0] * px + R[1, 0] * py + R[2, 0] * pz) / z + cx
                 v = fy * (R[0, 1] * px + R[1, 1] * py + R[2, 1] * pz) / z + cy
@@ -123,40 +149,101 @@ def colour_from_photos(panorama, posed, out):
                 cosine = (px * rays[i, j, 0] + py * rays[i, j, 1] + pz * rays[i, j, 2]) / length
                 if cosine < LEAST_COSINE:
                     continue
-                cost = math.acos(min(cosine, 1.0)) + DISTANCE * max(length / d - 1, 0.0)
-                if cost >= score[-1]:
+                angle = math.acos(min(cosine, 1.0)) + DISTANCE * max(length / d - 1, 0.0)
+                if angle >= score[-1]:
                     continue
-                seen = photo_depth[n, int(v), int(u)]
-                if abs(seen - length) > DEPTH_SHARE * length + DEPTH_METRES:
+                if not _sees(photo_depth[n], u * across, v * down, length, across < 1):
                     continue
                 m = BLENDED - 1
-                while m > 0 and score[m - 1] > cost:
-                    score[m], which[m], us[m], vs[m] = (
-                        score[m - 1], which[m - 1], us[m - 1], vs[m - 1])
+                while m > 0 and score[m - 1] > angle:
+                    score[m], chosen[m] = score[m - 1], chosen[m - 1]
                     m -= 1
-                score[m], which[m], us[m], vs[m] = cost, n, u - 0.5, v - 0.5
+                score[m], chosen[m] = angle, n
                 least = SLACK * math.cos(min(score[-1], math.acos(LEAST_COSINE))) ** 2
+
+
+@njit(parallel=True, **FAST)
+def blend_photos(panorama, posed, which, cost, wraps, out):
+    """
+    Colour a texture, uint8 (n h, n w, 3), of a panorama from the photos chosen for its pixels.
+
+    Takes PanoramaPixels, PhotoArrays and what `choose_photos` filled; `wraps`: the last column is
+    a neighbour of the first. Photos are read by cubic interpolation: what a linear one blurs would
+    be blurred once more when the panorama is drawn.
+    """
+    position, rays, depth, coarse = panorama
+    photos, _, rotations, positions, gains, fx, fy, cx, cy = posed
+    high, wide = photos.shape[1], photos.shape[2]
+    rows, columns = depth.shape
+    tall, broad = out.shape[0] / rows, out.shape[1] / columns
+    for i in prange(out.shape[0]):
+        ray, own = np.empty(3), np.empty(3)
+        colour, total = np.empty(3), np.empty(3)
+        across, down = np.empty(4), np.empty(4)
+        y = (i + 0.5) / tall - 0.5
+        i0 = min(max(int(math.floor(y)), 0), max(rows - 2, 0))
+        i1, t = min(i0 + 1, rows - 1), y - i0
+        near_i = min(max(int(math.floor(y + 0.5)), 0), rows - 1)
+        for j in range(out.shape[1]):
+            x = (j + 0.5) / broad - 0.5
+            j0 = int(math.floor(x))
+            if not wraps:
+                j0 = min(max(j0, 0), max(columns - 2, 0))
+            s = x - j0
+            near_j = int(math.floor(x + 0.5))
+            near_j = near_j % columns if wraps else min(max(near_j, 0), columns - 1)
+            j1 = (j0 + 1) % columns if wraps else min(j0 + 1, columns - 1)
+            j0 = j0 % columns
+            a, b, e, f = depth[i0, j0], depth[i0, j1], depth[i1, j0], depth[i1, j1]
+            d = depth[near_i, near_j]
+            # On one surface depth and colour of the field go on from pixel to pixel.
+            s_in, t_in = min(max(s, 0.0), 1.0), min(max(t, 0.0), 1.0)
+            farthest = max(a, b, e, f)
+            smooth = min(a, b, e, f) > (1 - ONE_SURFACE) * farthest
+            if smooth:
+                d = ((1 - t_in) * ((1 - s_in) * a + s_in * b)
+                     + t_in * ((1 - s_in) * e + s_in * f))
+            for c in range(3):
+                ray[c] = ((1 - t) * ((1 - s) * rays[i0, j0, c] + s * rays[i0, j1, c])
+                          + t * ((1 - s) * rays[i1, j0, c] + s * rays[i1, j1, c]))
+                own[c] = coarse[near_i, near_j, c]
+                if smooth:
+                    own[c] = ((1 - t_in) * ((1 - s_in) * coarse[i0, j0, c]
+                                            + s_in * coarse[i0, j1, c])
+                              + t_in * ((1 - s_in) * coarse[i1, j0, c]
+                                        + s_in * coarse[i1, j1, c]))
+            chosen, score = which[near_i, near_j], cost[near_i, near_j]
             # The field's own colour decides only where no photo agrees with it.
             weights = 1e-3
             for c in range(3):
-                total[c] = 1e-3 * coarse[i, j, c]
+                total[c] = 1e-3 * own[c]
             for m in range(BLENDED):
-                if which[m] < 0:
+                n = chosen[m]
+                if n < 0:
                     break
-                photo, gain = photos[which[m]], gains[which[m]]
-                u0, v0 = int(us[m]), int(vs[m])
+                R = rotations[n]
+                px = position[0] - positions[n, 0] + ray[0] * d
+                py = position[1] - positions[n, 1] + ray[1] * d
+                pz = position[2] - positions[n, 2] + ray[2] * d
+                z = R[0, 2] * px + R[1, 2] * py + R[2, 2] * pz
+                u = fx * (R[0, 0] * px + R[1, 0] * py + R[2, 0] * pz) / z + cx - 0.5
+                v = fy * (R[0, 1] * px + R[1, 1] * py + R[2, 1] * pz) / z + cy - 0.5
+                if z < CLOSEST or not (0 <= u < wide - 1 and 0 <= v < high - 1):
+                    continue  # Just outside, where the pixel's middle is inside.
+                photo, gain = photos[n], gains[n]
+                u0, v0 = int(u), int(v)
                 for k in range(4):
-                    across[k], down[k] = cubic(k, us[m] - u0), cubic(k, vs[m] - v0)
+                    across[k], down[k] = cubic(k, u - u0), cubic(k, v - v0)
                 apart = 0.0
                 for c in range(3):
                     value = 0.0
                     for p in range(4):
-                        y = min(max(v0 + p - 1, 0), high - 1)
+                        line = min(max(v0 + p - 1, 0), high - 1)
                         for q in range(4):
-                            x = min(max(u0 + q - 1, 0), wide - 1)
-                            value += down[p] * across[q] * photo[y, x, c]
+                            value += (down[p] * across[q]
+                                      * photo[line, min(max(u0 + q - 1, 0), wide - 1), c])
                     colour[c] = gain[c] * value
-                    apart += (colour[c] - coarse[i, j, c]) ** 2
+                    apart += (colour[c] - own[c]) ** 2
                 weight = (math.exp((score[0] - score[m]) / ANGLE)
                           * math.exp(-apart / (COLOUR * COLOUR)))
                 weights += weight
@@ -164,3 +251,12 @@ def colour_from_photos(panorama, posed, out):
                     total[c] += weight * colour[c]
             for c in range(3):
                 out[i, j, c] = min(max(total[c] / weights + 0.5, 0.0), 255.0)
+
+
+def colour_from_photos(panorama: PanoramaPixels, posed: PhotoArrays, wraps: bool,
+                       out: np.ndarray) -> None:
+    """Colour `out`, uint8 (n h, n w, 3), by the photos that see each point most nearly alike."""
+    which = np.empty((*panorama.depth.shape, BLENDED), np.int32)
+    cost = np.empty(which.shape)
+    choose_photos(panorama, posed, which, cost)
+    blend_photos(panorama, posed, which, cost, wraps, out)

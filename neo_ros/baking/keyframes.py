@@ -8,6 +8,7 @@ photo agrees.
 from dataclasses import dataclass
 import math
 from pathlib import Path
+import time
 from zipfile import BadZipFile
 
 import cv2
@@ -18,7 +19,7 @@ from neo_ros.field.radiance_field import RadianceField
 from neo_ros.field.rendering import render_rays, to_uint8, world_rays
 from neo_ros.geometry import Band, CameraPose, Intrinsics, ViewExpansion
 from neo_ros.machine.files import whole_file
-from neo_ros.machine.progress import no_progress, Progress
+from neo_ros.machine.progress import no_stage_progress, of_stage, Progress, StageProgress
 from neo_ros.memory.scene_memory import compress, FINER, Glances, Keyframe, SceneMemory
 from neo_ros.scenes.pose_sampling import PoseSampler, rotation_from_angles
 import numpy as np
@@ -32,9 +33,12 @@ class BakingRules:
     """What was chosen by measuring, and holds for all scenes."""
 
     mesh_focal: float = 96.0       # the mesh's vertices a radian are at most so many
+    dense: int = 3                 # rays into the field for a vertex, along each side, at most
+    photo_focal: float = 128.0     # rays into the field a radian, at most, to see what photos see
     photos: int = 400              # nearest to a keyframe, that may colour it
     one_surface: float = 0.1       # depths that differ by less than this share are of one surface
     least_coverage: float = 0.5    # of a pixel by what photos saw, for its depth to be known
+    least_keyframes: int = 8       # however short the time
     glance_yaw_deg: float = 15.0   # between two glances of a keyframe
 
 
@@ -45,8 +49,12 @@ class MemoryConfig:
     __pydantic_config__ = {'extra': 'forbid'}
     # metres from any place of a robot, or any photo of a hand-held camera, to the nearest keyframe
     distance: float = 0.3
+    # Of making it: with fewer than it takes keyframes stand farther apart, evenly. None: all.
+    minutes: float | None = None
 
     def __post_init__(self) -> None:
+        if self.minutes is not None and not 0 < self.minutes < math.inf:
+            raise ConfigError(f'memory.minutes: expected a number > 0, got {self.minutes}')
         if not self.distance > 0:
             raise ConfigError(f'memory.distance: expected metres > 0, got {self.distance}')
 
@@ -62,43 +70,78 @@ class Photos:
 
 def bake_memory(field: RadianceField, photos: Photos, expansion: ViewExpansion,
                 sampler: PoseSampler, config: MemoryConfig, seed: int, work: Path,
-                progress: Progress = no_progress, rules: BakingRules = BakingRules()
-                ) -> SceneMemory:
+                progress: StageProgress = no_stage_progress, rules: BakingRules = BakingRules(),
+                seconds: float = math.inf) -> SceneMemory:
     """
     Render and colour the keyframes of `keyframe_positions`, and take glances from them.
 
-    Finished keyframes lie in the folder `work`, and are not made again.
+    Finished keyframes lie in the folder `work`, and are not made again. In fewer `seconds` than
+    all of them take, the first are made: each is as far from the ones before as can be.
     """
+    ends = time.monotonic() + seconds
     random = np.random.default_rng([seed, 3])
     band = view_band(expansion.target,
                      np.stack([sampler.draw_rotation(random) for _ in range(500)]),
                      sampler.yaw_range)
     positions = keyframe_positions(sampler, photos, config.distance)
-    total = len(photos.images) + len(positions)
-    seen, gains = np.empty(photos.images.shape[:3], np.float32), []
-    for index, (image, T) in enumerate(zip(photos.images, photos.T_world_cam)):
-        rendering = render_rays(field, *world_rays(photos.intrinsics, CameraPose(T)))
-        seen[index] = np.where(rendering.coverage > rules.least_coverage, rendering.depth, 0)
-        gains.append(_gain(rendering.image, image))
-        progress(index + 1, total)
+    seen, gains = _seen_by_photos(field, photos, rules, of_stage(progress, 'depth of photos'))
     frames: list[tuple[bytes, bytes, Glances]] = []
+    clock = _BakingClock(ends - time.monotonic())
     for index, position in enumerate(positions):
+        if index >= max(rules.least_keyframes, clock.possible(index, len(positions))):
+            break
         path = work / f'{index:06d}.npz'
         frame = _read_finished(path)
+        clock.finished += frame is not None
         if frame is None:
             # One is 70 MB for a camera of 640 pixels: it is compressed at once.
-            keyframe = _bake_keyframe(field, photos, seen, np.stack(gains), position, band,
+            keyframe = _bake_keyframe(field, photos, seen, gains, position, band,
                                       expansion.target.fx, rules)
             frame = (*compress(keyframe), keyframe_glances(
                 [keyframe], band, expansion.source, _headings(sampler, rules)))
             _write_finished(path, *frame)
         frames.append(frame)
-        progress(len(photos.images) + index + 1, total)
+        progress('keyframes', index + 1, clock.possible(index + 1, len(positions)))
+    positions = positions[:len(frames)]
     textures, depths, glances = zip(*frames)
     glances = (*glances, _photo_glances(photos, expansion.source))
     return SceneMemory(positions, band, textures, depths, Glances(
         np.concatenate([part.pictures for part in glances]),
         np.concatenate([part.T_world_cam for part in glances])))
+
+
+def _seen_by_photos(field: RadianceField, photos: Photos, rules: BakingRules, progress: Progress
+                    ) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return how far photos see, float32 (N, h, w) metres along the ray, and their gains (N, 3).
+
+    The depth is no finer than `rules.photo_focal`, as the field is not.
+    """
+    camera = photos.intrinsics
+    camera = camera.scaled(min(rules.photo_focal / camera.fx, 1.0))
+    seen = np.empty((len(photos.images), camera.height, camera.width), np.float32)
+    gains = []
+    for index, (image, T) in enumerate(zip(photos.images, photos.T_world_cam)):
+        rendering = render_rays(field, *world_rays(camera, CameraPose(T)))
+        seen[index] = np.where(rendering.coverage > rules.least_coverage, rendering.depth, 0)
+        gains.append(_gain(rendering.image, image))
+        progress(index + 1, len(photos.images))
+    return seen, np.stack(gains)
+
+
+class _BakingClock:
+    """Tells when the time for keyframes is over; those of before a break count as the others."""
+
+    def __init__(self, seconds: float) -> None:
+        self.seconds, self.finished = seconds, 0
+        self.started = time.monotonic()
+
+    def possible(self, made: int, wanted: int) -> int:
+        """Return how many keyframes there will be, of those `wanted`, after `made`."""
+        if math.isinf(self.seconds) or made == self.finished:
+            return wanted
+        each = (time.monotonic() - self.started) / (made - self.finished)
+        return min(max(int(self.seconds / each), made), wanted)
 
 
 def _write_finished(path: Path, texture: bytes, depth: bytes, glances: Glances) -> None:
@@ -165,11 +208,12 @@ def _bake_keyframe(field: RadianceField, photos: Photos, seen: np.ndarray, gains
                    position: np.ndarray, band: Band, focal: float, rules: BakingRules
                    ) -> Keyframe:
     height, width, finer = keyframe_size(band, focal, rules)
-    rays = band.rays(height * finer, width * finer)
+    dense = min(finer, rules.dense)
+    rays = band.rays(height * dense, width * dense)
     rendering = render_rays(field, position, rays)
     depth = np.where(rendering.coverage > rules.least_coverage, rendering.depth, 0).astype(
         np.float32)
-    texture = np.empty(rays.shape, np.uint8)
+    texture = np.empty((height * finer, width * finer, 3), np.uint8)
     centres = photos.T_world_cam[:, :3, 3]
     near = np.sort(np.argsort(np.linalg.norm(centres - position, axis=1),
                               kind='stable')[:rules.photos])
@@ -179,8 +223,8 @@ def _bake_keyframe(field: RadianceField, photos: Photos, seen: np.ndarray, gains
         PhotoArrays(photos.images[near], seen[near],
                     np.ascontiguousarray(photos.T_world_cam[near, :3, :3], np.float32),
                     centres[near].astype(np.float32), gains[near],
-                    camera.fx, camera.fy, camera.cx, camera.cy), texture)
-    return Keyframe(position, mesh_depth(depth, finer, rules.one_surface), texture)
+                    camera.fx, camera.fy, camera.cx, camera.cy), band.wraps, texture)
+    return Keyframe(position, mesh_depth(depth, dense, rules.one_surface), texture)
 
 
 def mesh_depth(depth: np.ndarray, finer: int,

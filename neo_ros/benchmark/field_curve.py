@@ -97,10 +97,11 @@ def _fitters(experiment: Experiment, progress: StageProgress) -> dict[str, Fitte
 def fit_own(run: TrainingRun, seconds: float, stage: str) -> tuple[Renderer, dict[str, Any]]:
     """Fit our field for so many seconds; returns it with its steps and minutes."""
     config = replace(run.field_config, minutes=seconds / 60)
-    images = run.fitted.read_images(run.experiment.scale)
-    trainer = field_trainer(images, run.fitted.intrinsics.scaled(run.experiment.scale),
+    scale = run.experiment.field_scale
+    images = run.fitted.read_images(scale)
+    trainer = field_trainer(images, run.fitted.intrinsics.scaled(scale),
                             run.fitted.T_world_cam, config, run.experiment.seed,
-                            run.fitted.read_depths(run.experiment.scale))
+                            run.fitted.read_depths(scale))
     while trainer.done[0] < trainer.done[1]:
         trainer.train_step()
         run.progress(stage, *trainer.done, f'{trainer.psnr:.2f} dB on its photos')

@@ -58,12 +58,12 @@ def train_naive(run: TrainingRun) -> None:
         raise ConfigError(f'naive: expected at least {LEAST_PHOTOS} photos, so that one is held '
                           f'out, {run.scene.name} has {len(run.scene.train)}; leave naive out '
                           'of --methods')
-    target, experiment = run.expansion.target, run.experiment
+    target, experiment = run.network_expansion.target, run.experiment
     held_out = np.stack([opaque(as_wide(run.held_out, index, target.width, target.height))
                          for index in range(len(run.held_out))])
     started = time.monotonic()
     trainer = OutpaintTrainer(
-        run.expansion, experiment.network,
+        run.network_expansion, experiment.network,
         replace(experiment.outpaint, validations=VALIDATIONS, real_centre=0.0),
         experiment.seed, held_out)
     # The trainer's clock runs: what comes before the first step is part of its time, as NEO's is.

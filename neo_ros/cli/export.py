@@ -23,12 +23,15 @@ def export(
     from neo_ros.experiment import Experiment, read_experiment
     from neo_ros.scenes.upright import read_upright_scene
     from neo_ros.training.run import TrainingRun
+    from neo_ros.training.time_plan import PLAN_FILE, read_plan
     from neo_ros.training.variants import export_variants
     import rich
     from rich.markup import escape
     from rich.table import Table
 
     experiment = read_experiment(config) if config is not None else Experiment()
+    if (out / PLAN_FILE).exists():  # Of neo train --minutes.
+        experiment = read_plan(out).experiment
     run = TrainingRun(read_upright_scene(scene), experiment, out,
                       no_stage_progress)
     variants = export_variants(run, threads=threads)

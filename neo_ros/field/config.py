@@ -8,6 +8,7 @@ DEVICES = ('auto', 'cpu', 'cuda', 'torch')
 FIT_NEAR = 0.1
 # What lies outside can only be a mistake.
 LIMITS = {
+    'shrink': (1, 64),
     'voxels': (1000, 1_000_000_000), 'steps': (10, 1_000_000_000), 'minutes': (1e-6, 1_000_000),
     'rays_per_step': (4, 10_000_000), 'margin': (1e-6, 1000), 'shell': (0, 10), 'near': (0, 100),
     'learning_rate': (1e-6, 10), 'distortion': (0, 1000), 'pointwise': (0, 1000),
@@ -19,6 +20,8 @@ class FieldConfig:
     """How the field is fitted."""
 
     __pydantic_config__ = {'extra': 'forbid'}
+    # The field sees the photos shrunk by this whole number; its voxels are coarser than pixels.
+    shrink: int = 1
     # Grid points at the last stage, most of them in air: not kept. From nine million on a pixel is
     # fitted as the mean of four rays; give such a field ten minutes.
     voxels: int = 3_000_000

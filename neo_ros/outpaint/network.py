@@ -27,6 +27,7 @@ class NetworkConfig:
 
     __pydantic_config__ = {'extra': 'forbid'}
     name: str = 'neo_fast'  # neo_fast, mat or lama
+    shrink: int = 1         # it works at the camera's size divided by this, inside the model file
     patch: int = 0          # pixels a side of the finest grid's cells; 0 = as the sizes ask for
     width: int = 64         # channels on the finest grid; neo_fast and lama double them downwards
     depth: int = 2          # number of grids, each half as fine as the one before
@@ -39,8 +40,8 @@ class NetworkConfig:
         if self.name not in NETWORKS:
             raise ConfigError(
                 f'network.name: expected one of {", ".join(NETWORKS)}, got {self.name!r}')
-        for name, least in (('width', 1), ('depth', 1), ('hidden', 1), ('blocks', 1),
-                            ('window', 1), ('patch', 0), ('recall', 0)):
+        for name, least in (('shrink', 1), ('width', 1), ('depth', 1), ('hidden', 1),
+                            ('blocks', 1), ('window', 1), ('patch', 0), ('recall', 0)):
             if getattr(self, name) < least:
                 raise ConfigError(
                     f'network.{name}: expected {least} or more, got {getattr(self, name)}')

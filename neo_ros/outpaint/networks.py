@@ -10,6 +10,7 @@ from neo_ros.outpaint.mat import Mat
 from neo_ros.outpaint.network import NetworkConfig, Outpainter
 import torch
 from torch import nn
+from torch.nn import functional
 
 # Pixels a side of the finest cells, where nothing speaks for others.
 PATCH = 8
@@ -30,6 +31,47 @@ def build_network(expansion: ViewExpansion, config: NetworkConfig) -> nn.Module:
     if config.name == 'lama':
         return Lama(expansion, config)
     return Outpainter(expansion, config)
+
+
+class AtFullSize(nn.Module):
+    """
+    A network that sees the image shrunk, and whose wide image is enlarged again.
+
+    Takes and gives what the network does, (B, 3, h, w) -> (B, 3, H, W) and (B, 1, H, W), at
+    `shrink` times its size.
+    """
+
+    def __init__(self, network: nn.Module, shrink: int) -> None:
+        super().__init__()
+        self.network, self.shrink = network, shrink
+
+    def forward(self, image: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """See the class."""
+        colour, log_scale = self.network(functional.avg_pool2d(image, self.shrink))
+        return self._enlarged(colour), self._enlarged(log_scale)
+
+    def _enlarged(self, image: torch.Tensor) -> torch.Tensor:
+        height, width = image.shape[-2:]
+        return functional.interpolate(image, (height * self.shrink, width * self.shrink),
+                                      mode='bilinear', align_corners=False)
+
+
+def at_full_size(network: nn.Module, config: NetworkConfig) -> nn.Module:
+    """Return what a network of these settings is in a model file."""
+    return network if config.shrink == 1 else AtFullSize(network, config.shrink)
+
+
+def shrunk_expansion(expansion: ViewExpansion, config: NetworkConfig) -> ViewExpansion:
+    """Return the view that the network sees; ConfigError where it has no whole pixels."""
+    sizes = (expansion.source.width, expansion.source.height, expansion.left, expansion.right,
+             expansion.top, expansion.bottom)
+    if any(size % config.shrink for size in sizes):
+        common = math.gcd(*sizes)
+        raise ConfigError(
+            f'network.shrink: expected a divisor of {common}, of the image and of what it grows '
+            f'by at each side ({", ".join(map(str, sizes))}), got {config.shrink}; choose another '
+            'one, or a view')
+    return expansion.scaled(1 / config.shrink)
 
 
 def check_network(expansion: ViewExpansion, config: NetworkConfig) -> None:
@@ -67,6 +109,13 @@ def fitting_expansion(camera: Intrinsics, config: NetworkConfig) -> ViewExpansio
 
     The cells of neo_fast have to fit: as few pixels as possible are left out at the rim.
     """
+    if config.shrink > 1:
+        times = config.shrink
+        even = camera.middle(camera.width // times * times, camera.height // times * times)
+        small = fitting_expansion(even.scaled(1 / times), replace(config, shrink=1))
+        middle = camera.middle(times * small.source.width, times * small.source.height)
+        return ViewExpansion(middle, *(times * side for side in (
+            small.left, small.right, small.top, small.bottom)))
     patches = [config.patch] if config.patch else range(1, min(camera.width, camera.height) + 1)
     found: list[tuple[tuple[int, ...], ViewExpansion]] = []
     for patch in patches if config.name == 'neo_fast' else ():

@@ -11,6 +11,7 @@ from neo_ros.machine.files import share_file, write_bytes
 from neo_ros.scenes.digests import floor_digest, list_digest
 from neo_ros.scenes.scene import Scene
 from neo_ros.training.memory import NOTES, WORK
+from neo_ros.training.time_plan import PLAN_FILE
 
 RUN_FILE = 'run.json'
 
@@ -29,7 +30,7 @@ def claim(out: Path, scene: Scene, experiment: Experiment) -> None:
             raise ConfigError(f'{out}: expected an empty folder or a run of {note}, got a run '
                               f'of {found}; choose another folder')
         return
-    if any(out.iterdir()):
+    if any(path.name != PLAN_FILE for path in out.iterdir()):
         raise ConfigError(f'{out}: expected an empty folder or an earlier run; it holds '
                           'other files')
     write_bytes(path, json.dumps(note).encode())

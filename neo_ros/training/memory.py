@@ -3,6 +3,7 @@ from dataclasses import asdict, replace
 import glob
 import hashlib
 import json
+import math
 from pathlib import Path
 import shutil
 import time
@@ -13,7 +14,6 @@ from neo_ros.baking.landmarks import find_landmarks
 from neo_ros.errors import ModelError
 from neo_ros.field.radiance_field import RadianceField
 from neo_ros.machine.files import write_bytes
-from neo_ros.machine.progress import of_stage
 from neo_ros.runtime.model_card import MemoryFile, read_model_card, write_model_card
 from neo_ros.training.run import TrainingRun
 from neo_ros.training.views import make_sampler
@@ -23,15 +23,11 @@ WORK, NOTES = 'memory_work', 'memory.json'
 
 
 def memory_step(run: TrainingRun, field: RadianceField) -> None:
-    """
-    Make the scene memory that guides the network, if it is not there yet, and name it in the card.
-
-    Without it, or where it cannot be made, the model is there and works alone.
-    """
+    """Make the scene memory that guides the network, with its landmarks, if it is not there."""
     config = run.experiment.memory
     if config is None:
         return
-    path, notes = run.model_path.with_suffix('.memory'), run.out / NOTES
+    path, notes = run.memory_path, run.out / NOTES
     seconds = memory_seconds(notes, config) if path.exists() else None
     if seconds is None:
         scale, started = run.experiment.scale, time.monotonic()
@@ -39,16 +35,25 @@ def memory_step(run: TrainingRun, field: RadianceField) -> None:
                                    run.progress)
         photos = Photos(run.fitted.read_images(scale), run.fitted.intrinsics.scaled(scale),
                         run.fitted.T_world_cam)
+        left = math.inf if config.minutes is None else (
+            60 * config.minutes - (time.monotonic() - started))
         memory = bake_memory(
             field, photos, run.expansion, make_sampler(run, field), config, run.experiment.seed,
             run.out / WORK / f'keyframes_{config.distance}',
-            of_stage(run.progress, 'memory'))
+            run.progress, seconds=left)
         memory.landmarks = landmarks
         memory.write(path)
         seconds = time.monotonic() - started
         write_bytes(notes, json.dumps({'seconds': seconds, **asdict(config)}).encode())
         shutil.rmtree(run.out / WORK, ignore_errors=True)
     run.seconds += seconds
+
+
+def name_memory(run: TrainingRun) -> None:
+    """Name the memory in the cards of the model and of what was exported beside it."""
+    if run.experiment.memory is None:
+        return
+    path = run.memory_path
     file = MemoryFile(file=path.name, sha256=hashlib.sha256(path.read_bytes()).hexdigest())
     news: dict[str, Any] = {'memory': file, 'trained_seconds': run.seconds}
     write_model_card(run.model_path, replace(read_model_card(run.model_path), **news))
@@ -65,6 +70,8 @@ def memory_seconds(notes: Path, config: MemoryConfig) -> float | None:
     """Return how long a scene memory took, None where it was not made, or of other settings."""
     try:
         found = json.loads(notes.read_text())
-        return float(found.pop('seconds')) if asdict(config).items() <= found.items() else None
+        seconds = float(found.pop('seconds'))
+        settings = {'minutes': None, **found}  # Those of before knew none.
+        return seconds if asdict(config).items() <= settings.items() else None
     except (OSError, ValueError, KeyError, AttributeError):
         return None

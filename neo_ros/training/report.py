@@ -15,7 +15,7 @@ from neo_ros.reports.strips import error_label, error_map
 from neo_ros.runtime import FovExtrapolator
 from neo_ros.training.pose_map import pose_sections
 from neo_ros.training.run import TrainingRun
-from neo_ros.training.views import held_out_poses, held_out_views
+from neo_ros.training.views import held_out_poses, held_out_wide_views
 import numpy as np
 
 STRIPS = 4
@@ -102,7 +102,7 @@ def _held_out_strips(run: TrainingRun, field: RadianceField,
     photos = run.held_out
     if photos is None:
         return []
-    scale = run.experiment.scale
+    scale = run.experiment.field_scale
     camera = photos.intrinsics.scaled(scale)
     scores, strips = [], []
     for index, pose in enumerate(photos.poses):
@@ -126,7 +126,7 @@ def _compare_inputs(run: TrainingRun, field: RadianceField, figures: dict[str, f
     It learns mostly from renderings: what real images cost is the difference. The truth around
     both is what the field shows.
     """
-    views = held_out_views(run, field)
+    views = held_out_wide_views(run, field)
     if views is None or run.held_out is None:
         return
     network = FovExtrapolator.load(run.model_path, guided=False)

@@ -8,9 +8,10 @@ from neo_ros.experiment import Experiment
 from neo_ros.field.config import FieldConfig
 from neo_ros.geometry import ViewExpansion
 from neo_ros.machine.progress import StageProgress
-from neo_ros.outpaint.networks import check_network
+from neo_ros.outpaint.networks import check_network, shrunk_expansion
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.scene import Scene
+from neo_ros.training.time_plan import TimePlan
 import numpy as np
 
 # One photo in so many is kept from the field's fit, to see how well it shows new views.
@@ -35,6 +36,7 @@ class TrainingRun:
     seconds: float = 0.0
     samples: int = 0              # wide views that the outpainter saw
     outpaint_seconds: float = 0.0
+    plan: TimePlan | None = None  # where the user gave minutes for all of it
 
     def __post_init__(self) -> None:
         if not self.cache_gb >= 0:  # nan is neither, and would be no limit.
@@ -47,7 +49,9 @@ class TrainingRun:
         self.held_out: PosedImages | None = (
             self.scene.train.subset(sorted(held_out)) if held_out else None)
         self._check_view()
-        check_network(self.expansion, self.experiment.network)
+        # What the network sees and shows; a model file resizes to and from it.
+        self.network_expansion = shrunk_expansion(self.expansion, self.experiment.network)
+        check_network(self.network_expansion, self.experiment.network)
         if self.scene.test is not None:
             TruthFrames(self.scene.test, self.expansion)
         self.figures: dict[str, float] = {}
@@ -58,6 +62,11 @@ class TrainingRun:
     def model_path(self) -> Path:
         """Where the exported model goes."""
         return self.out / f'{self.scene.name}.onnx'
+
+    @property
+    def memory_path(self) -> Path:
+        """Where the scene memory goes: beside the model."""
+        return self.model_path.with_suffix('.memory')
 
     @property
     def sampling_area(self) -> str:

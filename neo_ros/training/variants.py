@@ -11,14 +11,14 @@ from neo_ros.field.device import chosen_device, on_device
 from neo_ros.field.voxel_field import VoxelField
 from neo_ros.outpaint.export import (
     calibration_factor, check_parity, ExportedFunction, require_parity)
-from neo_ros.outpaint.networks import build_network
+from neo_ros.outpaint.networks import at_full_size, build_network
 from neo_ros.outpaint.variants import export_variant, Format, FORMATS
 from neo_ros.runtime import FovExtrapolator, read_model_card, write_model_card
 from neo_ros.runtime.model_card import Parity
 from neo_ros.training.checkpoint import checkpoint_errors, read_checkpoint
 from neo_ros.training.folder import claim
 from neo_ros.training.run import LEAST_PHOTOS, TrainingRun
-from neo_ros.training.views import held_out_views, real_frames
+from neo_ros.training.views import held_out_wide_views, real_frames
 import numpy as np
 
 # Camera images from which int8 takes its ranges, and those on which torch is compared.
@@ -53,7 +53,7 @@ def export_variants(run: TrainingRun, formats: Sequence[Format] = FORMATS,
                           f'{" and ".join(missing)}; give neo train the same arguments')
     claim(run.out, run.scene, run.experiment)
     state = read_checkpoint(checkpoint)
-    network = build_network(run.expansion, run.experiment.network)
+    network = build_network(run.network_expansion, run.experiment.network)
     with checkpoint_errors(checkpoint):
         trained = state['trainer']
         done, total = run.experiment.outpaint.progress(trained['step'], trained['seconds'])
@@ -61,8 +61,8 @@ def export_variants(run: TrainingRun, formats: Sequence[Format] = FORMATS,
     if done < total:
         raise ConfigError(f'{run.out}: expected a finished run, got one that is at {done} of '
                           f'{total}; give neo train the same arguments')
-    network.eval()
-    views = held_out_views(run, on_device(
+    network = at_full_size(network, run.experiment.network).eval()
+    views = held_out_wide_views(run, on_device(
         VoxelField.load(run.out / 'field.npz'), chosen_device(run.experiment.field.device)))
     if views is None:
         raise ConfigError(f'{run.out}: expected photos held out of the training to measure on, '

@@ -2,7 +2,7 @@
 from neo_ros.errors import ConfigError
 from neo_ros.field.free_space import find_free_floor
 from neo_ros.field.radiance_field import RadianceField
-from neo_ros.geometry import CameraPose
+from neo_ros.geometry import CameraPose, ViewExpansion
 from neo_ros.outpaint.pair_stream import PairStream, source_view_enlarged
 from neo_ros.outpaint.panorama_cache import PanoramaCache
 from neo_ros.outpaint.real_centres import RealCentres
@@ -12,41 +12,57 @@ from neo_ros.training.pose_map import COUNTS_FILE, draw_poses, write_poses
 from neo_ros.training.run import TrainingRun
 import numpy as np
 
-# Of the held-out photos, so many are looked at while the outpainter is trained.
-VALIDATION_VIEWS = 32
+# Of the held-out photos, so many are looked at while the outpainter is trained; fewer at the
+# camera's size where that is larger, as the field renders them slowly.
+VALIDATION_VIEWS, LARGE_VIEWS = 32, 8
 
 
 def held_out_views(run: TrainingRun, field: RadianceField) -> np.ndarray | None:
+    """Return the views of `held_out_wide_views` at the network's size, and more of them."""
+    return _held_out(run, field, run.network_expansion, run.experiment.network_scale,
+                     VALIDATION_VIEWS)
+
+
+def held_out_wide_views(run: TrainingRun, field: RadianceField) -> np.ndarray | None:
     """
     Return wide views RGBA uint8 (N, H, W, 4) of photos that nothing was trained on.
 
     The photo is in the middle, and all of it where it shows more than the source view; around
     it is what the field shows there, as no wider photo exists.
     """
-    if run.held_out is None:
-        return None
-    real = RealCentres(field, run.held_out, run.expansion, run.experiment.scale)
-    return real.views(_shown(run.held_out))
+    return _held_out(run, field, run.expansion, run.experiment.scale, _wide_views(run))
 
 
 def held_out_poses(run: TrainingRun) -> list[CameraPose]:
-    """Return the poses of `held_out_views`."""
+    """Return the poses of `held_out_wide_views`."""
     assert run.held_out is not None
-    return [run.held_out.poses[index] for index in _shown(run.held_out)]
+    return [run.held_out.poses[index] for index in _shown(run.held_out, _wide_views(run))]
 
 
-def _shown(photos: PosedImages) -> list[int]:
-    count = min(VALIDATION_VIEWS, len(photos))
+def _wide_views(run: TrainingRun) -> int:
+    return VALIDATION_VIEWS if run.experiment.network.shrink == 1 else LARGE_VIEWS
+
+
+def _held_out(run: TrainingRun, field: RadianceField, expansion: ViewExpansion, scale: float,
+              most: int) -> np.ndarray | None:
+    if run.held_out is None:
+        return None
+    real = RealCentres(field, run.held_out, expansion, scale)
+    return real.views(_shown(run.held_out, most))
+
+
+def _shown(photos: PosedImages, most: int) -> list[int]:
+    count = min(most, len(photos))
     return np.linspace(0, len(photos) - 1, count).astype(int).tolist()
 
 
 def make_stream(run: TrainingRun, field: RadianceField, seed: int) -> PairStream:
     """Make the stream of training views that the experiment asks for."""
-    experiment, expansion = run.experiment, run.expansion
+    experiment, expansion = run.experiment, run.network_expansion
     config = experiment.outpaint
     view = (expansion.target if config.training_view == 'wide'
             else source_view_enlarged(expansion))
-    real = (RealCentres(field, run.fitted, expansion, experiment.scale)
+    real = (RealCentres(field, run.fitted, expansion, experiment.network_scale)
             if config.real_centre > 0 else None)
     # Processes that train together differ in their seeds, and so in their panoramas.
     cache = (PanoramaCache(run.out / f'panoramas_{seed}', 1e9 * run.cache_gb)
@@ -56,7 +72,7 @@ def make_stream(run: TrainingRun, field: RadianceField, seed: int) -> PairStream
     stream.pool.progress = lambda done, total: run.progress('panoramas', done, total, '')
     sharp_only = experiment.sampling.sharp_only
     if sharp_only or (sharp_only is None and run.sampling_area == 'photos'):
-        stream.pool.require_sharpness(run.fitted, experiment.scale)
+        stream.pool.require_sharpness(run.fitted, experiment.network_scale)
     return stream
 
 

@@ -1,4 +1,5 @@
 """Pictures from a bag, with the timing that it was recorded with, over and over."""
+from collections import deque
 from dataclasses import replace
 from pathlib import Path
 import threading
@@ -6,6 +7,7 @@ from typing import Any
 
 from neo_ros.bags import BagReader, BagTopic
 from neo_ros.bags.camera_topics import COMPRESSED, find_camera, IMAGE
+from neo_ros.bags.reading import BagMessage
 from neo_ros.errors import BagError, ConfigError, ImageRejected
 from neo_ros.messages import camera_info_of, FrameProcessor, SceneWatch
 from neo_ros.messages.stamps import NS_PER_S, stamp_of
@@ -14,12 +16,13 @@ from neo_ros.viewer.hub import Hub
 from neo_ros.viewer.pictures import SourcePicture, SourceState
 from neo_ros.viewer.wide_topics import (
     NodeDiagnosis, read_grey, read_picture, seen_share, WideTopics)
+import numpy as np
 
 WIDE = '/wide/image'
 # A picture that would come later than this after its time is left out for a newer one.
 LATE_S = 0.2
-# Of a new image in the moving mean of the scores for the scene.
-UNLIKE_WEIGHT = 0.1
+# The scores for the scene are a mean over so long, as the node's.
+SCORES_S = 5.0
 # A bag of one picture has no duration, and must not be opened again at once.
 LEAST_ROUND_S = 0.5
 
@@ -40,11 +43,13 @@ class BagSource:
         self._processor: FrameProcessor | None = None
         with BagReader(bag) as reader:
             wide = _find_wide(reader, topic)
+            start_ns, end_ns = reader.span_ns
             if wide is not None:
                 self._image, self._info_topic = wide, ''
                 self._topics = WideTopics(wide.name)
             else:
                 extrapolator = FovExtrapolator.load(model)
+                self._memory = extrapolator.card.memory is not None
                 self._processor = FrameProcessor(extrapolator)
                 camera = find_camera(reader, extrapolator.expansion.source, topic)
                 self._image = camera.image
@@ -52,17 +57,21 @@ class BagSource:
                 self._info_topic = camera.info.name if camera.info is not None else ''
         self._read = {self._image.name, self._info_topic, '/diagnostics'}
         if self._processor is None:
-            self._read |= {self._topics.mask, self._topics.confidence}
-        self._state = SourceState(f'{bag.name} {self._image.name}')
+            self._read |= {self._topics.mask, self._topics.confidence, self._topics.status}
+        # Pictures are skipped while nobody watches; what else is read may be said only once.
+        self._skipped = {self._image.name, self._topics.mask, self._topics.confidence}
+        self._state = SourceState(f'{bag.name} {self._image.name}',
+                                  span=(start_ns / NS_PER_S, end_ns / NS_PER_S))
+        # A recording that starts again is the same place: what was said of it stays.
+        self._scores: deque[tuple[float, float]] = deque()
+        self._scene_watch = SceneWatch()
         self._diagnosis = NodeDiagnosis(self._topics.camera)
 
     def run(self, hub: Hub, stop: threading.Event) -> None:
         """Play the bag again and again until `stop` is set."""
         while not stop.is_set():
-            # Pictures of the last round say nothing of those of the first.
             self._camera_info: Any = None
             self._confidence: Any = None
-            self._unlike, self._scene_watch = 0.0, SceneWatch()
             self._seen: tuple[float, float, float, float] | None = None
             if self._processor is not None:
                 self._processor.reset()
@@ -83,48 +92,60 @@ class BagSource:
                 if clock.pause(due - clock.now(), stop):
                     return True
                 pictures += message.topic.name == self._image.name
-                # A camera may say only once what it is.
-                if message.topic.name != self._info_topic and (
+                if message.topic.name in self._skipped and (
                         not hub.wanted.image or clock.now() - due > LATE_S):
                     continue
                 try:
-                    self._take(message.topic.name, message.read(), due, hub)
+                    self._take(message, due, hub)
                     hub.report(self._state)
                 except (ImageRejected, BagError) as error:
                     hub.report(replace(self._state, level=1, message=str(error)))
         return pictures > 0
 
-    def _take(self, name: str, content: Any, due: float, hub: Hub) -> None:
+    def _take(self, message: BagMessage, due: float, hub: Hub) -> None:
+        name, content = message.topic.name, message.read()
         if name == '/diagnostics':
-            self._state = replace(self._state, **self._diagnosis.read(content.status))
+            known = self._diagnosis.read(content.status)
+            # Pictures that are made here are not those that the recorded node spoke of.
+            self._state = replace(self._state, **{
+                key: value for key, value in known.items()
+                if self._processor is None or key in ('level', 'message')})
+        elif name == self._topics.status:
+            self._state = replace(self._state, **self._diagnosis.read_frame(content.status))
         elif name == self._info_topic:
             self._camera_info = camera_info_of(content, self._image.name)
         elif name == self._topics.mask:
             self._seen = self._seen or seen_share(read_grey(content))
         elif name == self._topics.confidence:
             self._confidence = content
-        elif self._processor is None:
-            self._show_recorded(content, due, hub)
         else:
-            self._widen(self._processor, content, due, hub)
+            image, confidence = (self._recorded(content, hub) if self._processor is None
+                                 else self._widen(self._processor, content, due))
+            hub.publish(SourcePicture(image, due, True, confidence, self._seen,
+                                      message.stamp_ns / NS_PER_S))
 
-    def _show_recorded(self, content: Any, due: float, hub: Hub) -> None:
+    def _recorded(self, content: Any, hub: Hub) -> tuple[np.ndarray | bytes, np.ndarray | None]:
         confidence = None
         # The node and the replay write the confidence before the image of the same stamp.
         if (hub.wanted.confidence and self._confidence is not None
                 and stamp_of(self._confidence.header) == stamp_of(content.header)):
             confidence = read_grey(self._confidence)
-        hub.publish(SourcePicture(read_picture(content), due, True, confidence, self._seen))
+        return read_picture(content), confidence
 
-    def _widen(self, processor: FrameProcessor, content: Any, due: float, hub: Hub) -> None:
+    def _widen(self, processor: FrameProcessor, content: Any, due: float
+               ) -> tuple[np.ndarray, np.ndarray | None]:
         frame = processor.process(content, self._camera_info)
         assert frame.image is not None
         if frame.out_of_scene is not None:
-            self._unlike += UNLIKE_WEIGHT * (frame.out_of_scene - self._unlike)
-            self._state = replace(
-                self._state, out_of_scene=self._scene_watch.update(self._unlike))
+            self._scores.append((due, frame.out_of_scene))
+            while self._scores[0][0] < due - SCORES_S:
+                self._scores.popleft()
+            mean = float(np.mean([score for _, score in self._scores]))
+            self._state = replace(self._state, out_of_scene=self._scene_watch.update(mean))
+        if self._memory:
+            self._state = replace(self._state, recognised=frame.guided)
         self._seen = self._seen or seen_share(frame.extrapolated_mask)
-        hub.publish(SourcePicture(frame.image, due, True, frame.confidence, self._seen))
+        return frame.image, frame.confidence
 
 
 def _find_wide(reader: BagReader, name: str | None) -> BagTopic | None:

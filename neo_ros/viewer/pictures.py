@@ -20,7 +20,8 @@ class SourcePicture:
     are. confidence: uint8 (H, W), 255 = sure, or None. seen: the camera's own frame as (left,
     top, width, height) in shares of the picture, or None while it is not known. captured: when
     the camera took it, time.monotonic() in seconds; timed: whether that is known, else it is
-    when the picture arrived here.
+    when the picture arrived here. recorded: the log time in a bag, UNIX time in
+    seconds; None for a live picture.
     """
 
     image: np.ndarray | bytes
@@ -28,6 +29,7 @@ class SourcePicture:
     timed: bool
     confidence: np.ndarray | None = None
     seen: tuple[float, float, float, float] | None = None
+    recorded: float | None = None
 
 
 @dataclass(frozen=True)
@@ -37,7 +39,10 @@ class SourceState:
 
     name: topic or bag. waiting: what it waits for, in words; empty when pictures come. level: of
     the node's diagnosis, 0 = OK, 1 = warning, 2 = error; message: its words. out_of_scene: the
-    node says that the camera is not in the trained scene. node_ms: the node's median latency.
+    node says that the camera is not in the trained scene. recognised: whether the scene memory
+    knew the place of the newest image; None for a model without one, and while it is not known.
+    node_ms: the node's median latency. span: first and last log time of a bag, UNIX time in
+    seconds; None for a live stream.
     """
 
     name: str
@@ -45,7 +50,9 @@ class SourceState:
     level: int = 0
     message: str = ''
     out_of_scene: bool = False
+    recognised: bool | None = None
     node_ms: float | None = None
+    span: tuple[float, float] | None = None
 
 
 class EncodedPicture:
@@ -54,8 +61,8 @@ class EncodedPicture:
 
     A message is two little-endian uint32, the lengths of the next two parts; a JSON object; the
     JPEG of the picture; the JPEG of the confidence, if it is asked for and known. The object
-    holds `seq`, `captured` (the server's clock in ms), `timed` and `seen`. Raises ImageRejected
-    for what is too large for a JPEG.
+    holds `seq`, `captured` (the server's clock in ms), `timed`, `seen` and `recorded`. Raises
+    ImageRejected for what is too large for a JPEG.
     """
 
     def __init__(self, seq: int, picture: SourcePicture, quality: int,
@@ -63,7 +70,7 @@ class EncodedPicture:
         self.seq = seq
         self._meta = json.dumps({
             'seq': seq, 'captured': 1e3 * picture.captured, 'timed': picture.timed,
-            'seen': picture.seen}).encode()
+            'seen': picture.seen, 'recorded': picture.recorded}).encode()
         image = picture.image
         self._image = image if isinstance(image, bytes) else bytes(encode_jpeg(image, quality))
         self._confidence = b''

@@ -1,5 +1,5 @@
 """Pictures from a ROS graph: subscribes to what somebody watches, and to nothing else."""
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 import threading
 from typing import Any
@@ -84,6 +84,8 @@ class RosSource:
                    self._on_mask)
         self._keep(topics.confidence, Image, showing and wanted.confidence
                    and self._node.count_publishers(topics.confidence) > 0, self._on_confidence)
+        self._keep(topics.status, DiagnosticArray, showing
+                   and self._node.count_publishers(topics.status) > 0, self._on_status)
         self._keep('/diagnostics', DiagnosticArray, wanted.image, self._on_diagnostics)
         if self._hub.clock.now() - self._diagnosed > DIAGNOSIS_VALID_S:
             self._state = SourceState(topics.image)
@@ -158,9 +160,15 @@ class RosSource:
     def _forget_mask(self) -> None:
         self._seen, self._next_mask = None, 0.0
 
+    def _on_status(self, message: DiagnosticArray) -> None:
+        self._tell(self._diagnosis.read_frame(message.status))
+
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         diagnosis = self._diagnosis.read(message.status)
         if diagnosis:
             self._diagnosed = self._hub.clock.now()
-            self._state = replace(self._state, **diagnosis)
-            self._hub.report(self._state)
+            self._tell(diagnosis)
+
+    def _tell(self, known: Mapping[str, Any]) -> None:
+        self._state = replace(self._state, **known)
+        self._hub.report(self._state)

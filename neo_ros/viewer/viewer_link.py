@@ -24,7 +24,8 @@ class ViewerLink:
     def __init__(self, socket: web.WebSocketResponse, max_mbit: float,
                  on_change: Callable[[], None], clock: Clock) -> None:
         self.confidence = False
-        self.paused = False
+        # Until the viewer says otherwise: it asks for the time first.
+        self.paused = True
         self.sent = 0
         self._socket = socket
         self._bytes_per_s = max_mbit * 1e6 / 8
@@ -102,9 +103,6 @@ class ViewerLink:
                 return
 
     async def _answer(self, asked: dict[str, Any]) -> None:
-        if 'ping' in asked:
-            await self._socket.send_json({
-                'type': 'pong', 'ping': float(asked['ping']), 'now': 1e3 * self._clock.now()})
         if 'shown' in asked:
             self._on_the_way.discard(int(asked['shown']))
             self._work.set()
@@ -115,3 +113,6 @@ class ViewerLink:
                 self._picture = None  # It would be an old one when the viewer goes on.
             self._on_change()
             self._work.set()
+        if 'ping' in asked:
+            await self._socket.send_json({
+                'type': 'pong', 'ping': float(asked['ping']), 'now': 1e3 * self._clock.now()})

@@ -11,6 +11,9 @@ import numpy as np
 
 # Larger compressed pictures are refused instead of being passed on.
 MAX_COMPRESSED_BYTES = 16 * 1024 * 1024
+# Where only the share of the last seconds is known: less is no recognised place.
+LEAST_GUIDED = 0.5
+GUIDED_SHARE, GUIDED = 'guided by the scene memory', 'guided'
 IN_SCENE, LATENCY = 'in the trained scene', 'latency total median/p95/max [ms]'
 
 
@@ -29,6 +32,11 @@ class WideTopics:
     def mask(self) -> str:
         """Which pixels the model made up."""
         return f'{self._wide}/mask'
+
+    @property
+    def status(self) -> str:
+        """What is true of each single image."""
+        return f'{self._wide}/status'
 
     @property
     def camera(self) -> str:
@@ -87,20 +95,39 @@ class NodeDiagnosis:
     def __init__(self, camera: str) -> None:
         self._own = f'{camera}/fov_extrapolator: {WIDENING}'
         self._heard: set[str] = set()
+        self._memory = self._by_frame = False
+
+    def read_frame(self, statuses: Sequence[Any]) -> Mapping[str, Any]:
+        """
+        Return what the DiagnosticArray of one image says: `recognised` of a SourceState.
+
+        Without a memory no image is guided: until there is a sign of one, nothing is said.
+        """
+        guided = {entry.key: entry.value for status in statuses[:1]
+                  for entry in status.values}.get(GUIDED)
+        self._by_frame = guided is not None
+        self._memory |= guided == 'true'
+        return {'recognised': guided == 'true'} if self._memory and self._by_frame else {}
 
     def read(self, statuses: Sequence[Any]) -> Mapping[str, Any]:
         """
         Return what a DiagnosticArray's `status` says of the node.
 
-        The fields `level`, `message`, `out_of_scene` and `node_ms` of a SourceState; empty where
-        no status is the node's.
+        The fields `level`, `message`, `out_of_scene`, `recognised` and `node_ms` of a
+        SourceState; empty where no status is the node's. Of single images their own status says
+        more; then nothing is said here of `recognised`.
         """
         nodes = {status.name: status for status in statuses
                  if status.name.endswith(f'fov_extrapolator: {WIDENING}')}
         self._heard |= set(nodes)
         alone = next(iter(self._heard)) if len(self._heard) == 1 else ''
         status = nodes.get(self._own if self._own in self._heard else alone)
-        return _read_status(status) if status is not None else {}
+        if status is None:
+            return {}
+        found = _read_status(status)
+        self._memory = found['recognised'] is not None
+        return {key: value for key, value in found.items()
+                if key != 'recognised' or not (self._memory and self._by_frame)}
 
 
 def _read_status(status: Any) -> Mapping[str, Any]:
@@ -111,5 +138,9 @@ def _read_status(status: Any) -> Mapping[str, Any]:
         node_ms = float(values[LATENCY].split('/')[0])
     except (KeyError, ValueError):
         node_ms = None
+    try:
+        recognised = float(values[GUIDED_SHARE].removesuffix('%')) / 100 >= LEAST_GUIDED
+    except (KeyError, ValueError):
+        recognised = None
     return {'level': level, 'message': status.message, 'node_ms': node_ms,
-            'out_of_scene': values.get(IN_SCENE) == 'false'}
+            'recognised': recognised, 'out_of_scene': values.get(IN_SCENE) == 'false'}

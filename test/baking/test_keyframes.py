@@ -36,7 +36,7 @@ def bake(poses: list, coarse: np.ndarray, gain: float = 1.0, shift: float = 0.0)
                     np.stack([pose.T_world_cam[:3, :3] for pose in poses]).astype(np.float32),
                     np.stack([pose.position for pose in poses]).astype(np.float32),
                     np.full((len(poses), 3), gain, np.float32),
-                    SOURCE.fx, SOURCE.fy, SOURCE.cx, SOURCE.cy), out)
+                    SOURCE.fx, SOURCE.fy, SOURCE.cx, SOURCE.cy), BAND.wraps, out)
     return out
 
 
@@ -71,7 +71,7 @@ def test_a_photo_is_not_blurred_when_it_is_read_between_its_pixels() -> None:
                        np.repeat(wave(wanted)[None, :, None], 3, 2).astype(np.uint8)),
         PhotoArrays(photo[None].astype(np.uint8), photo_depth[None].astype(np.float32),
                     np.eye(3, dtype=np.float32)[None], np.zeros((1, 3), np.float32),
-                    np.ones((1, 3), np.float32), focal, focal, 16.0, 16.0), out)
+                    np.ones((1, 3), np.float32), focal, focal, 16.0, 16.0), False, out)
     # Linear interpolation is off by 12 here.
     assert np.abs(out[0, :, 0] - wave(wanted)).max() < 5
 
@@ -239,3 +239,31 @@ def test_baked_glances_show_what_is_seen_from_their_poses(baked: SceneMemory) ->
         assert np.abs(picture.astype(int) - truth).mean() < (6 if gain == 1 else 0.1)
     yaws = np.sort([CameraPose(T).yaw for T in glances.T_world_cam[:24]])
     assert np.degrees(np.diff(yaws)) == pytest.approx(15)
+
+
+def test_a_texture_finer_than_the_depth_is_as_sharp_as_one_with_depth_for_every_pixel() -> None:
+    """Depth is known of every third row and column, in photos of every second."""
+    poses = [planar(2.2, 1.9, yaw) for yaw in range(0, 360, 45)]
+    fine = BAND.rays(132, 378)
+    truth, fine_depth = cast(POSITION, fine)
+    _, depth = cast(POSITION, SMALL)
+    baked = {}
+    rotations = np.stack([pose.T_world_cam[:3, :3] for pose in poses]).astype(np.float32)
+    for name, rays, distance, every in (('all', fine, fine_depth, 1), ('third', SMALL, depth, 2)):
+        views = [view(pose, PHOTO) for pose in poses]
+        lengths = np.linalg.norm(PHOTO.pixel_rays(), axis=-1)
+        photo_depth = np.stack([z * lengths for _, z in views]).astype(np.float32)
+        out = np.empty((132, 378, 3), np.uint8)
+        colour_from_photos(
+            PanoramaPixels(POSITION.astype(np.float32), rays, distance.astype(np.float32),
+                           np.full((*distance.shape, 3), 128, np.uint8)),
+            PhotoArrays(np.stack([image.astype(np.uint8) for image, _ in views]),
+                        photo_depth[:, every // 2::every, every // 2::every],
+                        rotations, np.stack([pose.position for pose in poses]).astype(np.float32),
+                        np.ones((len(poses), 3), np.float32),
+                        PHOTO.fx, PHOTO.fy, PHOTO.cx, PHOTO.cy), BAND.wraps, out)
+        baked[name] = out.astype(float)
+    level = np.abs(np.arange(132) - 65.5) < 45
+    error = {name: np.abs(image[level] - truth[level]).mean() for name, image in baked.items()}
+    assert error['all'] < 4
+    assert error['third'] < error['all'] + 0.5

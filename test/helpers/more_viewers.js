@@ -15,7 +15,10 @@ async () => {
     });
     // Chromium opens one after the other, with pauses.
     await Promise.all(window.sockets.map((socket) => new Promise((done) => {
-        socket.onopen = done;
+        socket.onopen = () => {
+            socket.send(JSON.stringify({ paused: false }));
+            done();
+        };
     })));
     counts.fill(0);
     await new Promise((done) => setTimeout(done, 2000));

@@ -52,7 +52,9 @@ class ObedientSource:
                 image[HEIGHT // 4:-HEIGHT // 4, WIDTH // 4:-WIDTH // 4] = INSIDE
                 spot = 8 * (count % (WIDTH // 8))
                 image[-8:, spot:spot + 8] = 255
-                hub.publish(SourcePicture(image, time.monotonic(), True, confidence, SEEN))
+                span = self._state.span
+                hub.publish(SourcePicture(image, time.monotonic(), True, confidence, SEEN,
+                                          span and span[0] + count * self._period))
                 count += 1
 
 

@@ -44,10 +44,12 @@ def origin(client: TestClient) -> dict[str, str]:
 
 @asynccontextmanager
 async def watching(client: TestClient) -> AsyncIterator[ClientWebSocketResponse]:
-    """Open the stream and read the greeting and the first status."""
+    """Open the stream, read the greeting and the first status, and ask for pictures."""
     async with client.ws_connect('/stream', headers=origin(client)) as socket:
         kinds = {(await socket.receive_json())['type'] for _ in range(2)}
         assert kinds == {'hello', 'status'}
+        await socket.send_json({'paused': False, 'ping': 0})
+        assert (await socket.receive_json())['type'] == 'pong'
         yield socket
 
 

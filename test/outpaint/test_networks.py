@@ -11,7 +11,8 @@ from neo_ros.outpaint.fourier import RealFourier
 from neo_ros.outpaint.mat import INVALID, Mat, WindowAttention
 from neo_ros.outpaint.network import NetworkConfig, Outpainter
 from neo_ros.outpaint.networks import (
-    build_network, check_network, fitting_expansion, fitting_patch, MOST_WEIGHTS)
+    at_full_size, AtFullSize, build_network, check_network, fitting_expansion, fitting_patch,
+    MOST_WEIGHTS, shrunk_expansion)
 from neo_ros.runtime.fov_extrapolator import WideView
 from neo_ros.runtime.operators import ALLOWED_OPERATORS
 import numpy as np
@@ -217,3 +218,51 @@ def test_all_tokens_of_mat_become_valid() -> None:
     stages = [*network.down_stages, *network.up_stages]
     assert stages[0].blocks[0].attention.hidden is not None
     assert all(stage.valid.all() for stage in stages[1:])
+
+
+def test_a_network_that_sees_the_image_shrunk_is_one_of_the_full_size() -> None:
+    full, config = expansion(48, 48, 24, 24, 24, 24), replace(CONFIGS['neo_fast'], shrink=3)
+    small = shrunk_expansion(full, config)
+    assert (small.source.width, small.left, small.source.fx) == (16, 8, pytest.approx(20 / 3))
+    inner = randomised('neo_fast', small)
+    network, image = at_full_size(inner, config), torch.rand(1, 3, 48, 48)
+    assert at_full_size(inner, CONFIGS['neo_fast']) is inner
+    with torch.no_grad():
+        colour, log_scale = network(image)
+        inner_colour, _ = inner(image.reshape(1, 3, 16, 3, 16, 3).mean((3, 5)))
+    assert colour.shape == (1, 3, 96, 96) and log_scale.shape == (1, 1, 96, 96)
+    # The middle of each block is the pixel itself.
+    torch.testing.assert_close(colour[..., 1::3, 1::3], inner_colour, atol=1e-4, rtol=0)
+
+
+def test_a_shrunk_network_is_exported_with_its_resizing(tmp_path: Path) -> None:
+    full, config = expansion(48, 48, 24, 24, 24, 24), replace(CONFIGS['neo_fast'], shrink=3)
+    network = AtFullSize(randomised('neo_fast', shrunk_expansion(full, config)), 3).eval()
+    path = tmp_path / 'model.onnx'
+    function = export_onnx(network, full, path)
+    session = onnxruntime.InferenceSession(str(path), providers=['CPUExecutionProvider'])
+
+    def run(image: np.ndarray) -> WideView:
+        wide, confidence = session.run(None, {'image': image[None]})
+        return WideView(wide[0], confidence[0])
+
+    images = np.random.default_rng(0).integers(0, 256, (3, 48, 48, 3), np.uint8)
+    worst, share = check_parity(function, run, images)
+    assert worst <= 2 and share > 0.999
+    assert np.array_equal(full.crop(run(images[0]).wide_image), images[0])
+
+
+def test_a_shrink_that_leaves_no_whole_pixels_names_what_would() -> None:
+    with pytest.raises(ConfigError, match='network.shrink: expected a divisor of 8,.*got 3'):
+        shrunk_expansion(SQUARE, NetworkConfig(shrink=3))
+
+
+@given(width=st.integers(60, 700), height=st.integers(60, 500), shrink=st.integers(1, 5))
+@settings(max_examples=30, deadline=None)
+def test_every_camera_gets_a_view_that_a_shrunk_network_fits(
+        width: int, height: int, shrink: int) -> None:
+    config = NetworkConfig(shrink=shrink)
+    view = fitting_expansion(Intrinsics(width, height, 300, 300, width / 2, height / 2), config)
+    check_network(shrunk_expansion(view, config), config)
+    assert view.source.width > 0.6 * width and view.source.height > 0.6 * height
+    assert view.target.width == 2 * view.source.width

@@ -3,11 +3,9 @@ import math
 from pathlib import Path
 import subprocess
 import sys
-import threading
 from typing import Any
 
 from bag_files import walk_frames, write_walk_bag
-from hand_clock import HandClock
 from neo_ros.bags import BagReader, BagWriter, replay
 from neo_ros.errors import BagError, ConfigError
 from neo_ros.geometry import Intrinsics, ViewExpansion
@@ -16,6 +14,7 @@ from neo_ros.runtime import FovExtrapolator
 from neo_ros.viewer.bag_source import BagSource, LATE_S, LEAST_ROUND_S
 from neo_ros.viewer.hub import Wanted
 import numpy as np
+from picture_collector import collect, Collector
 import pytest
 from tiny_model import write_tiny_model
 from viewer_server import WAIT_S
@@ -41,35 +40,6 @@ def wide_bag(walk_bag, model, tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp('bag') / 'wide'
     replay(walk_bag, FovExtrapolator.load(model), path)
     return path
-
-
-class Collector:
-    """Stands for the hub: keeps what it gets, and ends the source after some pictures."""
-
-    def __init__(self, count: int, confidence: bool = True) -> None:
-        self.wanted = Wanted(True, confidence)
-        self.pictures: list = []
-        self.times: list[float] = []
-        self.states: list = []
-        self.stop = threading.Event()
-        self.clock, self.work_s = HandClock(), 0.0
-        self._count = count
-
-    def publish(self, picture) -> None:
-        self.pictures.append(picture)
-        self.times.append(self.clock.now())
-        self.clock.turn(self.work_s)
-        if len(self.pictures) >= self._count:
-            self.stop.set()
-
-    def report(self, state) -> None:
-        self.states.append(state)
-
-
-def collect(source: BagSource, count: int, confidence: bool = True) -> Collector:
-    hub: Any = Collector(count, confidence)
-    source.run(hub, hub.stop)
-    return hub
 
 
 def test_a_replayed_bag_is_shown_as_it_is(wide_bag, model):

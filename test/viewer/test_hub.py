@@ -9,7 +9,8 @@ from neo_ros.errors import ImageRejected
 from neo_ros.messages import encode_jpeg
 from neo_ros.viewer.pictures import EncodedPicture, SourcePicture, SourceState
 from neo_ros.viewer.wide_topics import (
-    IN_SCENE, LATENCY, MAX_COMPRESSED_BYTES, NodeDiagnosis, read_picture, seen_share, WideTopics)
+    GUIDED, GUIDED_SHARE, IN_SCENE, LATENCY, MAX_COMPRESSED_BYTES, NodeDiagnosis, read_picture,
+    seen_share, WideTopics)
 import numpy as np
 import pytest
 from viewer_server import IMAGE, picture, receive_picture, run, running, until, watching
@@ -65,12 +66,13 @@ def test_status_and_clock():
     async def test():
         async with running() as (client, hub):
             async with watching(client) as socket:
-                hub.report(SourceState('/wide/image', 'waiting', 2, 'lens covered', True, 12.5))
+                hub.report(SourceState('/wide/image', 'waiting', 2, 'lens covered', True,
+                                       node_ms=12.5))
                 status = await socket.receive_json()
                 assert status == {
                     'type': 'status', 'name': '/wide/image', 'waiting': 'waiting', 'level': 2,
                     'message': 'lens covered', 'out_of_scene': True, 'node_ms': 12.5,
-                    'viewers': 1, 'rate': 0.0}
+                    'recognised': None, 'span': None, 'viewers': 1, 'rate': 0.0}
                 assert isinstance(hub.clock, HandClock)
                 hub.clock.turn(0.25)
                 await socket.send_json({'ping': 17.5})
@@ -126,8 +128,10 @@ def test_diagnosis_of_the_node_beside_the_topic():
     ours = status('/cam/fov_extrapolator: widening', b'\x01', 'not in the scene',
                   {IN_SCENE: 'false', LATENCY: '12.5/20/30'})
     other = status('/rear/fov_extrapolator: widening', 0, 'widening')
-    of_ours = {'level': 1, 'message': 'not in the scene', 'node_ms': 12.5, 'out_of_scene': True}
-    of_other = {'level': 0, 'message': 'widening', 'node_ms': None, 'out_of_scene': False}
+    of_ours = {'level': 1, 'message': 'not in the scene', 'node_ms': 12.5, 'out_of_scene': True,
+               'recognised': None}
+    of_other = {'level': 0, 'message': 'widening', 'node_ms': None, 'out_of_scene': False,
+                'recognised': None}
     # Every node sends an array of its own.
     diagnosis = NodeDiagnosis('/cam')
     assert diagnosis.read([status('/lidar', 2, 'off')]) == {}
@@ -140,6 +144,30 @@ def test_diagnosis_of_the_node_beside_the_topic():
     assert strangers.read([other]) == {}
 
 
+def guided_by(share):
+    return [status('/cam/fov_extrapolator: widening', 0, 'widening', {GUIDED_SHARE: share})]
+
+
+def of_frame(guided):
+    return [status('/cam/fov_extrapolator: frame', 0, '', {GUIDED: guided})]
+
+
+def test_a_place_counts_as_recognised_by_the_newest_image():
+    diagnosis = NodeDiagnosis('/cam')
+    # A model without a memory guides no image, and the node does not know a share.
+    assert diagnosis.read_frame(of_frame('false')) == {}
+    assert diagnosis.read(guided_by('unknown'))['recognised'] is None
+    assert diagnosis.read_frame([]) == {}
+    for share, recognised in (('0%', False), ('49%', False), ('50%', True), ('100%', True)):
+        assert diagnosis.read(guided_by(share))['recognised'] is recognised
+    for guided in ('false', 'true', 'false'):
+        assert diagnosis.read_frame(of_frame(guided)) == {'recognised': guided == 'true'}
+        assert 'recognised' not in diagnosis.read(guided_by('75%')), 'the frame knows better'
+    # The node loads a model without a memory.
+    assert diagnosis.read(guided_by('unknown'))['recognised'] is None
+    assert diagnosis.read_frame(of_frame('false')) == {}
+
+
 def test_message_layout():
     encoded = EncodedPicture(7, SourcePicture(b'JPEG', 1.5, False, np.zeros((600, 300), np.uint8)),
                              80, with_confidence=True)
@@ -147,7 +175,7 @@ def test_message_layout():
     length = int.from_bytes(plain[:4], 'little')
     assert int.from_bytes(plain[4:8], 'little') == 4 and plain[8 + length:] == b'JPEG'
     assert json.loads(plain[8:8 + length]) == {
-        'seq': 7, 'captured': 1500.0, 'timed': False, 'seen': None}
+        'seq': 7, 'captured': 1500.0, 'timed': False, 'seen': None, 'recorded': None}
     assert full.startswith(plain) and full[len(plain):].startswith(b'\xff\xd8\xff')
     without = EncodedPicture(7, SourcePicture(b'JPEG', 1.5, False), 80, with_confidence=True)
     assert without.message(True) == without.message(False)

@@ -1,5 +1,5 @@
 """The page in a real browser: plays, tells what is made up, and says when not to trust it."""
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 import json
 import os
 from pathlib import Path
@@ -11,6 +11,7 @@ import time
 from typing import Any
 
 import cv2
+from narrow_link import narrow_link
 import neo_ros
 import numpy as np
 import pytest
@@ -29,6 +30,8 @@ PROCESS = HELPERS / 'viewer_process.py'
 PYTHONPATH = {'PYTHONPATH': str(Path(neo_ros.__file__).parents[1])}
 CONTRAST = HELPERS / 'contrast.js'
 MORE_VIEWERS = HELPERS / 'more_viewers.js'
+TRUE_AGES = HELPERS / 'true_ages.js'
+OVERLAPS = HELPERS / 'overlaps.js'
 # Where the ring and the camera's frame are in the picture, in shares of it.
 LEFT_RING, RIGHT_RING, CENTRE = (0.1, 0.5), (0.9, 0.5), (0.5, 0.5)
 
@@ -96,6 +99,13 @@ def wait_for_state(page: Any, state: str, timeout: float = 15.0) -> None:
     page.wait_for_selector(f'#connection[data-state={state}]', timeout=1e3 * timeout)
 
 
+def wait_for(page: Any, condition: Callable[[], bool], timeout: float = 30.0) -> None:
+    deadline = time.monotonic() + timeout
+    while not condition():
+        assert time.monotonic() < deadline, 'waited in vain'
+        page.wait_for_timeout(50)
+
+
 def pixel(page: Any, place: tuple[float, float]) -> list[int]:
     """Return RGB of the canvas at a place, in shares of the picture."""
     return page.evaluate("""([x, y]) => {
@@ -104,6 +114,20 @@ def pixel(page: Any, place: tuple[float, float]) -> list[int]:
             Math.round(x * canvas.width), Math.round(y * canvas.height), 1, 1).data;
         return [...data].slice(0, 3);
     }""", list(place))
+
+
+def left_line(page: Any) -> list[bool]:
+    """Return for every row where the frame's left side is white."""
+    return page.evaluate("""() => {
+        const canvas = document.getElementById('picture');
+        const [width, height] = [Math.round(canvas.width / 60), Math.round(canvas.height * 0.4)];
+        const data = canvas.getContext('2d').getImageData(
+            Math.round(canvas.width / 4 - width / 2), Math.round(canvas.height * 0.3),
+            width, height).data;
+        return Array.from({length: height}, (_, y) => Array.from({length: width}, (_, x) =>
+            Math.min(...data.slice(4 * (y * width + x), 4 * (y * width + x) + 3)))
+            .some((white) => white > 120));
+    }""")
 
 
 def wait_for_pixel(page: Any, place: tuple[float, float], expected: Any) -> None:
@@ -201,8 +225,16 @@ def test_out_of_the_scene_and_other_warnings(page: Any, viewer: Viewer) -> None:
     page.wait_for_selector('#scene-sign', state='visible')
     assert 'Not in the trained scene' in page.inner_text('#scene-sign')
     assert page.inner_text('#notice') == 'Warning of the node: unlike <b>the scene</b>'
-    page.wait_for_timeout(2000)
-    assert page.inner_text('#announcer') == 'Live. Not in the trained scene.'
+    said = 'Live. Not in the trained scene. Warning of the node: unlike <b>the scene</b>'
+    wait_for(page, lambda: page.inner_text('#announcer') == said)
+    page.keyboard.press('r')
+    wait_for(page, lambda: 'Rate' in page.inner_text('#announcer'))
+    assert 'Warning of the node: unlike' in page.inner_text('#announcer')
+    page.keyboard.press('f')
+    page.wait_for_selector('#stage:fullscreen')
+    assert page.is_visible('#notice') and page.evaluate(
+        'document.getElementById("stage").contains(document.getElementById("notice"))')
+    page.keyboard.press('f')
     viewer.tell({'out_of_scene': False, 'level': 0, 'message': ''})
     page.wait_for_selector('#scene-sign', state='hidden')
     assert page.is_hidden('#notice')
@@ -213,6 +245,121 @@ def test_out_of_the_scene_and_other_warnings(page: Any, viewer: Viewer) -> None:
     viewer.tell({'waiting': ''})
     viewer.tell('go')
     wait_for_state(page, 'live')
+
+
+def test_a_place_that_is_not_recognised(page: Any, viewer: Viewer) -> None:
+    page.keyboard.press('1')
+    assert np.mean(left_line(page)) == 1.0
+    viewer.tell({'recognised': False})
+    page.wait_for_selector('#place-sign', state='visible')
+    assert 'Place not recognised: rough guess' in page.inner_text('#place-sign')
+    assert 'rough guess of the network alone' in page.inner_text('#explanation')
+    assert 0.3 < np.mean(left_line(page)) < 0.8, 'dashes'
+    wait_for(page, lambda: page.inner_text('#announcer')
+             == 'Live. Place not recognised: rough guess.')
+    viewer.tell({'out_of_scene': True})
+    page.wait_for_selector('#scene-sign', state='visible')
+    assert page.is_hidden('#place-sign'), 'the stronger sign alone'
+    viewer.tell({'out_of_scene': False, 'recognised': True})
+    page.wait_for_selector('#place-sign', state='hidden')
+    assert 'remembers of the room' in page.inner_text('#explanation')
+    viewer.tell({'recognised': None})
+
+
+def test_a_recording_is_not_live(page: Any, viewer: Viewer) -> None:
+    assert page.is_hidden('#bag-time')
+    viewer.tell({'span': [1.7e9, 1.7e9 + 125]})
+    wait_for_state(page, 'recording')
+    page.wait_for_selector('#bag-time', state='visible')
+    assert page.inner_text('#connection') == page.title().split(' · ')[0] == 'Recording'
+    wait_for(page, lambda: page.inner_text('#bag-time').endswith(' of 2:05.0'))
+    assert page.is_hidden('#stale-sign')
+    with page.expect_download() as download:
+        page.keyboard.press('s')
+    assert download.value.suggested_filename.startswith('wide_2023-11-14T22-')
+    viewer.tell('stop')
+    wait_for_state(page, 'stale')
+    viewer.tell('go')
+    wait_for_state(page, 'recording')
+    viewer.tell({'span': None})
+    wait_for_state(page, 'live')
+
+
+def test_no_old_age_stands_beside_live(page: Any, viewer: Viewer) -> None:
+    page.evaluate("""() => {
+        window.seen = [];
+        const look = () => window.seen.push([document.getElementById('connection').textContent,
+            parseFloat(document.getElementById('age').textContent)]);
+        new MutationObserver(look).observe(document.getElementById('connection'),
+            {childList: true, characterData: true, subtree: true});
+    }""")
+    for _ in range(3):
+        viewer.tell('stop')
+        wait_for_state(page, 'stale')
+        page.wait_for_timeout(700)
+        viewer.tell('go')
+        wait_for_state(page, 'live')
+    seen = page.evaluate('window.seen')
+    assert sum(title == 'Live' for title, _ in seen) == 3
+    assert all(age <= 0.8 for title, age in seen if title == 'Live'), seen
+
+
+def test_age_is_true_on_a_thin_link(browser: Any, viewer: Viewer) -> None:
+    viewer.tell('go')
+    context = browser.new_context()
+    page = context.new_page()
+    page.add_init_script(path=TRUE_AGES)
+    with narrow_link(viewer.port) as link:
+        page.goto(f'http://127.0.0.1:{link.port}/')
+        wait_for_state(page, 'live')
+        link.narrow(5e3, 0.1)
+        wait_for_state(page, 'lost')
+        wait_for(page, lambda: page.evaluate('window.arrivals.length') >= 30, 120.0)
+        shown, arrivals = page.evaluate("""() => new Promise((done) => {
+            const latency = document.getElementById('latency');
+            new MutationObserver(() => done([latency.textContent, window.arrivals.slice(-20)]))
+                .observe(latency, {childList: true, characterData: true, subtree: true});
+        })""")
+    context.close()
+    # The server's clock began at another time than the wall's, which the browser knows.
+    true_ms = np.median(arrivals) + 1e3 * (time.monotonic() - time.time())
+    assert true_ms > 400, 'a thin link'
+    assert abs(int(shown.split()[0]) / true_ms - 1) < 0.05, (shown, true_ms)
+
+
+@pytest.mark.parametrize('width, height', [
+    (683, 384), (911, 512), (667, 375), (375, 667), (640, 360)],
+    ids=['1366x768 at 200 %', '1366x768 at 150 %', 'landscape phone', 'phone', '720p at 200 %'])
+def test_nothing_covers_anything(browser: Any, viewer: Viewer, width: int, height: int) -> None:
+    viewer.tell({'out_of_scene': True, 'level': 2, 'message': 5 * 'unlike the scene ',
+                 'span': [1.7e9, 1.7e9 + 125]})
+    context = browser.new_context(viewport={'width': width, 'height': height})
+    page = context.new_page()
+    page.goto(viewer.url)
+    page.wait_for_selector('#scene-sign', state='visible')
+    wait_for_state(page, 'recording')
+    for key in '1234':
+        page.keyboard.press(key)
+        assert page.evaluate(OVERLAPS.read_text()) == []
+    viewer.tell('stop')
+    wait_for_state(page, 'stale')
+    assert page.evaluate(OVERLAPS.read_text()) == []
+    viewer.tell('go')
+    viewer.tell({'out_of_scene': False, 'level': 0, 'message': '', 'span': None})
+    context.close()
+
+
+def test_forced_colours_keep_the_scale(browser: Any, viewer: Viewer) -> None:
+    context = browser.new_context(forced_colors='active')
+    page = context.new_page()
+    page.goto(viewer.url)
+    wait_for_state(page, 'live')
+    page.keyboard.press('3')
+    assert 'gradient' in page.evaluate(
+        'getComputedStyle(document.querySelector(".scale i")).backgroundImage')
+    assert page.evaluate(
+        'getComputedStyle(document.querySelector(".scale i")).forcedColorAdjust') == 'none'
+    context.close()
 
 
 def test_snapshot_holds_the_picture_and_says_what_it_is(page: Any, tmp_path: Path) -> None:

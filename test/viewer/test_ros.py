@@ -49,6 +49,7 @@ class Watcher:
         session = aiohttp.ClientSession()
         self.socket = await session.ws_connect(
             f'{self.url}/stream', origin=self.url, max_msg_size=0)
+        await self.socket.send_str(json.dumps({'paused': False}))
         return session
 
     async def _listen(self):

@@ -66,6 +66,7 @@ class Bench:
         link = ViewerLink(socket, max_mbit, self.hub.update_wanted, self.clock)
         self.hub.add(link)
         self._tasks.append(asyncio.create_task(link.serve()))
+        socket.say(paused=False)
         await self.settle()
         return socket
 

@@ -1,6 +1,11 @@
 // The connection to the server: pictures in, confirmations out, and the server's clock.
 const RETRY_MS = [250, 500, 1000, 2000, 5000];
 const PING_MS = 2000;
+// So many answers come before the first picture: behind pictures an answer would wait on a thin
+// link, and everything would look younger than it is.
+const ANSWERS_FIRST = 2;
+// What two good clocks may have drifted apart from one answer to the next.
+const DRIFT_MS = 0.2;
 // The server tells its state twice a second: silence means that the link is dead.
 const SILENCE_MS = 3000;
 // How long the server may take to say whether the session still holds.
@@ -11,12 +16,13 @@ export class Link {
   // `events`: onOpen(), onClosed(full), onHello(hello), onStatus(status), onPicture(picture).
   constructor(events) {
     this.events = events;
-    this.asked = { confidence: false, paused: document.hidden };
+    this.asked = { confidence: false, paused: true };
+    this.answers = 0;
     this.attempt = 0;
     this.checking = false;
     this.offset = null;
     this.roundTrip = Infinity;
-    document.addEventListener('visibilitychange', () => this.ask({ paused: document.hidden }));
+    document.addEventListener('visibilitychange', () => this.pauseOrGoOn());
     window.addEventListener('online', () => this.retryNow());
     setInterval(() => this.watch(), 500);
     setInterval(() => this.send({ ping: performance.now() }), PING_MS);
@@ -32,6 +38,10 @@ export class Link {
   ask(wanted) {
     Object.assign(this.asked, wanted);
     this.send(this.asked);
+  }
+
+  pauseOrGoOn() {
+    this.ask({ paused: document.hidden || this.answers < ANSWERS_FIRST });
   }
 
   connect() {
@@ -58,20 +68,24 @@ export class Link {
       this.offset = message.now - performance.now();
       this.events.onOpen();
       this.events.onHello(message);
-      this.send(this.asked);
+      this.answers = 0;
+      this.pauseOrGoOn();
       this.send({ ping: performance.now() });
     } else if (message.type === 'pong') {
       this.setClock(message);
+      this.answers += 1;
+      if (this.answers < ANSWERS_FIRST) this.send({ ping: performance.now() });
+      if (this.answers === ANSWERS_FIRST) this.pauseOrGoOn();
     } else {
       this.events.onStatus(message);
     }
   }
 
   // The answer that took the shortest way tells the server's clock best; clocks drift, so that
-  // an old best answer slowly loses its worth.
+  // an old best answer loses its worth, by as much as they may.
   setClock({ ping, now }) {
     const roundTrip = performance.now() - ping;
-    this.roundTrip *= 1.1;
+    this.roundTrip += DRIFT_MS;
     if (roundTrip > this.roundTrip) return;
     this.roundTrip = roundTrip;
     this.offset = now + roundTrip / 2 - performance.now();

@@ -19,15 +19,17 @@ function fillRing(context, [x, y, w, h], width, height, style) {
 }
 
 // A dark and a light line: one of them shows on any background.
-function outline(context, [x, y, w, h], thickness, alarm) {
+function outline(context, [x, y, w, h], thickness, trust) {
   if (!w || !h) return;
+  context.setLineDash(trust === 'rough' ? [6 * thickness, 4 * thickness] : []);
   context.lineJoin = 'miter';
   context.strokeStyle = 'rgb(0 0 0 / 0.75)';
   context.lineWidth = 3 * thickness;
   context.strokeRect(x, y, w, h);
-  context.strokeStyle = alarm ? '#ffb300' : '#ffffff';
+  context.strokeStyle = trust === 'none' ? '#ffb300' : '#ffffff';
   context.lineWidth = thickness;
   context.strokeRect(x, y, w, h);
+  context.setLineDash([]);
 }
 
 // Turn the grey picture of the confidence into a tint: the less sure, the stronger.
@@ -45,8 +47,9 @@ export function tintOf(sureness) {
   return canvas;
 }
 
-// Paint into the whole canvas of `context`. `scale`: canvas pixels per line pixel.
-export function paint(context, picture, way, scale, alarm) {
+// Paint into the whole canvas of `context`. `scale`: canvas pixels per line pixel. `trust` in what
+// lies outside the frame: 'known', 'rough' (place not recognised), 'none' (not in the scene).
+export function paint(context, picture, way, scale, trust) {
   const { width, height } = context.canvas;
   const frame = frameOf(picture, width, height);
   context.imageSmoothingQuality = 'high';
@@ -62,15 +65,15 @@ export function paint(context, picture, way, scale, alarm) {
   }
   if (way === 'dim') fillRing(context, frame, width, height, DIM);
   if (way === 'camera') fillRing(context, frame, width, height, '#000');
-  outline(context, frame, 1.5 * scale, alarm);
+  outline(context, frame, 1.5 * scale, trust);
 }
 
 // Return a PNG blob of the picture as it is shown, with a line that says what it is.
-export function snapshot(picture, way, lines, alarm) {
+export function snapshot(picture, way, lines, trust) {
   const scale = Math.max(1, Math.ceil(640 / picture.bitmap.width));
   const [width, height] = [picture.bitmap.width * scale, picture.bitmap.height * scale];
   const painted = new OffscreenCanvas(width, height);
-  paint(painted.getContext('2d'), picture, way, 1, alarm);
+  paint(painted.getContext('2d'), picture, way, 1, trust);
   const line = 20;
   const canvas = new OffscreenCanvas(width, height + line * lines.length + 8);
   const context = canvas.getContext('2d');

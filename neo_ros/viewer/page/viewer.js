@@ -13,6 +13,13 @@ const EXPLANATIONS = {
   confidence: 'Outside the line the model fills in; the stronger the colour, the less sure it is.',
   camera: 'Only what the camera sees; what the model fills in is hidden.',
 };
+const ROUGH_EXPLANATIONS = {
+  ...EXPLANATIONS,
+  outline: 'Inside the line: what the camera sees. Outside: a rough guess of the network alone.',
+  dim: 'Bright: what the camera sees. Dark: a rough guess of the network alone.',
+};
+// What is said of single images would flicker: a place counts as recognised after so long.
+const RECOGNISED_AFTER_MS = 500;
 const UNKNOWN_FRAME = 'The camera\'s frame is not known yet: any part of the picture may be made up.';
 
 const find = (id) => document.getElementById(id);
@@ -22,6 +29,7 @@ const context = canvas.getContext('2d', { alpha: false });
 const state = {
   picture: null, newest: 0, status: {}, connected: false, full: false, staleMs: 800,
   way: 'outline', shown: [], latencies: [], nextReadings: 0, pending: '', since: 0, announced: '',
+  verdict: '', unknownUntil: 0,
 };
 
 const link = new Link({
@@ -62,7 +70,13 @@ function draw() {
   const zoom = Math.max(1, fit * devicePixelRatio);
   const [w, h] = [Math.round(width * zoom), Math.round(height * zoom)];
   if (canvas.width !== w || canvas.height !== h) [canvas.width, canvas.height] = [w, h];
-  paint(context, picture, state.way, zoom / fit, state.status.out_of_scene);
+  paint(context, picture, state.way, zoom / fit, trust());
+}
+
+// How far what lies outside of the camera's frame can be trusted; see paint().
+function trust() {
+  if (state.status.out_of_scene) return 'none';
+  return performance.now() < state.unknownUntil ? 'rough' : 'known';
 }
 
 // What the page says about the stream: a short title, and a sentence.
@@ -74,7 +88,10 @@ function judge() {
       ? { name: 'full', title: 'No place left', text: 'As many viewers as allowed are watching.' }
       : { name: 'lost', title: 'Disconnected', text: `Trying to reach the viewer.${old}` };
   }
-  if (age !== null && age <= state.staleMs) return { name: 'live', title: 'Live', text: '' };
+  if (age !== null && age <= state.staleMs) {
+    return state.status.span ? { name: 'recording', title: 'Recording', text: '' }
+      : { name: 'live', title: 'Live', text: '' };
+  }
   if (state.status.waiting) {
     return { name: 'waiting', title: 'No pictures', text: `${state.status.waiting}.${old}` };
   }
@@ -84,7 +101,7 @@ function judge() {
 
 function tick() {
   const verdict = judge();
-  const bad = verdict.name !== 'live';
+  const bad = !plays(verdict);
   stage.classList.toggle('old', bad);
   set(find('stale-sign'), 'hidden', !bad);
   write('stale-title', state.picture && verdict.name !== 'stale' ? `Stale · ${verdict.title}`
@@ -92,15 +109,36 @@ function tick() {
   write('stale-text', verdict.text);
   write('connection', verdict.title);
   find('connection').dataset.state = verdict.name;
-  document.title = bad ? `${verdict.title} · Wide view` : 'Wide view';
+  document.title = verdict.name === 'live' ? 'Wide view' : `${verdict.title} · Wide view`;
+  showTrust();
   showReadings(verdict);
   announce(verdict);
+}
+
+function plays(verdict) {
+  return verdict.name === 'live' || verdict.name === 'recording';
+}
+
+function showTrust() {
+  if (state.status.recognised === false) {
+    state.unknownUntil = performance.now() + RECOGNISED_AFTER_MS;
+  }
+  const known = trust();
+  if (known === state.trust) return;
+  state.trust = known;
+  set(find('scene-sign'), 'hidden', known !== 'none');
+  set(find('place-sign'), 'hidden', known !== 'rough');
+  stage.classList.toggle('alarm', known === 'none');
+  explain();
+  draw();
 }
 
 function showReadings(verdict) {
   const now = performance.now();
   const age = state.picture ? link.now() - state.picture.captured : null;
-  if (now < state.nextReadings && verdict.name === 'live') return;
+  // No age of before may stand beside another verdict.
+  if (now < state.nextReadings && plays(verdict) && verdict.name === state.verdict) return;
+  state.verdict = verdict.name;
   state.nextReadings = now + READINGS_EVERY_MS;
   state.shown = state.shown.filter((time) => time > now - RATE_WINDOW_MS);
   write('age', age === null ? '–' : seconds(Math.max(age, 0)));
@@ -112,6 +150,15 @@ function showReadings(verdict) {
   const median = sorted[sorted.length >> 1];
   write('latency', median === undefined ? '–'
     : `${Math.max(median, 0).toFixed(0)} ms${state.picture?.timed ? '' : ' (link)'}`);
+  write('bag-time', bagTime());
+}
+
+// Where in the bag the picture stands, and when it was recorded.
+function bagTime() {
+  const { span } = state.status;
+  const recorded = state.picture?.recorded;
+  if (!span || !recorded) return '–';
+  return `${clockTime(recorded - span[0])} of ${clockTime(span[1] - span[0])}`;
 }
 
 function showStatus() {
@@ -122,20 +169,33 @@ function showStatus() {
   if (state.picture) {
     write('size', `${state.picture.bitmap.width} × ${state.picture.bitmap.height}`);
   }
-  set(find('scene-sign'), 'hidden', !status.out_of_scene);
-  stage.classList.toggle('alarm', status.out_of_scene);
+  set(find('bag-time-reading'), 'hidden', !status.span);
+  stage.setAttribute('aria-label', status.span ? 'Recorded picture' : 'Live picture');
+  canvas.setAttribute('aria-label', `${status.span ? 'Recorded' : 'Live'} picture of the robot's `
+    + 'camera, widened');
   const notice = find('notice');
   set(notice, 'hidden', status.level === 0);
   notice.dataset.level = status.level;
-  write('notice', status.level === 0 ? ''
-    : `${status.level === 1 ? 'Warning' : 'Error'} of the node: ${status.message}`);
-  explain();
+  write('notice', complaint());
   tick();
+}
+
+// What the node complains of, in words; empty when all is well.
+function complaint() {
+  const { level = 0, message } = state.status;
+  return level === 0 ? '' : `${level === 1 ? 'Warning' : 'Error'} of the node: ${message}`;
+}
+
+// The signs above the picture, as one would say them.
+function signs() {
+  const words = { none: 'Not in the trained scene.', rough: 'Place not recognised: rough guess.' };
+  return [words[trust()], complaint()].filter(Boolean).join(' ');
 }
 
 function explanation() {
   const known = state.picture === null || state.picture.seen !== null;
-  return known ? EXPLANATIONS[state.way] : UNKNOWN_FRAME;
+  return known ? (trust() === 'rough' ? ROUGH_EXPLANATIONS : EXPLANATIONS)[state.way]
+    : UNKNOWN_FRAME;
 }
 
 function explain() {
@@ -145,8 +205,8 @@ function explain() {
 
 // Tell a screen reader what changed, once it has lasted, and never the numbers.
 function announce(verdict) {
-  const scene = state.status.out_of_scene ? ' Not in the trained scene.' : '';
-  const words = `${verdict.title}.${verdict.name === 'waiting' ? ` ${state.status.waiting}.` : ''}${scene}`;
+  const waiting = verdict.name === 'waiting' ? `${state.status.waiting}.` : '';
+  const words = [`${verdict.title}.`, waiting, signs()].filter(Boolean).join(' ');
   const now = performance.now();
   if (words !== state.pending) [state.pending, state.since] = [words, now];
   if (words !== state.announced && now - state.since > ANNOUNCE_AFTER_MS) {
@@ -157,9 +217,9 @@ function announce(verdict) {
 
 function readAloud() {
   const verdict = judge();
-  const scene = state.status.out_of_scene ? 'Not in the trained scene. ' : '';
-  const words = `${verdict.title}. ${verdict.text} ${scene}Rate ${find('rate').textContent}, `
-    + `latency ${find('latency').textContent}. ${explanation()}`;
+  const time = state.status.span ? `, recorded ${bagTime()}` : '';
+  const words = `${verdict.title}. ${verdict.text} ${signs()} Rate ${find('rate').textContent}, `
+    + `latency ${find('latency').textContent}${time}. ${explanation()}`;
   find('announcer').textContent = '';
   setTimeout(() => { find('announcer').textContent = words; }, 50);
 }
@@ -176,15 +236,17 @@ function choose(way) {
 async function saveSnapshot() {
   const { picture } = state;
   if (!picture) return;
-  const taken = new Date(Date.now() - (link.now() - picture.captured));
+  const taken = new Date(picture.recorded === null
+    ? Date.now() - (link.now() - picture.captured) : 1e3 * picture.recorded);
   const verdict = judge();
   const lines = [
     `${state.status.name ?? ''}  ${taken.toLocaleString()}`
-      + (verdict.name === 'live' ? '' : `  (${verdict.title})`),
-    explanation() + (state.status.out_of_scene ? ' NOT IN THE TRAINED SCENE.' : ''),
+      + (verdict.name === 'live' ? '' : `  (${verdict.title})`)
+      + (state.status.span ? `  ${bagTime()}` : ''),
+    explanation() + (trust() === 'none' ? ' NOT IN THE TRAINED SCENE.' : '')
+      + (trust() === 'rough' ? ' PLACE NOT RECOGNISED.' : ''),
   ];
-  const url = URL.createObjectURL(await snapshot(picture, state.way, lines,
-    state.status.out_of_scene));
+  const url = URL.createObjectURL(await snapshot(picture, state.way, lines, trust()));
   const anchor = document.createElement('a');
   anchor.href = url;
   anchor.download = `wide_${taken.toISOString().replace(/[:.]/g, '-')}.png`;
@@ -205,6 +267,11 @@ function write(id, text) {
 
 function set(element, property, value) {
   if (element[property] !== value) element[property] = value;
+}
+
+function clockTime(s) {
+  const minutes = Math.floor(s / 60);
+  return `${minutes}:${(s - 60 * minutes).toFixed(1).padStart(4, '0')}`;
 }
 
 function seconds(ms) {

@@ -1,0 +1,174 @@
+"""
+A training within so many minutes: what they are spent on, for any camera, scene and machine.
+
+The field has its share, the memory at most its own, and the network what is left of them. How fine
+the field and how large the network's images are follows from how fast this machine fits a field.
+"""
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+from neo_ros.errors import ConfigError
+from neo_ros.experiment import Experiment, experiment_from
+from neo_ros.field.device import field_trainer
+from neo_ros.machine.files import write_bytes
+from neo_ros.scenes.posed_images import PosedImages
+from neo_ros.scenes.scene import Scene
+import numpy as np
+
+PLAN_FILE = 'plan.json'
+
+
+@dataclass(frozen=True)
+class PlanRules:
+    """How minutes are shared; chosen by measuring on two cores."""
+
+    field: float = 0.45            # share of the minutes
+    memory: float = 0.3            # at most; what it leaves is the network's
+    rest: float = 0.1              # export, scores and report, and reading the photos
+    least_network: float = 0.1
+    network_side: int = 160        # pixels that the network's image is at most wide and high
+    passes: float = 1.0            # of the fit over the pixels that it is shown
+    most_shrink: int = 8           # of the photos that a field is fitted to
+    # Steps of a fit that voxels of these numbers need; with fewer the next coarser are taken.
+    voxels: tuple[tuple[int, int], ...] = ((6000, 8_000_000), (2500, 4_000_000), (0, 1_500_000))
+    measured_seconds: float = 4.0  # of a fit, to see how fast the machine is
+    # A fit is so many times slower than its first seconds, which have coarse voxels.
+    slower: float = 2.0
+
+
+@dataclass(frozen=True)
+class TimePlan:
+    """What a training of `minutes` is made of; network_minutes are known when it comes to it."""
+
+    minutes: float
+    experiment: Experiment
+    network_minutes: float | None = None
+
+
+def plan_training(out: Path, scene: Scene, base: Experiment, minutes: float,
+                  say: Callable[[str], None], rules: PlanRules = PlanRules()) -> TimePlan:
+    """
+    Read the plan of the run in `out`, or make one for this machine and note it there.
+
+    base: settings that stay, where they are not the default ones. say: told what was chosen, and
+    why. Raises ConfigError for minutes that are no number above 0, and for a run of others.
+    """
+    if not 0 < minutes < math.inf:
+        raise ConfigError(f'--minutes: expected a number > 0, got {minutes}')
+    if (out / PLAN_FILE).exists():
+        plan = read_plan(out)
+        if plan.minutes != minutes:
+            raise ConfigError(f'--minutes: {out} holds a run of {plan.minutes:g} minutes, got '
+                              f'{minutes:g}; choose another folder')
+        return plan
+    if any(out.iterdir()):
+        raise ConfigError(f'{out}: expected an empty folder or a run of --minutes {minutes:g}; it '
+                          'holds other files, or a run without --minutes; choose another folder')
+    plan = TimePlan(minutes, _chosen(scene, base, minutes, say, rules))
+    _write_plan(out, plan)
+    return plan
+
+
+def read_plan(out: Path) -> TimePlan:
+    """Read the plan of the run in `out`; raises ConfigError for anything else."""
+    path = out / PLAN_FILE
+    try:
+        found: dict[str, Any] = json.loads(path.read_text())
+        return TimePlan(float(found['minutes']), experiment_from(found['experiment'], str(path)),
+                        found['network_minutes'])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ConfigError(f'{path}: expected the plan of an earlier run: {error!r}; choose '
+                          'another folder') from error
+
+
+def _write_plan(out: Path, plan: TimePlan) -> None:
+    write_bytes(out / PLAN_FILE, json.dumps(asdict(plan), indent=1).encode())
+
+
+def share_network_minutes(out: Path, spent_seconds: float, rank: int = 0,
+                          rules: PlanRules = PlanRules()) -> float:
+    """
+    Return what is left for the network after what came before it took `spent_seconds`.
+
+    It is noted in the plan: a training that was broken off goes on with it.
+    """
+    plan = read_plan(out)
+    if plan.network_minutes is not None:
+        return plan.network_minutes
+    left = plan.minutes * (1 - rules.rest) - spent_seconds / 60
+    minutes = max(left, plan.minutes * rules.least_network)
+    if rank == 0:
+        _write_plan(out, replace(plan, network_minutes=minutes))
+    return minutes
+
+
+def _chosen(scene: Scene, base: Experiment, minutes: float, say: Callable[[str], None],
+            rules: PlanRules) -> Experiment:
+    pixels_a_second = _fitting_rate(scene.train, base, rules)
+    budget = 60 * minutes * rules.field
+    camera = scene.train.intrinsics.scaled(base.scale)
+    pixels = len(scene.train) * camera.width * camera.height
+    fitted = pixels_a_second * budget / rules.slower
+    shrink = base.field.shrink
+    if shrink == 1:
+        shrink = min(max(round(math.sqrt(rules.passes * pixels / fitted)), 1), rules.most_shrink)
+    steps = fitted / base.field.rays_per_step
+    voxels = next(voxels for least, voxels in rules.voxels if steps >= least)
+    experiment = replace(
+        base, field=replace(base.field, shrink=shrink, minutes=minutes * rules.field,
+                            voxels=voxels),
+        outpaint=replace(base.outpaint, minutes=minutes * rules.least_network),
+        memory=None if base.memory is None else replace(
+            base.memory, minutes=minutes * rules.memory))
+    if base.network.shrink == 1:
+        experiment = replace(experiment, network=replace(
+            base.network, shrink=_network_shrink(experiment, scene, rules)))
+    view = experiment.expansion(scene.train.intrinsics, scene.expansion)
+    say(f'{minutes:g} minutes: a field of {voxels / 1e6:g} million voxels from photos of '
+        f'{round(camera.width / shrink)}x{round(camera.height / shrink)} pixels '
+        f'({minutes * rules.field:.1f} min), a memory in their full size '
+        f'({camera.width}x{camera.height}, at most {minutes * rules.memory:.1f} min), a network '
+        f'that sees {view.source.width // experiment.network.shrink}x'
+        f'{view.source.height // experiment.network.shrink} (what is left). '
+        + _more_would_bring(shrink, voxels, minutes, rules))
+    return experiment
+
+
+def _more_would_bring(shrink: int, voxels: int, minutes: float, rules: PlanRules) -> str:
+    if shrink > 1:
+        return (f'With {math.ceil(minutes * (shrink / (shrink - 0.5)) ** 2)} minutes the field '
+                'would see finer photos.')
+    finest = rules.voxels[0][1]
+    return ('More minutes would bring finer voxels.' if voxels < finest
+            else 'More minutes would bring little.')
+
+
+def _network_shrink(experiment: Experiment, scene: Scene, rules: PlanRules) -> int:
+    """Return the least whole number that brings the camera's view to the network's size."""
+    whole = experiment.expansion(scene.train.intrinsics, scene.expansion)
+    wanted = math.ceil(max(whole.source.width, whole.source.height) / rules.network_side)
+    if experiment.view is None and scene.expansion is None:
+        return wanted  # The view is chosen to fit.
+    sizes = (whole.source.width, whole.source.height, whole.left, whole.right, whole.top,
+             whole.bottom)
+    fitting = [shrink for shrink in range(1, 2 * wanted + 1)
+               if all(size % shrink == 0 for size in sizes)]
+    return min(fitting, key=lambda shrink: (abs(shrink - wanted), -shrink))
+
+
+def _fitting_rate(photos: PosedImages, base: Experiment, rules: PlanRules) -> float:
+    """Fit some photos for some seconds; return pixels a second. The first step compiles."""
+    chosen = photos.subset(np.unique(np.linspace(0, len(photos) - 1, 24).astype(int)).tolist())
+    scale = base.scale * min(1.0, 128 / (base.scale * photos.intrinsics.width))
+    config = replace(base.field, minutes=rules.measured_seconds / 60, voxels=500_000)
+    trainer = field_trainer(chosen.read_images(scale), photos.intrinsics.scaled(scale),
+                            chosen.T_world_cam, config, base.seed)
+    trainer.train_step()
+    first = trainer.seconds
+    while trainer.seconds - first < rules.measured_seconds:
+        trainer.train_step()
+    return (trainer.step - 1) * config.rays_per_step / (trainer.seconds - first)

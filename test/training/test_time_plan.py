@@ -1,0 +1,139 @@
+"""A training within so many minutes: what is chosen for a camera and a machine, and kept."""
+from dataclasses import replace
+from pathlib import Path
+
+from neo_ros.errors import ConfigError
+from neo_ros.experiment import Experiment
+from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
+from neo_ros.pipeline import train
+from neo_ros.runtime import FovExtrapolator
+from neo_ros.scenes.posed_images import PosedImages
+from neo_ros.scenes.scene import Scene
+from neo_ros.training import time_plan
+from neo_ros.training.time_plan import PLAN_FILE, plan_training, read_plan, share_network_minutes
+import numpy as np
+import pytest
+from tiny_training import TINY, write_tiny_scene
+
+# Pixels that a fit takes a second in its first seconds: two cores of a robot's computer.
+RATE = 150_000.0
+
+
+def scene_of(width: int, height: int, photos: int,
+             expansion: ViewExpansion | None = None) -> Scene:
+    camera = Intrinsics.from_hfov(width, height, np.radians(69))
+    images = PosedImages(camera, tuple(Path(f'{i}.png') for i in range(photos)),
+                         (CameraPose(np.eye(4)),) * photos, (0,) * photos)
+    return Scene('room', images, None, expansion, None)
+
+
+def planned(tmp_path: Path, scene: Scene, minutes: float, rate: float,
+            monkeypatch: pytest.MonkeyPatch, base: Experiment = Experiment()) -> Experiment:
+    monkeypatch.setattr(time_plan, '_fitting_rate', lambda *of: rate)
+    out = tmp_path / f'{minutes}_{rate}_{scene.train.intrinsics.width}'
+    out.mkdir()
+    return plan_training(out, scene, base, minutes, lambda text: None).experiment
+
+
+@pytest.mark.parametrize('size', [(128, 128), (256, 256), (640, 480), (1280, 720), (1920, 1080)])
+def test_any_camera_gets_a_field_and_a_network_that_the_minutes_allow(
+        size: tuple[int, int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = scene_of(*size, 1000)
+    experiment = planned(tmp_path, scene, 30, RATE, monkeypatch)
+    assert experiment.memory is not None
+    minutes = [part.minutes or 0 for part in (
+        experiment.field, experiment.memory, experiment.outpaint)]
+    fitted = RATE / 2 * 60 * minutes[0]
+    shown = 1000 * size[0] * size[1] / experiment.field.shrink ** 2
+    assert shown < 2.5 * fitted or experiment.field.shrink == 8
+    view = experiment.expansion(scene.train.intrinsics, None)
+    assert max(view.source.width, view.source.height) <= 160 * experiment.network.shrink
+    assert view.source.width > 0.9 * size[0]
+    assert min(minutes) > 0 and sum(minutes) < 30
+
+
+def test_more_minutes_and_faster_machines_see_finer(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = scene_of(640, 480, 1000)
+    short, usual, fast = (planned(tmp_path, scene, minutes, rate, monkeypatch).field
+                          for minutes, rate in ((5, RATE), (30, RATE), (30, 20 * RATE)))
+    assert short.shrink > usual.shrink > fast.shrink == 1
+    assert short.voxels < usual.voxels <= fast.voxels
+
+
+def test_what_a_user_has_set_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    base = Experiment()
+    base = replace(base, seed=7, memory=None, field=replace(base.field, shrink=2, sh_degree=1),
+                   network=replace(base.network, shrink=8))
+    found = planned(tmp_path, scene_of(640, 480, 1000), 30, RATE, monkeypatch, base)
+    assert (found.seed, found.memory, found.field.shrink, found.field.sh_degree,
+            found.network.shrink) == (7, None, 2, 1, 8)
+
+
+def test_a_stated_view_is_shrunk_by_what_divides_it(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = scene_of(640, 480, 100)
+    view = ViewExpansion.to_size(scene.train.intrinsics, 960, 480)
+    found = planned(tmp_path, replace(scene, expansion=view), 30, RATE, monkeypatch)
+    assert found.network.shrink == 4
+    odd = ViewExpansion.to_size(scene.train.intrinsics.middle(630, 470), 950, 470)
+    found = planned(tmp_path, replace(scene_of(641, 480, 100), expansion=odd), 30, RATE,
+                    monkeypatch)
+    assert found.network.shrink == 5
+
+
+def test_a_plan_is_kept_and_others_are_refused(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = scene_of(640, 480, 100)
+    told: list[str] = []
+    monkeypatch.setattr(time_plan, '_fitting_rate', lambda *of: RATE)
+    first = plan_training(tmp_path, scene, Experiment(), 30, told.append)
+    assert '30 minutes: a field of' in told[0] and 'minutes' in told[0].split('. ')[1]
+    monkeypatch.setattr(time_plan, '_fitting_rate', lambda *of: 10 * RATE)
+    assert plan_training(tmp_path, scene, Experiment(), 30, told.append) == first
+    assert len(told) == 1
+    with pytest.raises(ConfigError, match='holds a run of 30 minutes, got 20'):
+        plan_training(tmp_path, scene, Experiment(), 20, told.append)
+    # What is left for the network is what it was when it came to it.
+    assert share_network_minutes(tmp_path, 600) == pytest.approx(17)
+    assert share_network_minutes(tmp_path, 900) == pytest.approx(17)
+    (tmp_path / PLAN_FILE).write_text('{')
+    with pytest.raises(ConfigError, match='expected the plan of an earlier run'):
+        read_plan(tmp_path)
+
+
+def test_a_late_network_still_gets_some_minutes(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(time_plan, '_fitting_rate', lambda *of: RATE)
+    plan_training(tmp_path, scene_of(64, 48, 100), Experiment(), 10, lambda text: None)
+    assert share_network_minutes(tmp_path, 3600) == pytest.approx(1)
+
+
+def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:
+    (tmp_path / 'run.json').write_text('{}')
+    with pytest.raises(ConfigError, match='or a run without --minutes'):
+        plan_training(tmp_path, scene_of(64, 48, 10), Experiment(), 30, lambda text: None)
+    with pytest.raises(ConfigError, match='--minutes: expected a number > 0, got 0'):
+        plan_training(tmp_path, scene_of(64, 48, 10), Experiment(), 0, lambda text: None)
+
+
+@pytest.mark.slow
+def test_a_training_by_the_minute_leaves_a_whole_model_and_is_not_done_twice(
+        tmp_path: Path) -> None:
+    write_tiny_scene(tmp_path / 'scene')
+    seen: list[str] = []
+
+    def note(stage: str, done: int, total: int, note: str = '') -> None:
+        seen.append(stage)
+
+    run = train(tmp_path / 'scene', TINY, tmp_path / 'out', note, minutes=0.4)
+    assert run.plan is not None and run.plan.experiment.field.minutes == pytest.approx(0.18)
+    model = FovExtrapolator.load(run.model_path)
+    assert model.card.memory is not None
+    content = run.model_path.read_bytes(), run.memory_path.read_bytes()
+    order = list(dict.fromkeys(seen))
+    assert order.index('plan') < order.index('field') < order.index('keyframes') \
+        < order.index('outpainter')
+    again = train(tmp_path / 'scene', TINY, tmp_path / 'out', note, minutes=0.4)
+    assert again.samples == run.samples
+    assert again.memory_path.read_bytes() == content[1]
