@@ -34,7 +34,8 @@ from neo_ros.training.folder import claim, drop_made_of_a_field, take_field
 from neo_ros.training.memory import memory_step, name_memory
 from neo_ros.training.report import Scoring, write_training_report
 from neo_ros.training.run import LEAST_PHOTOS, TrainingRun
-from neo_ros.training.time_plan import plan_training, read_plan, share_network_minutes
+from neo_ros.training.time_plan import (
+    plan_training, read_plan, share_network_minutes, TimeLeft)
 from neo_ros.training.views import (
     held_out_views, held_out_wide_views, make_stream, note_poses, real_frames)
 import numpy as np
@@ -59,29 +60,32 @@ def train(scene_folder: Path, experiment: Experiment, out: Path,
     """
     scene = read_upright_scene(scene_folder)
     with process_group() as rank:
-        if rank == 0:
+        if rank == 0 and minutes is not None:
             make_output_folder(out)
-            if minutes is not None:
-                plan_training(out, scene, experiment, minutes,
-                              lambda chosen: progress('plan', 1, 1, chosen))
+            plan_training(out, scene, experiment, minutes,
+                          lambda chosen: progress('plan', 1, 1, chosen))
         wait_for_all()
         plan = None if minutes is None else read_plan(out)
-        experiment = experiment if plan is None else plan.experiment
+        if plan is not None:
+            experiment, progress = plan.experiment, TimeLeft(plan, progress)
         run = TrainingRun(scene, experiment, out, progress, cache_gb, plan=plan)
         check_training(run)
         if rank == 0:
+            make_output_folder(out)
             claim(out, scene, experiment)
             if field_of is not None:
                 take_field(out, scene, experiment, field_of)
         wait_for_all()
         field = fit_field_step(run, rank)
-        if rank == 0:
+        if rank == 0 and plan is not None:  # The network has what field and memory leave.
             memory_step(run, field)
         wait_for_all()
         network = fit_outpainter_step(run, field, held_out_views(run, field), rank)
     if rank > 0:
         return run
     export_step(run, network, held_out_wide_views(run, field))
+    if plan is None:  # Where it cannot be made, the model is there and works alone.
+        memory_step(run, field)
     name_memory(run)
     run.figures = write_training_report(run, field, score_step(run))
     return run
@@ -114,7 +118,8 @@ def _fit_field(run: TrainingRun, path: Path, writes: bool) -> None:
     if writes and not checkpoint.exists():
         drop_made_of_a_field(run.out)
     trainer = field_trainer(images, run.fitted.intrinsics.scaled(scale), run.fitted.T_world_cam,
-                            config, run.experiment.seed, run.fitted.read_depths(scale))
+                            config, run.experiment.seed, run.fitted.read_depths(scale),
+                            run.fitted.read_all_usable(scale))
     train_with_checkpoints(
         run, trainer, checkpoint, 'field', lambda: trainer.done,
         trainer.train_step,

@@ -6,8 +6,8 @@ import shlex
 from typing import Any
 
 from neo_ros.bags.camera_topics import (
-    CAMERA_INFO, COMPRESSED, find_info_topic, IMAGE, image_topics, info_topics, read_lens,
-    same_frame)
+    base_name, CAMERA_INFO, COMPRESSED, find_info_topic, IMAGE, image_topics, info_topics,
+    made_topics, read_lens, same_frame)
 from neo_ros.bags.depth_topics import find_depth
 from neo_ros.bags.reading import BagReader
 from neo_ros.bags.recorded_poses import (
@@ -119,6 +119,7 @@ class _Scan:
         self.infos = {topic: TopicInfo(topic.name, topic.recorded_type, content=topic.unread)
                       for topic in reader.topics}
         self.cameras = {topic: _Camera(topic) for topic in image_topics(reader, None)}
+        self._made = made_topics(reader)
         self._calibrations = {
             info: camera for camera in self.cameras.values()
             if (info := find_info_topic(reader, camera.topic)) is not None}
@@ -256,6 +257,8 @@ class _Scan:
             return f'{seen.size[0]}x{seen.size[1]} {form}, frame {seen.frame}'
         if topic.msgtype in (IMAGE, COMPRESSED):
             content = message.read()
+            if base_name(topic) in self._made:
+                return 'made by a model'
             height, width = read_depth_image(content).shape
             return (f'{width}x{height} {depth_encoding(content)} depth, frame '
                     f'{frame_name(content.header.frame_id)}')

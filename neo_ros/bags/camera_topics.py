@@ -60,9 +60,12 @@ class CameraTopics:
     wide: str
 
 
-def find_camera(reader: BagReader, source: Intrinsics, name: str | None) -> CameraTopics:
+def find_camera(reader: BagReader, source: Intrinsics, name: str | None,
+                info_name: str | None = None) -> CameraTopics:
     """
     Return the camera of this image topic, or the only one with images of the size of `source`.
+
+    info_name: its calibration, where that is not beside its images.
 
     Where no topic has this size, the only camera with a calibration is taken: its images may be
     resampled. Of raw and compressed images of one camera, the raw ones are taken. Raises
@@ -81,24 +84,29 @@ def find_camera(reader: BagReader, source: Intrinsics, name: str | None) -> Came
             f'as the model takes, got {found or describe_topics(reader.topics)}; name one with '
             '--image-topic')
     image, = fitting
-    return CameraTopics(image, find_info_topic(reader, image), wide_namespace(reader, image))
+    info = find_info_topic(reader, image, info_name)
+    camera = (info.name if info is not None else base_name(image)).rpartition('/')[0]
+    return CameraTopics(image, info, f'{camera}/wide')
 
 
-def wide_namespace(reader: BagReader, image: BagTopic) -> str:
-    """Return where the wide topics of a camera go."""
-    info = find_info_topic(reader, image)
-    camera = (info.name if info is not None else _base(image)).rpartition('/')[0]
-    return f'{camera}/wide'
+def made_topics(reader: BagReader) -> set[str]:
+    """
+    Return the names of what a model made of a camera, raw or compressed: it is no camera itself.
+
+    They are told by one another: an image in a name space `wide`, and the mask of what is made up.
+    """
+    bases = {base_name(topic) for topic in reader.topics if topic.msgtype in IMAGE_TYPES}
+    spaces = {base.removesuffix('/mask') for base in bases if base.endswith('/wide/mask')}
+    return {f'{space}/{name}' for space in spaces if f'{space}/image' in bases
+            for name in ('image', 'mask', 'confidence', 'depth', 'panorama', 'panorama_mask')}
 
 
 def find_truth_topic(reader: BagReader, camera: CameraTopics,
                      target: Intrinsics) -> BagTopic | None:
     """Return the one image topic of the size of `target` that is not a model's output."""
     wanted = (target.width, target.height)
-    made = {f'{camera.wide}/{name}' for name in ('image', 'mask', 'confidence')}
     found = [topic for topic in image_topics(reader, None)
-             if topic != camera.image and _base(topic) not in made
-             and first_size(reader, topic) == wanted]
+             if topic != camera.image and first_size(reader, topic) == wanted]
     return found[0] if len(found) == 1 else None
 
 
@@ -106,11 +114,13 @@ def image_topics(reader: BagReader, name: str | None) -> list[BagTopic]:
     """
     Return the topics with images of this name, or all that are not depth by their encoding.
 
-    Raises BagError for a wrong name.
+    Without a name, what a model made is left out. Raises BagError for a wrong name.
     """
     images = [topic for topic in reader.topics if topic.msgtype in IMAGE_TYPES]
     if name is None:
-        return [topic for topic in images if topic.count and not _is_depth(reader.first(topic))]
+        made = made_topics(reader)
+        return [topic for topic in images if topic.count and base_name(topic) not in made
+                and not _is_depth(reader.first(topic))]
     topics = [topic for topic in images if topic.name == name]
     if not topics:
         unread = describe_unread(topic for topic in reader.topics if topic.name == name)
@@ -169,7 +179,7 @@ def find_info_topic(reader: BagReader, image: BagTopic,
             raise BagError(f'{reader.path}: --info-topic: expected a {CAMERA_INFO} on {name}, '
                            f'the bag has {describe_topics(infos or reader.topics)}')
         return named[0]
-    base = _base(image)
+    base = base_name(image)
     wanted = {f'{base.rpartition("/")[0]}/camera_info', f'{base}/camera_info'}
     beside = [topic for topic in infos if topic.name in wanted]
     if not beside and image.encoding != CDR:
@@ -208,9 +218,9 @@ def read_lens(message: Any, image: BagTopic, where: str) -> Lens:
 def without_copies(topics: list[BagTopic]) -> list[BagTopic]:
     """Leave out the compressed images that are there raw, too."""
     raw = {topic.name for topic in topics if topic.msgtype == IMAGE}
-    return [topic for topic in topics if topic.msgtype == IMAGE or _base(topic) not in raw]
+    return [topic for topic in topics if topic.msgtype == IMAGE or base_name(topic) not in raw]
 
 
-def _base(image: BagTopic) -> str:
+def base_name(image: BagTopic) -> str:
     """Return the name of the raw image topic that a compressed one belongs to."""
     return image.name if image.msgtype == IMAGE else image.name.rpartition('/')[0]

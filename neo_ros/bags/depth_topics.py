@@ -3,7 +3,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from neo_ros.bags.camera_topics import (
-    COMPRESSED, find_info_topic, IMAGE, read_lens, wide_namespace, without_copies)
+    base_name, COMPRESSED, find_info_topic, IMAGE, made_topics, read_lens, without_copies)
 from neo_ros.bags.reading import BagReader
 from neo_ros.bags.tf_tree import frame_name, PoseSource, TransformTree
 from neo_ros.bags.topic import BagTopic
@@ -37,9 +37,10 @@ def depth_topics(reader: BagReader, image: BagTopic) -> list[BagTopic]:
 
     Depth that a model made is left out, and the compressed copy of what is there raw.
     """
+    made = made_topics(reader)
     found = [topic for topic in reader.topics
              if topic.msgtype in (IMAGE, COMPRESSED) and topic.count and topic != image
-             and not topic.name.startswith(f'{wide_namespace(reader, image)}/')
+             and base_name(topic) not in made
              and depth_encoding(reader.first(topic)) is not None]
     return without_copies(found)
 

@@ -65,7 +65,8 @@ def replay(bag: Path | str, extrapolator: FovExtrapolator, out: Path | str,
            section: Section = Section(), rectify: bool = False, on_frame: OnImages | None = None,
            on_pair: OnImages | None = None,
            on_progress: Progress | None = None,
-           outputs: Collection[str] = DEFAULT_OUTPUTS) -> ReplayResult:
+           outputs: Collection[str] = DEFAULT_OUTPUTS,
+           info_topic: str | None = None) -> ReplayResult:
     """
     Write a bag with everything of `bag` (unless `copy` is off) and the wide view of its camera.
 
@@ -74,7 +75,8 @@ def replay(bag: Path | str, extrapolator: FovExtrapolator, out: Path | str,
     newest message of /camera/camera_info. Topics of these names in `bag` are replaced.
     So are `outputs`, some of MEMORY_OUTPUTS, as wide/pose; /diagnostics gets what the node would
     say, in the place of what it said.
-    `image_topic` may be left out when one camera has the model's size, or one is calibrated.
+    `image_topic` may be left out when one camera has the model's size, or one is calibrated;
+    `info_topic` names a calibration that is not beside its images.
     `rectify` takes the distortion out of its images. Of what lies before a section, the latched
     topics are kept, with the log time of its start.
 
@@ -87,7 +89,7 @@ def replay(bag: Path | str, extrapolator: FovExtrapolator, out: Path | str,
     started = time.perf_counter()
     check_outputs(outputs)
     with BagReader(bag) as reader:
-        camera = find_camera(reader, extrapolator.expansion.source, image_topic)
+        camera = find_camera(reader, extrapolator.expansion.source, image_topic, info_topic)
         truth = None if truth_topic is None else image_topics(reader, truth_topic)[0]
         result = ReplayResult(camera.image.name)
         start_ns, stop_ns, share = section.stamps(reader)

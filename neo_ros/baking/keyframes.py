@@ -61,11 +61,16 @@ class MemoryConfig:
 
 @dataclass(frozen=True, eq=False)
 class Photos:
-    """Photos uint8 (N, H, W, 3), their camera and T_world_cam (N, 4, 4)."""
+    """
+    Photos uint8 (N, H, W, 3), their camera and T_world_cam (N, 4, 4).
+
+    usable: bool (N, H, W), False where a photo does not show the scene; None: it does.
+    """
 
     images: np.ndarray
     intrinsics: Intrinsics
     T_world_cam: np.ndarray
+    usable: np.ndarray | None = None
 
 
 def bake_memory(field: RadianceField, photos: Photos, expansion: ViewExpansion,
@@ -124,9 +129,22 @@ def _seen_by_photos(field: RadianceField, photos: Photos, rules: BakingRules, pr
     for index, (image, T) in enumerate(zip(photos.images, photos.T_world_cam)):
         rendering = render_rays(field, *world_rays(camera, CameraPose(T)))
         seen[index] = np.where(rendering.coverage > rules.least_coverage, rendering.depth, 0)
-        gains.append(_gain(rendering.image, image))
+        usable = np.ones(image.shape[:2], bool) if photos.usable is None else photos.usable[index]
+        clear = _clear(usable, camera)
+        seen[index][~clear] = 0
+        gains.append(_gain(rendering.image[clear], image[usable]))
         progress(index + 1, len(photos.images))
     return seen, np.stack(gains)
+
+
+def _clear(usable: np.ndarray, camera: Intrinsics) -> np.ndarray:
+    """
+    Return bool (h, w) of the camera's size: no pixel that a mask leaves out is near.
+
+    A colour is made of pixels up to two away.
+    """
+    near = cv2.dilate((~usable).astype(np.float32), np.ones((5, 5), np.uint8))
+    return cv2.resize(near, (camera.width, camera.height), interpolation=cv2.INTER_AREA) == 0
 
 
 class _BakingClock:
@@ -188,11 +206,13 @@ def keyframe_positions(sampler: PoseSampler, photos: Photos, distance: float) ->
 
 def _gain(rendered: np.ndarray, photo: np.ndarray) -> np.ndarray:
     """
-    Return what multiplies a photo's colours, (3,), to the exposure of the field.
+    Return what multiplies a photo's pixels (P, 3) to the exposure of the field, (3,).
 
     By their means: the field was fitted to this photo, so its errors have no sign.
     """
-    ratio = 255 * rendered.mean((0, 1)) / np.maximum(photo.mean((0, 1)), 1)
+    if not (len(photo) and len(rendered)):
+        return np.ones(3, np.float32)
+    ratio = 255 * rendered.mean(0, np.float64) / np.maximum(photo.mean(0), 1)
     return np.clip(ratio, 0.5, 2).astype(np.float32)
 
 

@@ -56,7 +56,11 @@ class PhotoBank:
 def read_photo_bank(photos: PosedImages, scale: float, cache: Path,
                     progress: Progress = no_progress,
                     magnify: float = MAGNIFY) -> PhotoBank:
-    """Find the features of all photos at `scale`, or read them from the file `cache`."""
+    """
+    Find the features of all photos at `scale`, or read them from the file `cache`.
+
+    What a mask leaves out has none.
+    """
     try:
         with np.load(cache) as stored:
             counts, points = stored['counts'], stored['points']
@@ -64,7 +68,8 @@ def read_photo_bank(photos: PosedImages, scale: float, cache: Path,
     except (OSError, ValueError, KeyError, EOFError, BadZipFile):
         found = []
         for index in range(len(photos)):
-            found.append(find_features(photos.read_image(index, scale), magnify))
+            features = find_features(photos.read_image(index, scale), magnify)
+            found.append(_of_scene(features, photos.read_usable(index, scale)))
             progress(index + 1, len(photos))
         counts = np.array([len(one.points) for one in found])
         points = np.concatenate([one.points for one in found])
@@ -78,6 +83,15 @@ def read_photo_bank(photos: PosedImages, scale: float, cache: Path,
     ends = np.cumsum(counts)[:-1]
     return PhotoBank(photos, scale, [
         Features(*pair) for pair in zip(np.split(points, ends), np.split(descriptors, ends))])
+
+
+def _of_scene(features: Features, usable: np.ndarray | None) -> Features:
+    """Keep the features on pixels that show the scene."""
+    if usable is None:
+        return features
+    column, row = features.points.astype(int).T
+    kept = usable[np.minimum(row, usable.shape[0] - 1), np.minimum(column, usable.shape[1] - 1)]
+    return Features(features.points[kept], features.descriptors[kept])
 
 
 def _learn_words(descriptors: np.ndarray) -> np.ndarray:

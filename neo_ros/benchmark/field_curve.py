@@ -101,7 +101,7 @@ def fit_own(run: TrainingRun, seconds: float, stage: str) -> tuple[Renderer, dic
     images = run.fitted.read_images(scale)
     trainer = field_trainer(images, run.fitted.intrinsics.scaled(scale),
                             run.fitted.T_world_cam, config, run.experiment.seed,
-                            run.fitted.read_depths(scale))
+                            run.fitted.read_depths(scale), run.fitted.read_all_usable(scale))
     while trainer.done[0] < trainer.done[1]:
         trainer.train_step()
         run.progress(stage, *trainer.done, f'{trainer.psnr:.2f} dB on its photos')

@@ -3,6 +3,7 @@ B3: find the camera's pose in the scene, then let the radiance field render the 
 
 Retrieval, 2D-3D matches, PnP with RANSAC and refinement, as hloc does (Sarlin et al., 2019).
 """
+from dataclasses import dataclass
 import math
 from typing import Any, NamedTuple
 
@@ -15,11 +16,19 @@ from neo_ros.geometry.camera_pose import rotation_angle
 from neo_ros.memory.local_features import Features, find_features, match_features
 import numpy as np
 
-RETRIEVED = 20       # photos whose points are matched
-RATIO = 0.9
-PNP_PIXELS = 2.0     # a match within so many pixels of its point's projection is an inlier
-LEAST_INLIERS = 8    # with fewer, the pose counts as not found
-LEAST_COVERAGE = 0.5  # of a pixel, that some photo saw
+
+@dataclass(frozen=True)
+class RelocalizationRules:
+    """How a pose is found; as hloc does, chosen by measuring."""
+
+    retrieved: int = 20       # photos whose points are matched
+    ratio: float = 0.9        # of the best to the second distance of descriptors
+    pnp_pixels: float = 2.0   # from the projection of its point, for a match to be an inlier
+    least_inliers: int = 8    # with fewer, the pose counts as not found
+
+
+# Of a pixel, that some photo saw.
+LEAST_COVERAGE = 0.5
 
 
 class Localization(NamedTuple):
@@ -33,13 +42,14 @@ class Localization(NamedTuple):
 class Relocalizer:
     """Find the pose of a narrow image in a scene whose photos were triangulated."""
 
-    def __init__(self, bank: PhotoBank, model: SparseModel, camera: Intrinsics) -> None:
+    def __init__(self, bank: PhotoBank, model: SparseModel, camera: Intrinsics,
+                 rules: RelocalizationRules = RelocalizationRules()) -> None:
         import pycolmap
-        self.bank, self.model = bank, model
+        self.bank, self.model, self.rules = bank, model, rules
         self.lens = pycolmap.Camera(model='PINHOLE', width=camera.width, height=camera.height,
                                     params=[camera.fx, camera.fy, camera.cx, camera.cy])
         self.options = pycolmap.AbsolutePoseEstimationOptions()
-        self.options.ransac.max_error = PNP_PIXELS
+        self.options.ransac.max_error = self.rules.pnp_pixels
         self.options.ransac.random_seed = 0
         self.refinement = pycolmap.AbsolutePoseRefinementOptions()
 
@@ -51,7 +61,7 @@ class Relocalizer:
         answer, marked as failed.
         """
         features = find_features(narrow_image)
-        near = self.bank.nearest(features, RETRIEVED)
+        near = self.bank.nearest(features, self.rules.retrieved)
         found = self._pnp(features, near)
         if found is None:
             return Localization(self.bank.photos.poses[near[0]], 0, True)
@@ -65,7 +75,7 @@ class Relocalizer:
         apart = np.linalg.norm(T_world_cam[:, :3, 3] - pose.position, axis=1)
         turned = np.arccos(np.clip(T_world_cam[:, :3, 2] @ pose.forward, -1, 1))
         # Metres and radians shift a picture about as much, and far photos see other sides.
-        return np.argsort(apart + turned, kind='stable')[:RETRIEVED]
+        return np.argsort(apart + turned, kind='stable')[:self.rules.retrieved]
 
     def _pnp(self, features: Features, photos: np.ndarray) -> tuple[CameraPose, int] | None:
         import pycolmap
@@ -73,16 +83,17 @@ class Relocalizer:
         for index in photos:
             owned = np.flatnonzero(self.model.point_of[index] >= 0)
             matches = match_features(
-                features.descriptors, self.bank.features[index].descriptors[owned], RATIO)
+                features.descriptors, self.bank.features[index].descriptors[owned],
+                self.rules.ratio)
             points = self.model.point_of[index][owned[matches[:, 1]]]
             pairs.update(zip(matches[:, 0].tolist(), points.tolist()))
-        if len(pairs) < LEAST_INLIERS:
+        if len(pairs) < self.rules.least_inliers:
             return None
         chosen = np.array(sorted(pairs))
         result: dict[str, Any] | None = pycolmap.estimate_and_refine_absolute_pose(
             features.points[chosen[:, 0]], self.model.points[chosen[:, 1]], self.lens,
             self.options, self.refinement)
-        if result is None or result['num_inliers'] < LEAST_INLIERS:
+        if result is None or result['num_inliers'] < self.rules.least_inliers:
             return None
         T = np.eye(4)
         T[:3] = result['cam_from_world'].matrix()

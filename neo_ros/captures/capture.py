@@ -57,6 +57,14 @@ class DepthSource:
 
 
 @dataclass(frozen=True)
+class MaskSource:
+    """A picture of what of a photo does not show the scene: black, or white."""
+
+    file: Path
+    white_is_ignored: bool = False
+
+
+@dataclass(frozen=True)
 class CapturedFrame:
     """
     One image of a capture.
@@ -68,6 +76,7 @@ class CapturedFrame:
     stamp_ns  when it was taken, where that is known
     file      the image file, where there is one
     depth     its depth, where it was measured
+    mask      which pixels are left out, where somebody says so
     raw_lens  the camera that depth and mask belong to, where the image was made straight since
     """
 
@@ -78,6 +87,7 @@ class CapturedFrame:
     stamp_ns: int | None = None
     file: Path | None = None
     depth: DepthSource | None = None
+    mask: MaskSource | None = None
     raw_lens: Lens | None = None
 
 

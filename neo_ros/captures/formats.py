@@ -57,7 +57,7 @@ FOLDER_OPTIONS = {
     'images': (CaptureFormat.COLMAP,),
     'model': (CaptureFormat.COLMAP,),
     'camera_info': (CaptureFormat.TUM, CaptureFormat.EUROC, CaptureFormat.TRAJECTORY,
-                    CaptureFormat.PHOTOS),
+                    CaptureFormat.PHOTOS, CaptureFormat.VIDEO),
 }
 _BAG_SUFFIXES = ('.mcap', '.db3', '.mcap.zstd', '.db3.zstd')
 

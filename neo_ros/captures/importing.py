@@ -12,6 +12,7 @@ from neo_ros.captures.formats import CaptureFormat, FOLDER_READERS
 from neo_ros.captures.frame_selection import select_frames
 from neo_ros.captures.held_out_runs import hold_out_runs
 from neo_ros.captures.levelling import CLEARLY_TILTED, level_world, scaled
+from neo_ros.captures.masks import find_masks
 from neo_ros.captures.report import write_capture_report
 from neo_ros.captures.scene_copying import import_transforms
 from neo_ros.captures.scene_writing import write_capture
@@ -128,8 +129,8 @@ def _read(source: Path, format_: CaptureFormat, options: ImportOptions,
     if format_ == CaptureFormat.BAG:
         return read_bag_capture(source, options.bag, of_stage(progress, 'messages'))
     if format_ == CaptureFormat.VIDEO:
-        return read_video(source, of_stage(progress, 'video frames'))
-    return FOLDER_READERS[format_](source, **options.folder)
+        return read_video(source, of_stage(progress, 'video frames'), **options.folder)
+    return find_masks(FOLDER_READERS[format_](source, **options.folder), source)
 
 
 def _with_depth_unit(capture: Capture, unit: float) -> Capture:

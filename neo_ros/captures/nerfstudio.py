@@ -5,14 +5,16 @@ Read are OPENCV and OPENCV_FISHEYE cameras with distortion, cameras per frame, f
 `camera_angle_x` and `camera_angle_y`, and image names without their ending or with backslashes.
 `applied_transform` is not undone: it says how the world was turned, and the poses fit one another
 as they are. Frames come in the natural order of their names: the file's is often that in which
-they were registered. Depth (`depth_file_path`) is in millimetres, as nerfstudio takes it.
+they were registered. Depth (`depth_file_path`) is in millimetres, as nerfstudio takes it; masks
+(`mask_path`) are black where pixels are left out.
 """
 import json
 import math
 from pathlib import Path
 from typing import Any
 
-from neo_ros.captures.capture import Capture, CapturedFrame, DepthSource, scene_name
+from neo_ros.captures.capture import (
+    Capture, CapturedFrame, DepthSource, MaskSource, scene_name)
 from neo_ros.captures.pose_files import pose_or_lost
 from neo_ros.errors import SceneError
 from neo_ros.geometry import Intrinsics
@@ -46,6 +48,7 @@ def read_transforms_capture(source: Path) -> Capture:
         raise SceneError(f'{path}: frames: expected a list with at least one frame')
     frames, missing, lost = [], [], []
     no_depth: list[str] = []
+    no_mask: list[str] = []
     files = [_image_file(path, index, entry) for index, entry in enumerate(entries)]
     present = [file for file in files if file is not None]
     if not present:
@@ -71,7 +74,8 @@ def read_transforms_capture(source: Path) -> Capture:
             values |= {'w': size[0], 'h': size[1]}
         frames.append(CapturedFrame(
             names[index], pose, read_lens_keys(values, where),
-            _path_id(entry, where), file=file, depth=_depth(path, entry, where, no_depth)))
+            _path_id(entry, where), file=file, depth=_depth(path, entry, where, no_depth),
+            mask=_mask(path, entry, where, no_mask)))
     if not frames:
         raise SceneError(f'{path}: none of the {len(entries)} frames has a pose')
     notes = []
@@ -79,6 +83,8 @@ def read_transforms_capture(source: Path) -> Capture:
         notes.append(f'{len(missing)} listed images are missing and left out: {listed(missing)}')
     if lost:
         notes.append(f'{len(lost)} frames have no finite pose and are left out: {listed(lost)}')
+    if no_mask:
+        notes.append(f'{len(no_mask)} listed masks are missing: {listed(no_mask)}')
     if no_depth:
         notes.append(f'{len(no_depth)} listed depth maps are missing: {listed(no_depth)}')
     return Capture(tuple(frames), tuple(notes), z_up=document.get('z_up') is True,
@@ -102,16 +108,27 @@ def _image_file(path: Path, index: int, entry: Any) -> Path | None:
 
 def _depth(path: Path, entry: dict[str, Any], where: str, missing: list[str]
            ) -> DepthSource | None:
-    name = entry.get('depth_file_path')
+    file = _listed_file(path, entry, 'depth_file_path', where, missing)
+    return None if file is None else DepthSource(0.001, file)
+
+
+def _mask(path: Path, entry: dict[str, Any], where: str, missing: list[str]) -> MaskSource | None:
+    file = _listed_file(path, entry, 'mask_path', where, missing)
+    return None if file is None else MaskSource(file)
+
+
+def _listed_file(path: Path, entry: dict[str, Any], key: str, where: str, missing: list[str]
+                 ) -> Path | None:
+    name = entry.get(key)
     if name is None:
         return None
     if not isinstance(name, str):
-        raise SceneError(f'{where}: depth_file_path: expected the name of a file, got {name!r}')
+        raise SceneError(f'{where}: {key}: expected the name of a file, got {name!r}')
     file = path.parent / name.replace('\\', '/')
     if not file.is_file():
         missing.append(name)
         return None
-    return DepthSource(0.001, file)
+    return file
 
 
 def _matrix(entry: dict[str, Any], where: str) -> np.ndarray:

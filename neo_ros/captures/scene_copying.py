@@ -10,6 +10,7 @@ from neo_ros.errors import SceneError
 from neo_ros.machine.files import whole_file
 from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.pictures.depth import read_depth
+from neo_ros.pictures.usable import read_usable
 from neo_ros.scenes.posed_images import PosedImages, read_rgb_image
 from neo_ros.scenes.scene import clear_earlier_import
 from neo_ros.scenes.transforms_json import read_input_crop, read_transforms, write_transforms
@@ -21,11 +22,11 @@ def import_transforms(source: Path, scene: Path,
     Copy a folder of transforms files (nerfstudio, instant-ngp) into a scene folder.
 
     transforms_train.json (or transforms.json) and transforms_test.json with their images, their
-    depth, and walkable.json. Files that are there already are not copied again, so that a
-    broken-off import goes on; files from beside the folder ('../photos/1.png') come to 'beside/'.
-    Test frames and floor map of an earlier import are taken away. Raises SceneError for images
-    that cannot be read or have another size, for depth that cannot be read, and for cameras far
-    from the origin.
+    depth and masks, and walkable.json. Files that are there already are not copied again, so that
+    a broken-off import goes on; files from beside the folder ('../photos/1.png') come to
+    'beside/'. Test frames and floor map of an earlier import are taken away. Raises SceneError
+    for images that cannot be read or have another size, for depth and masks that cannot be read,
+    and for cameras far from the origin.
     """
     if not source.is_dir():
         raise SceneError(f'{source}: expected a folder with transforms_train.json or '
@@ -57,7 +58,9 @@ def import_transforms(source: Path, scene: Path,
             progress(done, total)
         copied[name] = replace(images, image_paths=tuple(paths), depth_paths=tuple(
             None if path is None else _copy_depth(path, source, scene, images)
-            for path in images.depth_paths))
+            for path in images.depth_paths), mask_paths=tuple(
+            None if path is None else _copy_mask(path, source, scene, images)
+            for path in images.mask_paths))
     floor = source / 'walkable.json'
     clear_earlier_import(scene, has_floor=floor.is_file())
     if floor.is_file():
@@ -78,6 +81,11 @@ def _copy_image(path: Path, source: Path, scene: Path, images: PosedImages) -> P
 
 def _copy_depth(path: Path, source: Path, scene: Path, images: PosedImages) -> Path:
     read_depth(path, images.intrinsics.width, images.intrinsics.height)
+    return _copy(path, source, scene)
+
+
+def _copy_mask(path: Path, source: Path, scene: Path, images: PosedImages) -> Path:
+    read_usable(path, images.intrinsics.width, images.intrinsics.height)
     return _copy(path, source, scene)
 
 

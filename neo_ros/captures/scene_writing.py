@@ -10,6 +10,7 @@ import cv2
 from neo_ros.captures.capture import Capture, CapturedFrame
 from neo_ros.captures.depth_agreement import fit_to_depth
 from neo_ros.captures.depth_writing import depth_name, write_depths
+from neo_ros.captures.masks import mask_name, write_masks
 from neo_ros.errors import SceneError
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.geometry.lens import common_pinhole, Lens, Straightener
@@ -31,7 +32,7 @@ FARTHEST_M = 10_000
 def write_capture(capture: Capture, scene: Path, progress: Progress = no_progress,
                   depth_progress: Progress = no_progress) -> tuple[str, ...]:
     """
-    Write posed frames into a scene folder: images, their depth and transforms_train.json.
+    Write posed frames into a scene folder: images, masks, depth and transforms_train.json.
 
     Image files of a camera without distortion are copied as they are; all others are made
     straight and written as PNG. Frames whose image cannot be read are left out; returns the notes
@@ -44,20 +45,22 @@ def write_capture(capture: Capture, scene: Path, progress: Progress = no_progres
     check_near_origin([frame.name for frame in capture.frames],
                       [frame.pose for frame in capture.frames if frame.pose is not None])
     names, pinhole = write_images(capture, scene, progress)
+    masks, mask_notes = write_masks(capture, names, pinhole, scene)
     depths, depth_notes = write_depths(capture, names, pinhole, scene, depth_progress)
     kept = [index for index, name in enumerate(names) if name is not None]
     images = PosedImages(
         pinhole, tuple(scene / str(names[index]) for index in kept),
         tuple(pose for index in kept if (pose := capture.frames[index].pose) is not None),
         tuple(capture.frames[index].path_id for index in kept), capture.z_up,
-        capture.arbitrary_scale, tuple(depths[index] for index in kept) if depths else ())
+        capture.arbitrary_scale, tuple(depths[index] for index in kept) if depths else (),
+        tuple(masks[index] for index in kept) if masks else ())
     if depths:
         units = {frame.depth.unit for frame in capture.frames if frame.depth is not None}
         images, agreement = fit_to_depth(images, units.pop())
         depth_notes.append(agreement)
     clear_earlier_import(scene)
     write_transforms(scene / 'transforms_train.json', images)
-    return (*capture.notes, *unreadable_note(capture, names), *depth_notes)
+    return (*capture.notes, *unreadable_note(capture, names), *mask_notes, *depth_notes)
 
 
 def check_near_origin(names: Sequence[object], poses: Sequence[CameraPose]) -> None:
@@ -232,9 +235,9 @@ def check_own(folder: Path, names: Iterable[str]) -> None:
 
 
 def _image_names(capture: Capture) -> list[str]:
-    """Return all names that images of this capture may get, and their depth."""
+    """Return all names that images of this capture may get, their masks and depth."""
     names = [name for frame in capture.frames for name in (frame.name, frame.name + '.png')]
-    return names + sorted({depth_name(name) for name in names})
+    return names + sorted({beside(name) for name in names for beside in (depth_name, mask_name)})
 
 
 def _numbers(xyz: np.ndarray) -> str:

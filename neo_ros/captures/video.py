@@ -3,6 +3,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import cv2
+from neo_ros.captures.camera_file import read_camera_file
 from neo_ros.captures.capture import Capture, CapturedFrame, origin_of
 from neo_ros.errors import SceneError
 from neo_ros.machine.progress import no_progress, Progress
@@ -16,13 +17,17 @@ STEP = 0.08
 _TRACK_WIDTH, _CORNERS, _LOST = 320, 300, 0.5
 
 
-def read_video(source: Path, progress: Progress = no_progress) -> Capture:
+def read_video(source: Path, progress: Progress = no_progress,
+               camera_info: Path | None = None) -> Capture:
     """
     Choose frames of a video for structure from motion.
+
+    camera_info: the calibration of its frames, else the camera is estimated.
 
     Progress is shown of videos that say how many frames they have. Raises SceneError for files
     that are no video.
     """
+    lens = None if camera_info is None else read_camera_file(camera_info)
     total = _frame_count(source)
     chosen: list[int] = []
     best, count = (-1, -1.0), 0
@@ -55,7 +60,7 @@ def read_video(source: Path, progress: Progress = no_progress) -> Capture:
             yield from ((index, None) for index in wanted.values())
 
     note = f'{len(chosen)} frames chosen of {count}, the sharpest of every step of the picture'
-    return Capture(tuple(CapturedFrame(f'images/{number:06d}.png', None, None)
+    return Capture(tuple(CapturedFrame(f'images/{number:06d}.png', None, lens)
                          for number in chosen), (note,), stream, origin_of(source))
 
 

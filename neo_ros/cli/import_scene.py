@@ -1,5 +1,7 @@
 """`neo import`: bring a capture into a scene folder."""
+import math
 from pathlib import Path
+import re
 from typing import Annotated, Any, Optional
 
 from neo_ros.errors import ConfigError
@@ -26,8 +28,8 @@ def import_scene(
     info_topic: Annotated[Optional[str], typer.Option(
         help='Bags: the CameraInfo of the images, where it is not beside them.')] = None,
     camera_info: Annotated[Optional[Path], typer.Option(
-        help="Bags and folders without calibration: a file with it, camera_calibration's YAML or "
-             'the keys of a transforms.json.')] = None,
+        help='Bags, videos and folders without calibration: a file with it, '
+             "camera_calibration's YAML or the keys of a transforms.json.")] = None,
     images: Annotated[Optional[Path], typer.Option(
         help='COLMAP: the folder that the names of the images start from.')] = None,
     model: Annotated[Optional[int], typer.Option(
@@ -56,6 +58,9 @@ def import_scene(
              'leave the depth out.')] = None,
     size: Annotated[Optional[int], typer.Option(
         help='Demo only: edge of the training photos in pixels; default: 128.', min=16)] = None,
+    camera: Annotated[Optional[str], typer.Option(
+        help='Demo only: another camera than a square one of 90 degrees: WIDTHxHEIGHT@DEGREES, as '
+             '640x480@69.')] = None,
     depth: Annotated[bool, typer.Option(
         '--depth', help='Demo only: depth maps as well, with the faults of a depth camera.',
     )] = False,
@@ -103,19 +108,24 @@ def import_scene(
                    keyframe_distance=keyframe_distance, keyframe_angle=keyframe_angle,
                    level=level, scale=scale, fisheye_view=fisheye_view, depth_unit=depth_unit,
                    **of_bags, **of_folders)
+            demo_camera = None if camera is None else _camera_of(camera)
+            if demo_camera is not None:
+                refuse('--camera says it', size=size)
             if rooms is None:
                 refuse('expected only with --rooms', floors=floors, twins=twins,
                        own_picture=own_picture, seed=seed)
-                write_demo_scene(scene, image_size=size or 128, n_train=photos or 1000,
-                                 depth=depth,
+                write_demo_scene(scene, image_size=size or 128, camera=demo_camera,
+                                 n_train=photos or 1000, depth=depth,
                                  progress=lambda done, total: show('images', done, total))
             else:
                 write_building_scene(
                     scene, BuildingPlan(floors or 1, rooms, seed or 0, twins or 0, own_picture),
-                    image_size=size or 128, n_train=photos, depth=depth, progress=show)
+                    image_size=size or 128, camera=demo_camera, n_train=photos, depth=depth,
+                    progress=show)
         else:
-            refuse('expected only with "demo"', size=size, photos=photos, depth=depth, rooms=rooms,
-                   floors=floors, twins=twins, own_picture=own_picture, seed=seed)
+            refuse('expected only with "demo"', size=size, camera=camera, photos=photos,
+                   depth=depth, rooms=rooms, floors=floors, twins=twins,
+                   own_picture=own_picture, seed=seed)
             format_ = (detect_format(Path(source)) if format_name is None
                        else _named_format(format_name))
             if format_ != CaptureFormat.BAG:
@@ -137,17 +147,26 @@ def import_scene(
                 keyframe_distance, keyframe_angle, level, scale,
                 fisheye_view, depth_unit), show)
         found, notes = finish_scene(scene, notes, test_runs, show)
-    camera = found.train.intrinsics
+    photo = found.train.intrinsics
     tests = 'no test frames' if found.test is None else f'{len(found.test)} test frames'
     for line in notes:
         rich.print(escape(line))
     rich.print(f'{escape(str(scene))}: {len(found.train)} photos of '
-               f'{camera.width}x{camera.height} pixels, {tests}')
+               f'{photo.width}x{photo.height} pixels, {tests}')
     rich.print(f'Report on the capture: {escape(str(scene / REPORT_FILE))}')
     out = Path('out', found.name)
     if out.resolve() == scene.resolve():  # A training wants a folder of its own.
         out = Path('out', f'{found.name}_model')
     tell_next('neo', 'train', scene, '--out', out)
+
+
+def _camera_of(text: str) -> Any:
+    from neo_ros.geometry import Intrinsics
+    match = re.fullmatch(r'(\d+)x(\d+)@(\d+(?:\.\d+)?)', text)
+    if match is None or not 0 < float(match[3]) < 180 or min(int(match[1]), int(match[2])) < 16:
+        raise ConfigError('--camera: expected WIDTHxHEIGHT@DEGREES, at least 16 pixels and below '
+                          f'180 degrees, as 640x480@69, got {text!r}')
+    return Intrinsics.from_hfov(int(match[1]), int(match[2]), math.radians(float(match[3])))
 
 
 def _named_format(name: str) -> Any:

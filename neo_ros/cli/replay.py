@@ -14,6 +14,8 @@ def replay(
     image_topic: Annotated[Optional[str], typer.Option(
         help='Camera image, raw or compressed; default: the only one of the size the model '
              'takes.')] = None,
+    info_topic: Annotated[Optional[str], typer.Option(
+        help='The CameraInfo of the images, where it is not beside them.')] = None,
     start: Annotated[float, typer.Option(
         help='Begin so many seconds after the first message.', min=0)] = 0.0,
     end: Annotated[Optional[float], typer.Option(
@@ -54,7 +56,7 @@ def replay(
     section = Section(start, end, every)
     extrapolator = FovExtrapolator.load(model)
     scores, truth_topic = _prepare_scores(
-        bag, model, extrapolator, image_topic, truth_topic, score)
+        bag, model, extrapolator, image_topic, truth_topic, score, info_topic)
     with ExitStack() as stack:
         takers = [scores.add_frame] if scores is not None and truth_topic is None else []
         if side_by_side is not None:
@@ -71,7 +73,7 @@ def replay(
             bag, extrapolator, out, image_topic, truth_topic, copy, section,
             rectify, on_frame if takers else None, None if scores is None else scores.add_pair,
             lambda done, total: show('replaying, messages', done, total),
-            DEFAULT_OUTPUTS if output is None else output)
+            DEFAULT_OUTPUTS if output is None else output, info_topic)
     for damage in result.damages:
         rich.print(f'[yellow]{escape(str(damage))}[/yellow]')
     for reason, count in sorted(result.rejected.items()):
@@ -103,7 +105,8 @@ def replay(
 
 
 def _prepare_scores(bag: Path, model: Path, extrapolator: Any, image_topic: str | None,
-                    truth_topic: str | None, score: bool) -> tuple[Any, str | None]:
+                    truth_topic: str | None, score: bool, info_topic: str | None
+                    ) -> tuple[Any, str | None]:
     """Return what scores the frames, and the topic of the truth; None for none."""
     if not score and truth_topic is None:
         return None, None
@@ -116,7 +119,8 @@ def _prepare_scores(bag: Path, model: Path, extrapolator: Any, image_topic: str 
     if truth_topic is None:
         with BagReader(bag) as reader:
             found = find_truth_topic(
-                reader, find_camera(reader, expansion.source, image_topic), expansion.target)
+                reader, find_camera(reader, expansion.source, image_topic, info_topic),
+                expansion.target)
         truth_topic = None if found is None else found.name
     if truth_topic is not None:
         return BagScores(expansion), truth_topic

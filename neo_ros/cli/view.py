@@ -1,4 +1,5 @@
 """`neo view`: the wide stream in a browser."""
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Optional
 
@@ -11,7 +12,11 @@ def view(
     bag: Annotated[Optional[Path], typer.Option(
         help='Show this bag instead of a ROS graph.')] = None,
     model: Annotated[Optional[Path], typer.Option(
-        help='Model that widens a bag without wide images; default: demo_flat.onnx.')] = None,
+        help='Model whose memory shows a map and lets one look around; it also widens a bag '
+        'without wide images, for which demo_flat.onnx is the default.')] = None,
+    floor: Annotated[Optional[Path], typer.Option(
+        help='A walkable.json, or the YAML of a map_server map, whose outlines lie under the '
+        'map.')] = None,
     rate: Annotated[Optional[float], typer.Option(
         help='How many times as fast as the bag was recorded; default: 1.', min=0.001)] = None,
     sim_time: Annotated[bool, typer.Option(
@@ -36,18 +41,20 @@ def view(
     from neo_ros.machine.files import share_dir
     from neo_ros.viewer.settings import read_token, ViewerSettings
 
-    settings = ViewerSettings(
-        host=host, port=port, token=read_token(token_file), cert=cert, key=key,
-        max_viewers=max_viewers, max_mbit=max_mbit, quality=quality, stale_after=stale_after)
+    settings = partial(
+        ViewerSettings, host=host, port=port, token=read_token(token_file), cert=cert, key=key,
+        max_viewers=max_viewers, max_mbit=max_mbit, quality=quality, stale_after=stale_after,
+        floor=floor)
     if bag is not None:
         from neo_ros.viewer.bag_source import BagSource
         from neo_ros.viewer.server import serve
 
         refuse('expected only without --bag, whose time is its own', sim_time=sim_time)
-        model = model or share_dir() / 'models' / 'demo_flat.onnx'
-        serve(BagSource(bag, topic, model, 1.0 if rate is None else rate), settings, typer.echo)
+        source = BagSource(bag, topic, model or share_dir() / 'models' / 'demo_flat.onnx',
+                           1.0 if rate is None else rate)
+        serve(source, settings(model=model or source.model), typer.echo)
         return
-    refuse('expected only with --bag', model=model, rate=rate)
+    refuse('expected only with --bag', rate=rate)
     from neo_ros.viewer.main import serve_topic
     import rclpy
     from rclpy.parameter import Parameter
@@ -57,6 +64,6 @@ def view(
     node = rclpy.create_node('viewer', parameter_overrides=[
         Parameter('use_sim_time', value=sim_time)])
     try:
-        serve_topic(node, topic or '/camera/wide/image', settings)
+        serve_topic(node, topic or '/camera/wide/image', settings(model=model))
     finally:
         rclpy.try_shutdown()

@@ -22,15 +22,15 @@ def chosen_device(name: str) -> str:
 
 
 def field_trainer(images: np.ndarray, intrinsics: Intrinsics, T_world_cam: np.ndarray,
-                  config: FieldConfig, seed: int, depths: np.ndarray | None = None
-                  ) -> FieldTrainer:
+                  config: FieldConfig, seed: int, depths: np.ndarray | None = None,
+                  usable: np.ndarray | None = None) -> FieldTrainer:
     """Make the trainer for the device that `config` names; see `FieldTrainer`."""
     device = chosen_device(config.device)
     rules = FitRules()
     if device == 'cpu':
-        return FieldTrainer(images, intrinsics, T_world_cam, config, seed, rules, depths)
+        return FieldTrainer(images, intrinsics, T_world_cam, config, seed, rules, depths, usable)
     return TorchFieldTrainer(images, intrinsics, T_world_cam, config, seed, device, rules,
-                             depths)
+                             depths, usable)
 
 
 def on_device(field: VoxelField, device: str) -> RadianceField:

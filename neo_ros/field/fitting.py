@@ -41,13 +41,17 @@ class FieldTrainer:
 
     def __init__(self, images: np.ndarray, intrinsics: Intrinsics, T_world_cam: np.ndarray,
                  config: FieldConfig, seed: int, rules: FitRules = FitRules(),
-                 depths: np.ndarray | None = None) -> None:
+                 depths: np.ndarray | None = None, usable: np.ndarray | None = None) -> None:
         """
         Take photos uint8 (N, H, W, 3), their camera and T_world_cam (N, 4, 4).
 
         depths: uint16 (N, H, W), millimetres along the optical axis, 0 = unknown.
+        usable: bool (N, H, W), False where a photo does not show the scene; None: it does.
         """
         self.images, self.config, self.rules, self.depths = images, config, rules, depths
+        self.usable = usable
+        if usable is not None and not usable.any():
+            raise SceneError('masks: expected pixels that are not left out, there are none')
         self.rotations = T_world_cam[:, :3, :3].astype(np.float32)
         self.origins = T_world_cam[:, :3, 3].astype(np.float32)
         # Through the pixels' centres, and those of their quarters: (H, W, 3), (2 H, 2 W, 3).
@@ -92,9 +96,7 @@ class FieldTrainer:
         pixels, the mean of four is fitted to it; they follow one another.
         """
         across = self.rays_across
-        photo, row, column = (
-            self.random.integers(size, size=self.config.rays_per_step // across ** 2)
-            for size in self.images.shape[:3])
+        photo, row, column = self._draw_pixels(self.config.rays_per_step // across ** 2)
         target = self.images[photo, row, column].astype(np.float32) / 255
         part = np.arange(across)
         rows = (across * row[:, None] + part.repeat(across)).ravel()
@@ -105,6 +107,16 @@ class FieldTrainer:
         directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
         return (photo, target, self._distances(photo, row, column), self.origins[each],
                 directions)
+
+    def _draw_pixels(self, count: int) -> tuple[np.ndarray, ...]:
+        """Draw photo, row and column (P,) of pixels that show the scene."""
+        drawn = tuple(self.random.integers(size, size=count) for size in self.images.shape[:3])
+        if self.usable is not None:
+            # Another one each for those that are left out.
+            while len(left_out := np.flatnonzero(~self.usable[drawn])):
+                for numbers, size in zip(drawn, self.images.shape[:3]):
+                    numbers[left_out] = self.random.integers(size, size=len(left_out))
+        return drawn
 
     def _distances(self, photo: np.ndarray, row: np.ndarray, column: np.ndarray) -> np.ndarray:
         """Return float32 (P,), metres along the rays of pixels to measured depth, 0 = unknown."""
@@ -281,7 +293,11 @@ class FieldTrainer:
     def _photo_rays(self, stride: int = 1) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Yield each photo's rays_o and rays_d (R, 3), through every `stride`th row and column."""
         directions = self.rays[1][::stride, ::stride].reshape(-1, 3)
-        for rotation, origin in zip(self.rotations, self.origins):
+        for photo, (rotation, origin) in enumerate(zip(self.rotations, self.origins)):
             rays_d = directions @ rotation.T
+            if self.usable is not None:
+                rays_d = rays_d[self.usable[photo, ::stride, ::stride].ravel()]
+                if not len(rays_d):
+                    continue
             rays_d /= np.linalg.norm(rays_d, axis=-1, keepdims=True)
             yield np.broadcast_to(origin, rays_d.shape).copy(), rays_d

@@ -28,9 +28,10 @@ class TorchFieldTrainer(FieldTrainer):
 
     def __init__(self, images: np.ndarray, intrinsics: Intrinsics, T_world_cam: np.ndarray,
                  config: FieldConfig, seed: int, device: str,
-                 rules: FitRules = FitRules(), depths: np.ndarray | None = None) -> None:
+                 rules: FitRules = FitRules(), depths: np.ndarray | None = None,
+                 usable: np.ndarray | None = None) -> None:
         self.device = device
-        super().__init__(images, intrinsics, T_world_cam, config, seed, rules, depths)
+        super().__init__(images, intrinsics, T_world_cam, config, seed, rules, depths, usable)
 
     @property
     def placed(self) -> TorchField:

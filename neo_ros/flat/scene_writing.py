@@ -29,15 +29,16 @@ Job = tuple[str, Intrinsics, np.ndarray, Site]
 BUILDING_LIGHT = 'building_light.npz'
 
 
-def write_demo_scene(folder: Path, *, image_size: int = 128, n_train: int = 1000,
-                     n_paths: int = 8, frames_per_path: int = 25, seed: int = 0,
-                     depth: bool = False, progress: Progress = no_progress,
+def write_demo_scene(folder: Path, *, image_size: int = 128, camera: Intrinsics | None = None,
+                     n_train: int = 1000, n_paths: int = 8, frames_per_path: int = 25,
+                     seed: int = 0, depth: bool = False, progress: Progress = no_progress,
                      workers: int | None = None) -> None:
     """
     Write the demo flat in the layout of the paper's 3-DoF protocol (section 4.1).
 
-    train/*.png        image_size square, 90 degrees, poses uniform over the free floor
-    test/pPATH_FRAME.png  twice that size at the same focal length, 126.87 degrees, along walks
+    train/*.png        image_size square, 90 degrees, or as `camera` sees; poses uniform over the
+                       free floor
+    test/pPATH_FRAME.png  twice that size at the same focal length (126.87 degrees), along walks
     and transforms_train.json, transforms_test.json (with `input_crop`), walkable.json; with
     `depth` depth/*.png beside the photos, as a depth camera reads it (`depth_sensor.py`).
     progress(done, total) counts images; workers are processes, all cores by default.
@@ -48,16 +49,17 @@ def write_demo_scene(folder: Path, *, image_size: int = 128, n_train: int = 1000
     train = sample_training_poses(flat, n_train, seed)
     walks = walking_paths(flat, n_paths, frames_per_path, seed)
     poses = [pose.T_world_cam for pose in (*train, *itertools.chain(*walks))]
-    _claim(folder, {'image_size': image_size, 'n_train': n_train, 'n_paths': n_paths,
+    _claim(folder, {**_of_camera(image_size, camera), 'n_train': n_train, 'n_paths': n_paths,
                     'frames_per_path': frames_per_path, 'seed': seed,
                     'fingerprint': fingerprint(flat, poses)})
-    _write_views(folder, None, image_size, train, walks, seed, depth, progress, workers)
+    _write_views(folder, None, camera or square_camera(image_size), train, walks, seed, depth,
+                 progress, workers)
     write_walkable(folder / 'walkable.json', flat.walkable())
 
 
 def write_building_scene(folder: Path, plan: BuildingPlan, *, image_size: int = 128,
-                         n_train: int | None = None, frames_per_path: int = 25,
-                         depth: bool = False, progress: StageProgress,
+                         camera: Intrinsics | None = None, n_train: int | None = None,
+                         frames_per_path: int = 25, depth: bool = False, progress: StageProgress,
                          workers: int | None = None) -> Building:
     """
     Write a building as `write_demo_scene` writes the flat; photos as a mapping robot takes them.
@@ -67,7 +69,7 @@ def write_building_scene(folder: Path, plan: BuildingPlan, *, image_size: int = 
     n_train: photos, evenly chosen of all that the robot takes, which is the default.
     """
     workers = workers or len(os.sched_getaffinity(0))
-    _claim(folder, {'image_size': image_size, 'n_train': n_train or 0,
+    _claim(folder, {**_of_camera(image_size, camera), 'n_train': n_train or 0,
                     'frames_per_path': frames_per_path, 'building': repr(plan)})
     light = folder / BUILDING_LIGHT
     building = build_building(plan, light, of_stage(progress, 'light'), workers)
@@ -81,20 +83,28 @@ def write_building_scene(folder: Path, plan: BuildingPlan, *, image_size: int = 
                  np.linspace(0, len(train) - 1, n_train).round().astype(int)]
     walks = [walk for floor in floors
              for walk in door_walks(building, floor, frames_per_path, plan.seed)]
-    _write_views(folder, (plan, light), image_size, train, walks, plan.seed, depth,
-                 of_stage(progress, 'images'), workers)
+    _write_views(folder, (plan, light), camera or square_camera(image_size), train, walks,
+                 plan.seed, depth, of_stage(progress, 'images'), workers)
     for floor in floors:
         name = 'walkable.json' if floor == 0 else f'walkable_{floor}.json'
         write_walkable(folder / name, building.walkable(floor))
     return building
 
 
-def _write_views(folder: Path, site: Site, image_size: int, train: Sequence[CameraPose],
+def square_camera(size: int) -> Intrinsics:
+    """Return the paper's camera (section 4.1): square, 90 degrees."""
+    return Intrinsics.from_hfov(size, size, np.pi / 2)
+
+
+def _of_camera(image_size: int, camera: Intrinsics | None) -> dict[str, int | str]:
+    return {'image_size': image_size} if camera is None else {'camera': repr(camera)}
+
+
+def _write_views(folder: Path, site: Site, narrow: Intrinsics, train: Sequence[CameraPose],
                  walks: Sequence[Sequence[CameraPose]], seed: int, depth: bool,
                  progress: Progress, workers: int | None) -> None:
     """Render photos and test walks that are not there yet, and list them."""
-    narrow = Intrinsics.from_hfov(image_size, image_size, np.pi / 2)
-    expansion = ViewExpansion.to_size(narrow, 2 * image_size, 2 * image_size)
+    expansion = ViewExpansion.to_size(narrow, 2 * narrow.width, 2 * narrow.height)
     test = [(f'test/p{path_id}_{index:02d}.png', pose, path_id)
             for path_id, walk in enumerate(walks) for index, pose in enumerate(walk)]
     names = [f'train/{index:04d}.png' for index in range(len(train))]

@@ -30,9 +30,11 @@ class LookThresholds:
     widest: int = 320
     # Points along each side of the camera's frame.
     frame_points: int = 12
+    # What was just seen is marked in patches, not in single pixels: of squares of this side most.
+    smoothed: int = 15
     # Keyframes that are asked for a distance, and the radius in pixels of the patch that is.
     asked: int = 4
-    patch: int = 2
+    patch: int = 3
     # Of the remembered distance: two thirds of all points of the demo flat are nearer to the
     # truth than this share and what the keyframes differ by.
     least_share: float = 0.04
@@ -150,6 +152,7 @@ class LookAround:
             if before:
                 self._bring(before, pose, view, np.where(shown.stretched, 0, shown.depth),
                             shown.image, kinds)
+                _smooth(kinds, self.thresholds.smoothed)
         gain = newest.gain if newest is not None else np.float32(1)
         image = np.clip(shown.image * gain + 0.5, 0, 255).astype(np.uint8)
         image[kinds == UNKNOWN] = 0
@@ -185,12 +188,15 @@ class LookAround:
             each = [self._renderer.render_from([keyframe], pose, patch) for keyframe in
                     self._renderer.nearest(pose.position, limits.asked)]
         solid = (whole.depth > 0) & ~whole.stretched
-        if not solid[reach, reach]:
+        if not solid.any():
             return None
-        z = float(whole.depth[reach, reach])
-        others = np.array([other.depth[reach, reach] for other in each
-                           if other.depth[reach, reach] > 0
-                           and not other.stretched[reach, reach]])
+        # Between two surfaces nothing is known: the nearest pixel that lies on one counts.
+        rows, columns = np.nonzero(solid)
+        nearest = np.argmin((rows - reach) ** 2 + (columns - reach) ** 2)
+        place = (rows[nearest], columns[nearest])
+        z = float(whole.depth[place])
+        others = np.array([other.depth[place] for other in each
+                           if other.depth[place] > 0 and not other.stretched[place]])
         # Keyframes that see another surface there say nothing of how exact this one is, but that
         # it may be that one.
         spread = float(np.median(np.abs(others - z))) if len(others) else 0.0
@@ -271,6 +277,13 @@ def _in_image(camera_pose: CameraPose, camera: Intrinsics, pose: CameraPose, vie
     seen = ((local[..., 2] > 0) & (columns >= 0) & (columns <= camera.width - 1)
             & (rows >= 0) & (rows <= camera.height - 1))
     return columns.astype(np.float32), rows.astype(np.float32), seen
+
+
+def _smooth(kinds: np.ndarray, side: int) -> None:
+    """Mark what was just seen in whole patches."""
+    known = kinds != UNKNOWN
+    recent = cv2.medianBlur((kinds == RECENT).astype(np.uint8), side) > 0
+    kinds[known] = np.where(recent[known], RECENT, REMEMBERED)
 
 
 def _paste(image: np.ndarray, kinds: np.ndarray, pose: CameraPose, view: Intrinsics,

@@ -6,7 +6,7 @@ from neo_ros.memory.kernels import CLOSEST, FAST
 from numba import prange
 import numpy as np
 
-# A surface counts as seen by an image if the depth there is the same within this share.
+# A surface counts as seen by an image if it lies between the depths there, within this share.
 SAME_DEPTH = 0.05
 # Beside the border of an image it counts less, over so many pixels.
 FEATHER = np.float32(3)
@@ -53,9 +53,16 @@ def bring_newest(rays, depth, brought, camera, mark, picture, kinds):
                 u = fx * (R[k, 0, 0] * px + R[k, 0, 1] * py + R[k, 0, 2] * pz + t[k, 0]) / z + cx
                 v = fy * (R[k, 1, 0] * px + R[k, 1, 1] * py + R[k, 1, 2] * pz + t[k, 1]) / z + cy
                 inside = min(min(u, width - u), min(v, height - v)) - half
-                if not inside > 0 or abs(depths[k, int(v), int(u)] - z) > SAME_DEPTH * z:
+                if not inside > 0:
                     continue
                 x0, y0 = min(int(u - half), width - 2), min(int(v - half), height - 2)
+                # On a slanted surface the depths of neighbours differ by more.
+                nearest = farthest = depths[k, y0, x0]
+                for there in (depths[k, y0, x0 + 1], depths[k, y0 + 1, x0],
+                              depths[k, y0 + 1, x0 + 1]):
+                    nearest, farthest = min(nearest, there), max(farthest, there)
+                if not nearest * (1 - SAME_DEPTH) < z < farthest * (1 + SAME_DEPTH):
+                    continue
                 ax, ay = u - half - x0, v - half - y0
                 share = min(inside / FEATHER, one)
                 for c in range(3):

@@ -4,9 +4,11 @@ import functools
 from typing import Any
 
 from neo_ros.messages import camera_info_of
+from neo_ros.messages.stamps import stamp_of
 from neo_ros.node.camera_pairing import CAMERA_INFO_WAIT_S, CameraPairing
 from neo_ros.node.input_topics import ENDPOINTS, InputTopics
 from neo_ros.node.interface import CAMERA_INFO, Endpoint
+from neo_ros.node.stamp_watch import StampWatch
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, qos_policy_name_from_kind, QoSProfile, ReliabilityPolicy
@@ -24,6 +26,7 @@ class CameraInputs:
         self._node, self._take = node, take
         self._topics = InputTopics(node)
         self._pairing = CameraPairing(self._take_pair, self._is_announced)
+        self.stamps = StampWatch()
         self._subscriptions: list[Subscription] = []
         self.frame_id = ''  # Of the images; '' before the first.
         self.choose('raw', reliable=False)
@@ -55,6 +58,17 @@ class CameraInputs:
         return '; '.join(filter(None, [self._qos_conflict(), self._pairing.mismatch, *(
             self._topics.describe_crowd(topic, endpoint) for topic, endpoint in self._wanted())]))
 
+    @property
+    def remedy(self) -> str:
+        """What to do about images that get lost on their way, in words."""
+        if self._reliable:
+            return 'this computer or the network is too slow for them'
+        if any(publisher.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
+               for publisher in self._topics.publishers(*self._wanted()[0])):
+            return ('let the camera driver publish reliably, or give it the Fast DDS profile of '
+                    'this package')
+        return 'set the parameter reliable to true'
+
     def choose(self, transport: str, reliable: bool) -> None:
         """Set what the next `subscribe` asks for."""
         self._transport, self._reliable = transport, reliable
@@ -63,7 +77,7 @@ class CameraInputs:
         """Take images from now on."""
         self.unsubscribe()
         for (topic, endpoint), callback in zip(
-                self._wanted(), (self._pairing.add_image, self._pairing.add_info)):
+                self._wanted(), (self._on_image, self._on_info)):
             # The newest only; a frame that waits here is as old as one that waits anywhere.
             qos = QoSProfile(depth=1, reliability=(
                 ReliabilityPolicy.RELIABLE if self._reliable else ReliabilityPolicy.BEST_EFFORT))
@@ -78,7 +92,7 @@ class CameraInputs:
             latched = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE,
                                  durability=DurabilityPolicy.TRANSIENT_LOCAL)
             self._subscriptions.append(self._node.create_subscription(
-                CAMERA_INFO.kind, topic, self._pairing.add_info, latched,
+                CAMERA_INFO.kind, topic, self._on_info, latched,
                 event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False)))
 
     def unsubscribe(self) -> None:
@@ -87,6 +101,7 @@ class CameraInputs:
             self._node.destroy_subscription(subscription)
         self._subscriptions = []
         self._pairing.forget()
+        self.stamps.forget()
 
     def forget_lost_camera(self) -> None:
         """Drop the camera_info once nobody publishes it: the next camera may be another one."""
@@ -104,6 +119,16 @@ class CameraInputs:
     def _is_announced(self) -> bool:
         """Say whether a camera_info will come."""
         return self._has_camera_info() and not self._qos_conflict()
+
+    def _on_image(self, image: Any) -> None:
+        stamp_ns = stamp_of(image.header)
+        age_ms = (self._node.get_clock().now().nanoseconds - stamp_ns) / 1e6
+        self.stamps.add_image(stamp_ns, age_ms, len(image.data))
+        self._pairing.add_image(image)
+
+    def _on_info(self, info: Any) -> None:
+        self.stamps.add_info(stamp_of(info.header))
+        self._pairing.add_info(info)
 
     def _take_pair(self, image: Any, camera_info: Any | None) -> None:
         self.frame_id = image.header.frame_id

@@ -6,7 +6,7 @@ import time
 from diagnostic_msgs.msg import DiagnosticArray
 from neo_ros.messages import SceneWatch
 from neo_ros.node.camera_inputs import CameraInputs
-from neo_ros.node.diagnostics import build_status, Health
+from neo_ros.node.diagnostics import build_camera_status, build_status, Health
 from neo_ros.node.frame_statistics import Statistics
 from neo_ros.node.interface import DIAGNOSTICS, OUTPUTS
 from neo_ros.node.loaded_model import LoadedModel
@@ -68,9 +68,11 @@ class Diagnosing:
             twin=twin if self._twin_seen >= TWIN_SEEN else '', camera=self._inputs.frame_id,
             subscribed=now.subscribed, memory=now.model is not None and now.model.memory,
             unlike_scene=self._scene_watch.update(counts.out_of_scene), counts=counts)
-        message = DiagnosticArray(status=[build_status(
-            self._node.get_fully_qualified_name(), health,
-            now.model.description if now.model else {})])
+        name = self._node.get_fully_qualified_name()
+        message = DiagnosticArray(status=[
+            build_status(name, health, now.model.description if now.model else {}),
+            build_camera_status(name, health.camera or health.topic,
+                                self._inputs.stamps.report(), self._inputs.remedy)])
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._publisher.publish(message)
 

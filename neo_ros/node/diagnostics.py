@@ -6,6 +6,7 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from neo_ros.messages.camera_fit import NO_CAMERA_INFO
 from neo_ros.messages.scene_outputs import WIDENING
 from neo_ros.node.frame_statistics import Snapshot
+from neo_ros.node.stamp_watch import judge_stamps, StampReport
 
 # Share of the widened images: a memory that knows the place guides nearly all of them.
 LEAST_GUIDED = 0.1
@@ -37,6 +38,15 @@ KEYS = {
     'out of the scene': '0 as trained, 1 nothing like it',
     'in the trained scene': 'false while the mean score was above 0.5, until it is below 0.35',
     'latency STAGE median/p95/max [ms]': 'queue, decode, infer, check, publish, total',
+}
+CAMERA_KEYS = {
+    'images': 'how many came in the last five seconds',
+    'camera_infos': 'of how many stamps they came',
+    'age of the stamps [ms]': 'median, at arrival',
+    'images of the newest stamp': 'more than one: the driver repeats its stamps',
+    'rate by the stamps [Hz]': "the camera's",
+    'images sent': 'by the stamps of images and camera_infos',
+    'images lost before the node': 'of those',
 }
 
 
@@ -143,7 +153,33 @@ def build_status(name: str, health: Health, model: Mapping[str, str]) -> Diagnos
            for stage, spread in counts.latency_ms.items()},
     }
     level, message = judge(health)
+    return _status(level, f'{name}: {WIDENING}', message, health.camera or health.topic, lines)
+
+
+def build_camera_status(name: str, hardware_id: str, report: StampReport, remedy: str
+                        ) -> DiagnosticStatus:
+    """Return what a node's camera does; `remedy` says what to do about lost images."""
+    rate = report.rate
+    wrong = judge_stamps(report, remedy)
+    message = wrong or (f'{report.images} images in five seconds' if report.images
+                        else 'no image lately')
+    return _status(DiagnosticStatus.WARN if wrong else DiagnosticStatus.OK, f'{name}: camera',
+                   message, hardware_id, {
+        'images': str(report.images),
+        'camera_infos': str(report.infos),
+        'age of the stamps [ms]': _number(report.age_ms),
+        'images of the newest stamp': str(report.same),
+        'rate by the stamps [Hz]': _number(rate),
+        'images sent': 'unknown' if rate is None else str(report.sent),
+        'images lost before the node': 'unknown' if rate is None else str(report.lost)})
+
+
+def _number(value: float | None) -> str:
+    return 'unknown' if value is None else f'{value:.1f}'
+
+
+def _status(level: bytes, name: str, message: str, hardware_id: str, lines: Mapping[str, str]
+            ) -> DiagnosticStatus:
     return DiagnosticStatus(
-        level=level, name=f'{name}: {WIDENING}', message=message,
-        hardware_id=health.camera or health.topic,
+        level=level, name=name, message=message, hardware_id=hardware_id,
         values=[KeyValue(key=key, value=value) for key, value in lines.items()])

@@ -1,39 +1,35 @@
 """The tables of topics, parameters, services and keys in docs/reference/node.md, from the code."""
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
-from neo_ros.node.diagnostics import KEYS
+from neo_ros.node.diagnostics import CAMERA_KEYS, KEYS
 from neo_ros.node.interface import DIAGNOSTICS, Endpoint, INPUTS, OUTPUTS, SERVICES
-from neo_ros.node.parameters import declare_parameters
+from neo_ros.node.parameters import parameters
 from rcl_interfaces.msg import ParameterDescriptor
-
-
-class _ParameterRows:
-    """Takes declarations of parameters as a node does, and makes table rows of them."""
-
-    def __init__(self) -> None:
-        self.rows: list[str] = []
-
-    def declare_parameter(self, name: str, default: Any, about: ParameterDescriptor) -> None:
-        """Add a row."""
-        words = [about.description, *_ranges(about), about.additional_constraints]
-        if about.read_only:
-            words.append('read-only')
-        shown = str(default).lower() if isinstance(default, bool) else repr(default)
-        self.rows.append(f'| `{name}` | {shown} | {"; ".join(filter(None, words))} |')
 
 
 def interface_tables() -> dict[str, str]:
     """Return the tables in Markdown, by their names."""
-    parameters = _ParameterRows()
-    declare_parameters(parameters)  # type: ignore[arg-type]
     topics = [*_rows('in, ', INPUTS), *_rows('out, ', OUTPUTS.values()),
               *_rows('out, ', [DIAGNOSTICS])]
     return {'topics': _table('| topic | type | |', topics),
-            'parameters': _table('| parameter | default | |', parameters.rows),
-            'diagnostics': _table('| key | meaning |', [
-                f'| `{key}` | {words} |' for key, words in KEYS.items()]),
+            'parameters': _table('| parameter | default | |', [
+                _parameter_row(*parameter) for parameter in parameters()]),
+            'widening': _keys(KEYS),
+            'camera': _keys(CAMERA_KEYS),
             'services': _table('| service | type | |', _rows('', SERVICES))}
+
+
+def _parameter_row(name: str, default: Any, about: ParameterDescriptor) -> str:
+    words = [about.description, *_ranges(about), about.additional_constraints]
+    if about.read_only:
+        words.append('read-only')
+    shown = str(default).lower() if isinstance(default, bool) else repr(default)
+    return f'| `{name}` | {shown} | {"; ".join(filter(None, words))} |'
+
+
+def _keys(keys: Mapping[str, str]) -> str:
+    return _table('| key | meaning |', [f'| `{key}` | {words} |' for key, words in keys.items()])
 
 
 def _ranges(about: ParameterDescriptor) -> list[str]:

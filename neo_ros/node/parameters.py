@@ -5,7 +5,7 @@ from importlib.util import find_spec
 from typing import Any
 
 from neo_ros.errors import ConfigError
-from neo_ros.machine.files import share_dir
+from neo_ros.node.model_place import find_model
 from neo_ros.runtime.providers import PROVIDERS
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
@@ -20,7 +20,7 @@ TRANSPORTS = ('raw', 'compressed')
 @dataclass(frozen=True)
 class NodeParameters:
     """
-    The values of the parameters; see `declare_parameters` for what they mean.
+    The values of the parameters; see `parameters` for what they mean.
 
     model is a path and never empty here.
     """
@@ -44,44 +44,58 @@ class NodeParameters:
 
 
 def declare_parameters(node: Node) -> None:
-    """Declare every parameter with its description and range."""
-    _declare(node, 'model', '',
-             'Path of the model (ONNX file of "neo train"); empty: the demo flat that comes '
-             'with the package. A new one replaces the old one once it has passed its checks')
-    _declare(node, 'autostart', True,
-             'Configure and activate on start, without a lifecycle manager', read_only=True)
-    _declare(node, 'threads', 0, 'Threads of the network, 0 = one per core',
-             integer_range=[IntegerRange(from_value=0, to_value=64, step=1)])
-    _declare(node, 'providers', ['cuda', 'cpu'],
+    """Declare every parameter with its description and range; integers do for doubles."""
+    for name, default, about in parameters():
+        given = override_of(node, name)
+        if isinstance(default, float) and type(given) is int:
+            node.declare_parameter(name, float(given), about, ignore_override=True)
+        else:
+            node.declare_parameter(name, default, about)
+    node.add_pre_set_parameters_callback(_with_doubles)
+
+
+def parameters() -> list[tuple[str, Any, ParameterDescriptor]]:
+    """Return every parameter's name, default, and what it is."""
+    return [
+        _row('model', '',
+             'The model (ONNX file of "neo train"): a path, ~/PATH, file:///PATH or '
+             'package://PACKAGE/PATH; empty: the demo flat that comes with the package. A new one '
+             'replaces the old one once it has passed its checks'),
+        _row('autostart', True,
+             'Configure and activate on start, without a lifecycle manager', read_only=True),
+        _row('threads', 0, 'Threads of the network, 0 = one per core',
+             integer_range=[IntegerRange(from_value=0, to_value=64, step=1)]),
+        _row('providers', ['cuda', 'cpu'],
              'What the network runs on, best first; what is not there is left out, the CPU is '
              'always the last. TensorRT first builds an engine for minutes',
-             additional_constraints=f'some of {", ".join(PROVIDERS)}')
-    _declare(node, 'image_transport', 'raw', 'Which image topic is subscribed',
-             additional_constraints=' or '.join(TRANSPORTS))
-    _declare(node, 'reliable', False,
-             'Ask the image publisher for reliable delivery instead of best effort')
-    _declare(node, 'rectify', False,
+             additional_constraints=f'some of {", ".join(PROVIDERS)}'),
+        _row('image_transport', 'raw', 'Which image topic is subscribed',
+             additional_constraints=' or '.join(TRANSPORTS)),
+        _row('reliable', False,
+             'Ask the image publisher for reliable delivery instead of best effort'),
+        _row('rectify', False,
              'Take the distortion of camera_info out of the images; otherwise distorted images '
-             'are rejected')
-    _declare(node, 'max_fps', 0.0,
+             'are rejected'),
+        _row('max_fps', 0.0,
              'Most frames widened per second, 0 = as many as come',
-             floating_point_range=[FloatingPointRange(from_value=0.0, to_value=1000.0)])
-    _declare(node, 'jpeg_quality', 80, 'Quality of wide/image/compressed',
-             integer_range=[IntegerRange(from_value=1, to_value=100, step=1)])
-    _declare(node, 'scene_frame', '',
-             'Frame of the poses; empty: map, or scene where the scale of the scene is arbitrary')
-    _declare(node, 'base_frame', '',
+             floating_point_range=[FloatingPointRange(from_value=0.0, to_value=1000.0)]),
+        _row('jpeg_quality', 80, 'Quality of wide/image/compressed',
+             integer_range=[IntegerRange(from_value=1, to_value=100, step=1)]),
+        _row('scene_frame', '',
+             'Frame of the poses; empty: map, or scene where the scale of the scene is arbitrary'),
+        _row('base_frame', '',
              "The robot's frame, such as base_link: then its pose is published, too, and priors "
-             'and odometry are of it. Needs tf2_ros; configure takes it, as the next two')
-    _declare(node, 'odom_frame', 'odom', 'What publish_tf places in scene_frame')
-    _declare(node, 'publish_tf', False,
-             'Send the transform from scene_frame to odom_frame. Needs base_frame and tf2_ros')
-    _declare(node, 'points_every', 2, 'Of so many pixels and rows one becomes a point',
-             integer_range=[IntegerRange(from_value=1, to_value=32, step=1)])
-    _declare(node, 'panorama_width', 1024, 'Pixels of wide/panorama',
-             integer_range=[IntegerRange(from_value=64, to_value=8192, step=2)])
-    _declare(node, 'panorama_fps', 1.0, 'Most panoramas per second',
-             floating_point_range=[FloatingPointRange(from_value=0.01, to_value=30.0)])
+             'and odometry are of it. Needs tf2_ros; configure takes it, as the next two'),
+        _row('odom_frame', 'odom', 'What publish_tf places in scene_frame'),
+        _row('publish_tf', False,
+             'Send the transform from scene_frame to odom_frame. Needs base_frame and tf2_ros'),
+        _row('points_every', 2, 'Of so many pixels and rows one becomes a point',
+             integer_range=[IntegerRange(from_value=1, to_value=32, step=1)]),
+        _row('panorama_width', 1024, 'Pixels of wide/panorama',
+             integer_range=[IntegerRange(from_value=64, to_value=8192, step=2)]),
+        _row('panorama_fps', 1.0, 'Most panoramas per second',
+             floating_point_range=[FloatingPointRange(from_value=0.01, to_value=30.0)]),
+    ]
 
 
 def read_parameters(node: Node, changed: Sequence[Parameter] = ()) -> NodeParameters:
@@ -106,7 +120,7 @@ def read_parameters(node: Node, changed: Sequence[Parameter] = ()) -> NodeParame
         raise ConfigError(
             f'base_frame: {values["base_frame"]!r} needs tf2_ros, which is missing here (it is '
             'not among the wheels of PyPI); run the node in a ROS installation, or leave it empty')
-    values['model'] = values['model'] or str(share_dir() / 'models' / 'demo_flat.onnx')
+    values['model'] = find_model(values['model'])
     return NodeParameters(**values)
 
 
@@ -120,6 +134,14 @@ def override_of(node: Node, name: str) -> Any | None:
     return found
 
 
-def _declare(node: Node, name: str, default: Any, description: str, **constraints: Any) -> None:
-    node.declare_parameter(
-        name, default, ParameterDescriptor(description=description, **constraints))
+def _row(name: str, default: Any, description: str, **constraints: Any
+         ) -> tuple[str, Any, ParameterDescriptor]:
+    return name, default, ParameterDescriptor(description=description, **constraints)
+
+
+def _with_doubles(changed: list[Parameter]) -> list[Parameter]:
+    """Make doubles of the integers that are meant for doubles."""
+    doubles = {name for name, default, _ in parameters() if isinstance(default, float)}
+    return [Parameter(parameter.name, value=float(parameter.value))
+            if parameter.name in doubles and parameter.type_ == Parameter.Type.INTEGER
+            else parameter for parameter in changed]

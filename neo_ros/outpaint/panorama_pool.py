@@ -1,5 +1,6 @@
 """Panoramas at places where the robot can be, and the views that are worth learning from."""
 from collections import Counter
+from dataclasses import dataclass
 from typing import Any
 
 from neo_ros.errors import SceneError
@@ -15,17 +16,22 @@ from neo_ros.scenes.posed_images import PosedImages
 import numpy as np
 import torch
 
-# A view of which no photo saw even half teaches little. A position with hardly any other view
-# lies inside matter or outside the scene.
-LEAST_COVERAGE = 0.5
-LEAST_GOOD_VIEWS = 0.2
-# Where half of all rays meet nothing, or end right in front of the lens, there is no room.
-LEAST_OPACITY = 0.5
-MOST_BLOCKED = 0.5
-TRIES = 200
-AUDITED_VIEWS = 300
-# Photos whose sharpness is measured, and of these those whose surroundings are rendered for it.
-MEASURED_PHOTOS, RENDERED_PHOTOS = 200, 16
+
+@dataclass(frozen=True)
+class PoolRules:
+    """Which positions and views are worth learning from; chosen by measuring."""
+
+    # A view of which no photo saw even half teaches little. A position with hardly any other view
+    # lies inside matter or outside the scene.
+    least_coverage: float = 0.5
+    least_good_views: float = 0.2
+    # Where half of all rays meet nothing, or end right in front of the lens, there is no room.
+    least_opacity: float = 0.5
+    most_blocked: float = 0.5
+    tries: int = 200
+    audited_views: int = 300
+    measured_photos: int = 200     # for their sharpness; rendered at so many of them
+    rendered_photos: int = 16
 
 
 class PanoramaPool:
@@ -39,8 +45,9 @@ class PanoramaPool:
     """
 
     def __init__(self, field: RadianceField, sampler: PoseSampler, view: Intrinsics,
-                 positions: int, seed: int, cache: PanoramaCache | None = None) -> None:
-        self.field, self.sampler, self.view = field, sampler, view
+                 positions: int, seed: int, cache: PanoramaCache | None = None,
+                 rules: PoolRules = PoolRules()) -> None:
+        self.field, self.sampler, self.view, self.rules = field, sampler, view, rules
         self.positions, self.seed, self.cache = positions, seed, cache
         self.device = field.device
         self.cut_view = view_cutter(field, view)
@@ -64,10 +71,10 @@ class PanoramaPool:
         wide view at the place of a photo is, compared with the photo (median): a field is softer
         than photos everywhere, and only what is blurred beyond that says nothing.
         """
-        chosen = _evenly(len(photos), MEASURED_PHOTOS)
+        chosen = _evenly(len(photos), self.rules.measured_photos)
         sharp = np.array([relative_sharpness(photos.read_image(i, scale)) for i in chosen])
         kept = []
-        for place in _evenly(len(chosen), RENDERED_PHOTOS):
+        for place in _evenly(len(chosen), self.rules.rendered_photos):
             pose = photos.poses[chosen[place]]
             panorama = render_panorama(self.field, pose.position, self.view, self.band)
             view = self.cut_view(panorama, pose.T_world_cam[:3, :3])
@@ -85,7 +92,7 @@ class PanoramaPool:
 
     def draw_view(self, index: int, random: np.random.Generator) -> torch.Tensor:
         """Cut a view in a new orientation out of panorama `index`: RGBA uint8 (H, W, 4)."""
-        for _ in range(TRIES):
+        for _ in range(self.rules.tries):
             view = self._cut(index, random)
             if self._view_refusal(view) is None:
                 break
@@ -99,14 +106,14 @@ class PanoramaPool:
         """
         random = np.random.default_rng([self.seed, 3])
         refused: Counter[str] = Counter()
-        for index in random.integers(len(self.panoramas), size=AUDITED_VIEWS):
+        for index in random.integers(len(self.panoramas), size=self.rules.audited_views):
             reason = self._view_refusal(self._cut(int(index), random))
             refused.update([] if reason is None else [reason])
         return {
             'grid_positions': len(self.sampler.positions_xy), 'yaws': self.sampler.yaws,
             'drawn_positions': len(self.panoramas) + self.refused.total(),
             'positions': len(self.panoramas), 'refused_positions': dict(self.refused),
-            'drawn_views': AUDITED_VIEWS, 'refused_views': dict(refused),
+            'drawn_views': self.rules.audited_views, 'refused_views': dict(refused),
             'least_sharpness': self.least_sharpness}
 
     def _add_position(self) -> None:
@@ -125,7 +132,7 @@ class PanoramaPool:
         # A generator per panorama: those that come out of the cache need not be drawn again.
         random = np.random.default_rng([self.seed, 1, index])
         refused: list[tuple[str, np.ndarray]] = []
-        for _ in range(TRIES):
+        for _ in range(self.rules.tries):
             position = self.sampler.draw_position(random)
             panorama = render_panorama(self.field, position, self.view, self.band)
             reason = self._refusal(panorama)
@@ -134,38 +141,38 @@ class PanoramaPool:
             refused.append((reason, position))
         found = ', '.join(sorted({reason for reason, _ in refused}))
         raise SceneError(
-            f'pair stream: {TRIES} positions in a row show nothing to learn from ({found}); '
-            'does the floor map belong to this scene?')
+            f'pair stream: {self.rules.tries} positions in a row show nothing to learn from '
+            f'({found}); does the floor map belong to this scene?')
 
     def _refusal(self, panorama: Panorama) -> str | None:
         """Say why a position is of no use, None if it is of use."""
-        if panorama.blocked > MOST_BLOCKED:
+        if panorama.blocked > self.rules.most_blocked:
             return 'in matter'
-        if panorama.opacity < LEAST_OPACITY:
+        if panorama.opacity < self.rules.least_opacity:
             return 'nothing there'
         glance = self.view.scaled(16 / self.view.width)
-        good = [covered(torch.from_numpy(panorama.cut_view(glance, rotation)))
+        good = [covered(torch.from_numpy(panorama.cut_view(glance, rotation)), self.rules)
                 for rotation in self.glance_rotations]
-        if np.mean(good) < LEAST_GOOD_VIEWS:
+        if np.mean(good) < self.rules.least_good_views:
             return 'not seen by photos'
         good = [self._view_refusal(self.cut_view(panorama, rotation)) is None
                 for rotation in self.glance_rotations if self.least_sharpness]
-        return 'blurred' if good and np.mean(good) < LEAST_GOOD_VIEWS else None
+        return 'blurred' if good and np.mean(good) < self.rules.least_good_views else None
 
     def _cut(self, index: int, random: np.random.Generator) -> torch.Tensor:
         return self.cut_view(self.panoramas[index], self.sampler.draw_rotation(random, index))
 
     def _view_refusal(self, view: torch.Tensor) -> str | None:
-        if not covered(view):
+        if not covered(view, self.rules):
             return 'not seen by photos'
         if self.least_sharpness and _sharpness(view) < self.least_sharpness:
             return 'blurred'
         return None
 
 
-def covered(view: torch.Tensor) -> bool:
+def covered(view: torch.Tensor, rules: PoolRules = PoolRules()) -> bool:
     """Tell whether photos saw enough of an RGBA uint8 view (H, W, 4) to learn from it."""
-    return bool(view[..., 3].float().mean() > 255 * LEAST_COVERAGE)
+    return bool(view[..., 3].float().mean() > 255 * rules.least_coverage)
 
 
 def _sharpness(view: torch.Tensor) -> float:

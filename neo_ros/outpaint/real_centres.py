@@ -17,7 +17,11 @@ KEPT_BYTES = 4 << 30
 
 
 class RealCentres:
-    """Wide views at the poses of photos: photo where it reaches, field in its exposure around."""
+    """
+    Wide views at the poses of photos: photo where it reaches, field in its exposure around.
+
+    What a mask leaves out of a photo comes from the field, too.
+    """
 
     def __init__(self, field: RadianceField, photos: PosedImages, expansion: ViewExpansion,
                  scale: float) -> None:
@@ -51,12 +55,15 @@ class RealCentres:
         down, across = target.window(self.camera)
         rows = slice(max(down.start, 0), min(down.stop, target.height))
         columns = slice(max(across.start, 0), min(across.stop, target.width))
-        inside = photo[rows.start - down.start:rows.stop - down.start,
-                       columns.start - across.start:columns.stop - across.start]
+        of_photo = (slice(rows.start - down.start, rows.stop - down.start),
+                    slice(columns.start - across.start, columns.stop - across.start))
+        inside = photo[of_photo]
+        usable = self.photos.read_usable(index, self.scale)
+        shown = np.ones(inside.shape[:2], bool) if usable is None else usable[of_photo]
         # What lies around a photo is to have the photo's exposure.
-        both = covered[rows, columns]
+        both = covered[rows, columns] & shown
         image *= exposure_gain(image[rows, columns][both], inside[both])
         wide = to_uint8(np.dstack([image / 255, rendering.coverage]))
-        wide[rows, columns, :3] = inside
-        wide[rows, columns, 3] = 255
+        wide[rows, columns, :3][shown] = inside[shown]
+        wide[rows, columns, 3][shown] = 255
         return wide

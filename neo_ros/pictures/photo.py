@@ -14,6 +14,8 @@ import numpy as np
 HEIC_SUFFIXES = ('.heic', '.heif')
 PHOTO_SUFFIXES = ('.jpg', '.jpeg', '.png', '.bmp', '.tif', '.tiff', '.webp', '.ppm', '.pgm',
                   *HEIC_SUFFIXES)
+# Before the names of instant-ngp's masks, which lie among the photos.
+DYNAMIC_MASK = 'dynamic_mask_'
 # Pixels lie as the intrinsics describe them: a viewer's rotation (EXIF) must not turn them.
 READ_FLAGS = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
 
@@ -81,9 +83,10 @@ def first_photo_size(paths: Sequence[Path], source: Path) -> tuple[int, int]:
 
 
 def list_photos(folder: Path) -> list[Path]:
-    """Return the image files of a folder in natural order: img2 comes before img10."""
+    """Return the photos of a folder in natural order: img2 comes before img10."""
     if not folder.is_dir():
         return []
     return sorted((path for path in folder.iterdir()
-                   if path.suffix.lower() in PHOTO_SUFFIXES and path.is_file()),
+                   if path.suffix.lower() in PHOTO_SUFFIXES and path.is_file()
+                   and not path.name.startswith(DYNAMIC_MASK)),
                   key=lambda path: natural_key(path.name))

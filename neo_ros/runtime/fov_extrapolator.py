@@ -1,11 +1,13 @@
 """Widen images with a model file: load, check, run."""
 from collections.abc import Sequence
 from dataclasses import dataclass
+import hashlib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from neo_ros.errors import ImageRejected, ModelError
 from neo_ros.geometry import CameraPose, ViewExpansion
+from neo_ros.machine.regular_file import read_model_bytes
 from neo_ros.runtime.confidence import confidence_of
 from neo_ros.runtime.model_card import MemoryFile, ModelCard
 from neo_ros.runtime.model_file import open_model
@@ -16,6 +18,8 @@ import onnxruntime
 if TYPE_CHECKING:
     from neo_ros.memory.guided_view import GuidedView
     from neo_ros.memory.sight import Guide
+
+MEMORY_SUFFIX = '.memory'
 
 
 @dataclass(frozen=True)
@@ -136,9 +140,29 @@ class FovExtrapolator:
 
 
 def memory_path(model: Path | str, memory: MemoryFile) -> Path:
-    """Return where a model's memory lies: beside `model`, or beside the file it is a link to."""
-    beside = Path(model).with_name(memory.file)
-    return beside if beside.exists() else Path(model).resolve().with_name(memory.file)
+    """
+    Return where a model's memory lies: beside `model`, or beside the file it is a link to.
+
+    Files may have been renamed, and others may have the name: its checksum tells. Where none has
+    it, what has the name, or would have it.
+    """
+    beside, target = Path(model), Path(model).resolve()
+    named = [path.with_name(memory.file) for path in (beside, target)]
+    renamed = [path.with_suffix(MEMORY_SUFFIX) for path in (beside, target)]
+    others = sorted(path for folder in (beside.parent, target.parent)
+                    for path in folder.glob(f'*{MEMORY_SUFFIX}'))
+    # Each once, the likeliest first.
+    found = [path for path in dict.fromkeys([*named, *renamed, *others]) if path.exists()]
+    return next((path for path in found if _checksum(path) == memory.sha256),
+                next((path for path in found if path in named), named[-1]))
+
+
+def _checksum(path: Path) -> str:
+    """Return the SHA-256 of a file's bytes; '' where it cannot be read."""
+    try:
+        return hashlib.sha256(read_model_bytes(path, 'memory')).hexdigest()
+    except ModelError:
+        return ''
 
 
 def _session_options(threads: int) -> onnxruntime.SessionOptions:

@@ -10,8 +10,8 @@ def list_digest(images: PosedImages, window: ViewExpansion | None = None) -> str
     """
     Return the sha256 of a list of images; their pixels are not looked at.
 
-    It counts names, poses to a micrometre, path ids, the camera, the names of depth maps, and the
-    source window of wide truth.
+    It counts names, poses to a micrometre, path ids, the camera, the names of depth maps and
+    masks, and the source window of wide truth.
     """
     camera = images.intrinsics
     lines = [f'{camera.width} {camera.height} ' + _numbers(
@@ -21,6 +21,7 @@ def list_digest(images: PosedImages, window: ViewExpansion | None = None) -> str
     lines += [f'{path.name} {path_id} {_numbers(pose.T_world_cam[:3].ravel())}'
               for path, pose, path_id in zip(images.image_paths, images.poses, images.path_ids)]
     lines += [f'depth {path.name}' for path in images.depth_paths if path is not None]
+    lines += [f'mask {path.name}' for path in images.mask_paths if path is not None]
     return _sha256('\n'.join(lines).encode())
 
 

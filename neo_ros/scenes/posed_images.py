@@ -8,6 +8,7 @@ from neo_ros.errors import SceneError
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.pictures.depth import read_depth
 from neo_ros.pictures.photo import read_photo
+from neo_ros.pictures.usable import read_usable
 import numpy as np
 
 
@@ -23,6 +24,8 @@ class PosedImages:
     arbitrary_scale  nobody knows how long a unit of the poses is
     depth_paths      a depth map of each image (see `pictures/depth.py`), None where it has none;
                      empty: no image has one
+    mask_paths       likewise: black where an image does not show the scene (see
+                     `pictures/usable.py`)
     """
 
     intrinsics: Intrinsics
@@ -32,11 +35,13 @@ class PosedImages:
     z_up: bool = False
     arbitrary_scale: bool = False
     depth_paths: tuple[Path | None, ...] = ()
+    mask_paths: tuple[Path | None, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.depth_paths and len(self.depth_paths) != len(self.image_paths):
-            raise SceneError(f'posed images: expected as many depth maps as images, got '
-                             f'{len(self.image_paths)} images, {len(self.depth_paths)} maps')
+        for what, paths in (('depth maps', self.depth_paths), ('masks', self.mask_paths)):
+            if paths and len(paths) != len(self.image_paths):
+                raise SceneError(f'posed images: expected as many {what} as images, got '
+                                 f'{len(self.image_paths)} images, {len(paths)} {what}')
         counts = {len(self.image_paths), len(self.poses), len(self.path_ids)}
         if len(counts) != 1:
             raise SceneError(
@@ -60,7 +65,8 @@ class PosedImages:
             self, image_paths=tuple(self.image_paths[i] for i in indices),
             poses=tuple(self.poses[i] for i in indices),
             path_ids=tuple(self.path_ids[i] for i in indices),
-            depth_paths=tuple(self.depth_paths[i] for i in indices) if self.depth_paths else ())
+            depth_paths=tuple(self.depth_paths[i] for i in indices) if self.depth_paths else (),
+            mask_paths=tuple(self.mask_paths[i] for i in indices) if self.mask_paths else ())
 
     def read_image(self, index: int, scale: float = 1.0) -> np.ndarray:
         """Read image `index` as RGB uint8 (H, W, 3), resampled by area if scale < 1."""
@@ -91,6 +97,28 @@ class PosedImages:
             if path is not None:
                 depths[index] = read_depth(path, size.width, size.height)
         return depths
+
+    def read_usable(self, index: int, scale: float = 1.0) -> np.ndarray | None:
+        """
+        Read which pixels of image `index` show the scene, bool (H, W).
+
+        A smaller pixel is usable where all of it is; None where the image has no mask.
+        """
+        path = self.mask_paths[index] if self.mask_paths else None
+        size = self.intrinsics.scaled(scale)
+        return None if path is None else read_usable(path, size.width, size.height)
+
+    def read_all_usable(self, scale: float = 1.0) -> np.ndarray | None:
+        """Read which pixels of all images show the scene, bool (N, H, W); None without masks."""
+        if not any(self.mask_paths):
+            return None
+        size = self.intrinsics.scaled(scale)
+        every = np.ones((len(self), size.height, size.width), bool)
+        for index in range(len(self)):
+            usable = self.read_usable(index, scale)
+            if usable is not None:
+                every[index] = usable
+        return every
 
 
 def read_rgb_image(path: Path, intrinsics: Intrinsics) -> np.ndarray:

@@ -34,6 +34,7 @@ def read_transforms(path: Path) -> PosedImages:
     intrinsics = _read_intrinsics(document, path)
     image_paths, poses, path_ids, missing = [], [], [], []
     depth_paths: list[Path | None] = []
+    mask_paths: list[Path | None] = []
     frames = document.get('frames')
     if not isinstance(frames, list) or not frames:
         raise SceneError(f'{path}: frames: expected a list with at least one frame')
@@ -44,6 +45,8 @@ def read_transforms(path: Path) -> PosedImages:
             path_id = int(frame.get('path_id', 0))
             depth = frame.get('depth_file_path')
             depth_path = None if depth is None else path.parent / depth
+            mask = frame.get('mask_path')
+            mask_path = None if mask is None else path.parent / mask
             _check_camera_of_frame(frame, document, path)
         except KeyError as error:
             raise SceneError(f'{path}: frames[{index}]: expected the key {error}') from error
@@ -56,6 +59,7 @@ def read_transforms(path: Path) -> PosedImages:
         poses.append(pose)
         path_ids.append(path_id)
         depth_paths.append(depth_path)
+        mask_paths.append(mask_path)
     if missing:
         logger.warning('%s: %d listed images are missing and skipped: %s',
                        path, len(missing), ', '.join(missing[:5]))
@@ -63,7 +67,8 @@ def read_transforms(path: Path) -> PosedImages:
         raise SceneError(f'{path}: none of the {len(frames)} listed images exists')
     return PosedImages(intrinsics, tuple(image_paths), tuple(poses), tuple(path_ids),
                        document.get('z_up') is True, document.get('arbitrary_scale') is True,
-                       tuple(depth_paths) if any(depth_paths) else ())
+                       tuple(depth_paths) if any(depth_paths) else (),
+                       tuple(mask_paths) if any(mask_paths) else ())
 
 
 def read_input_crop(path: Path) -> ViewExpansion | None:
@@ -105,9 +110,11 @@ def write_transforms(path: Path, images: PosedImages,
         {'file_path': image_path.relative_to(path.parent).as_posix(),
          'transform_matrix': pose.to_opengl().tolist(), 'path_id': path_id}
         for image_path, pose, path_id in zip(images.image_paths, images.poses, images.path_ids)]
-    for frame, depth_path in zip(document['frames'], images.depth_paths):
-        if depth_path is not None:
-            frame['depth_file_path'] = depth_path.relative_to(path.parent).as_posix()
+    for key, beside in (('depth_file_path', images.depth_paths),
+                        ('mask_path', images.mask_paths)):
+        for frame, file in zip(document['frames'], beside):
+            if file is not None:
+                frame[key] = file.relative_to(path.parent).as_posix()
     try:
         with whole_file(path) as partial:
             partial.write_text(json.dumps(document))

@@ -34,7 +34,7 @@ def memory_step(run: TrainingRun, field: RadianceField) -> None:
         landmarks = find_landmarks(run.fitted, scale, run.expansion.source, run.out / WORK,
                                    run.progress)
         photos = Photos(run.fitted.read_images(scale), run.fitted.intrinsics.scaled(scale),
-                        run.fitted.T_world_cam)
+                        run.fitted.T_world_cam, run.fitted.read_all_usable(scale))
         left = math.inf if config.minutes is None else (
             60 * config.minutes - (time.monotonic() - started))
         memory = bake_memory(

@@ -9,12 +9,14 @@ from dataclasses import asdict, dataclass, replace
 import json
 import math
 from pathlib import Path
+import time
 from typing import Any
 
 from neo_ros.errors import ConfigError
 from neo_ros.experiment import Experiment, experiment_from
 from neo_ros.field.device import field_trainer
 from neo_ros.machine.files import write_bytes
+from neo_ros.machine.progress import StageProgress
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.scene import Scene
 import numpy as np
@@ -104,6 +106,41 @@ def share_network_minutes(out: Path, spent_seconds: float, rank: int = 0,
     if rank == 0:
         _write_plan(out, replace(plan, network_minutes=minutes))
     return minutes
+
+
+class TimeLeft:
+    """Adds to what a training shows how many minutes it has left in all."""
+
+    # What comes between field and network; what comes after it is the rest.
+    MEMORY = ('features', 'matches', 'without landmarks', 'depth of photos', 'keyframes',
+              'panoramas')
+
+    def __init__(self, plan: TimePlan, progress: StageProgress,
+                 clock: Callable[[], float] = time.monotonic,
+                 rules: PlanRules = PlanRules()) -> None:
+        self._plan, self._progress, self._clock, self._rules = plan, progress, clock, rules
+        self._began: dict[str, float] = {}
+
+    def __call__(self, stage: str, done: int, total: int, note: str = '') -> None:
+        """Show the progress of a stage, see `StageProgress`."""
+        minutes = self._minutes_left(stage, done, total)
+        left = f'{minutes:.0f} of {self._plan.minutes:g} min left in all'
+        self._progress(stage, done, total, f'{note}; {left}' if note else left)
+
+    def _minutes_left(self, stage: str, done: int, total: int) -> float:
+        minutes, rules = self._plan.minutes, self._rules
+        if stage in ('plan', 'photos'):
+            return minutes
+        if stage == 'field':
+            return minutes * (1 - rules.field * done / total)
+        if stage == 'outpainter':  # It counts in seconds.
+            return (total - done) / 60 + minutes * rules.rest
+        part = 'memory' if stage in self.MEMORY else 'rest'
+        spent = (self._clock() - self._began.setdefault(part, self._clock())) / 60
+        if part == 'memory':
+            return max(minutes * (1 - rules.field) - spent,
+                       minutes * (rules.least_network + rules.rest))
+        return max(minutes * rules.rest - spent, 0.0)
 
 
 def _chosen(scene: Scene, base: Experiment, minutes: float, say: Callable[[str], None],

@@ -1,6 +1,7 @@
 """Pictures from a bag, with the timing that it was recorded with, over and over."""
 from collections import deque
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 import threading
 from typing import Any
@@ -8,14 +9,15 @@ from typing import Any
 from neo_ros.bags import BagReader, BagTopic
 from neo_ros.bags.camera_topics import COMPRESSED, find_camera, IMAGE
 from neo_ros.bags.reading import BagMessage
-from neo_ros.errors import BagError, ConfigError, ImageRejected
+from neo_ros.errors import BagError, ConfigError, GeometryError, ImageRejected
 from neo_ros.messages import camera_info_of, FrameProcessor, SceneWatch
 from neo_ros.messages.stamps import NS_PER_S, stamp_of
 from neo_ros.runtime import FovExtrapolator
 from neo_ros.viewer.hub import Hub
 from neo_ros.viewer.pictures import SourcePicture, SourceState
+from neo_ros.viewer.whereabouts import Place, PoseJoiner
 from neo_ros.viewer.wide_topics import (
-    NodeDiagnosis, read_grey, read_picture, seen_share, WideTopics)
+    NodeDiagnosis, read_grey, read_picture, read_pixels, read_pose, seen_share, WideTopics)
 import numpy as np
 
 WIDE = '/wide/image'
@@ -40,6 +42,8 @@ class BagSource:
         if not rate > 0:
             raise ConfigError(f'rate: expected a number > 0, got {rate}')
         self._bag, self._rate = bag, rate
+        # The model that its camera is widened with; None where it has wide images.
+        self.model: Path | None = None
         self._processor: FrameProcessor | None = None
         with BagReader(bag) as reader:
             wide = _find_wide(reader, topic)
@@ -49,6 +53,7 @@ class BagSource:
                 self._topics = WideTopics(wide.name)
             else:
                 extrapolator = FovExtrapolator.load(model)
+                self.model = model
                 self._memory = extrapolator.card.memory is not None
                 self._processor = FrameProcessor(extrapolator)
                 camera = find_camera(reader, extrapolator.expansion.source, topic)
@@ -57,7 +62,8 @@ class BagSource:
                 self._info_topic = camera.info.name if camera.info is not None else ''
         self._read = {self._image.name, self._info_topic, '/diagnostics'}
         if self._processor is None:
-            self._read |= {self._topics.mask, self._topics.confidence, self._topics.status}
+            self._read |= {self._topics.mask, self._topics.confidence, self._topics.status,
+                           self._topics.pose}
         # Pictures are skipped while nobody watches; what else is read may be said only once.
         self._skipped = {self._image.name, self._topics.mask, self._topics.confidence}
         self._state = SourceState(f'{bag.name} {self._image.name}',
@@ -75,6 +81,8 @@ class BagSource:
             self._seen: tuple[float, float, float, float] | None = None
             if self._processor is not None:
                 self._processor.reset()
+            hub.where.forget()
+            self._joiner = PoseJoiner(hub.where)
             hub.report(self._state)
             ends = hub.clock.now() + LEAST_ROUND_S
             if not self._play(hub, stop):
@@ -98,7 +106,7 @@ class BagSource:
                 try:
                     self._take(message, due, hub)
                     hub.report(self._state)
-                except (ImageRejected, BagError) as error:
+                except (ImageRejected, GeometryError, BagError) as error:
                     hub.report(replace(self._state, level=1, message=str(error)))
         return pictures > 0
 
@@ -118,13 +126,17 @@ class BagSource:
             self._seen = self._seen or seen_share(read_grey(content))
         elif name == self._topics.confidence:
             self._confidence = content
+        elif name == self._topics.pose:
+            self._joiner.add_pose(stamp_of(content.header), read_pose(content))
         else:
-            image, confidence = (self._recorded(content, hub) if self._processor is None
-                                 else self._widen(self._processor, content, due))
+            image, confidence = (self._recorded(content, due, hub) if self._processor is None
+                                 else self._widen(self._processor, content, due, hub))
             hub.publish(SourcePicture(image, due, True, confidence, self._seen,
                                       message.stamp_ns / NS_PER_S))
 
-    def _recorded(self, content: Any, hub: Hub) -> tuple[np.ndarray | bytes, np.ndarray | None]:
+    def _recorded(self, content: Any, due: float, hub: Hub
+                  ) -> tuple[np.ndarray | bytes, np.ndarray | None]:
+        self._joiner.add_image(stamp_of(content.header), due, partial(read_pixels, content))
         confidence = None
         # The node and the replay write the confidence before the image of the same stamp.
         if (hub.wanted.confidence and self._confidence is not None
@@ -132,7 +144,7 @@ class BagSource:
             confidence = read_grey(self._confidence)
         return read_picture(content), confidence
 
-    def _widen(self, processor: FrameProcessor, content: Any, due: float
+    def _widen(self, processor: FrameProcessor, content: Any, due: float, hub: Hub
                ) -> tuple[np.ndarray, np.ndarray | None]:
         frame = processor.process(content, self._camera_info)
         assert frame.image is not None
@@ -145,6 +157,8 @@ class BagSource:
         if self._memory:
             self._state = replace(self._state, recognised=frame.guided)
         self._seen = self._seen or seen_share(frame.extrapolated_mask)
+        if frame.guide is not None:
+            hub.where.put(Place(frame.guide.pose, due, lambda: frame.image))
         return frame.image, frame.confidence
 
 

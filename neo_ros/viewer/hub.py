@@ -9,6 +9,7 @@ from typing import NamedTuple, Protocol
 from neo_ros.viewer.clock import Clock
 from neo_ros.viewer.pictures import EncodedPicture, SourcePicture, SourceState
 from neo_ros.viewer.viewer_link import ViewerLink
+from neo_ros.viewer.whereabouts import Whereabouts
 
 RATE_WINDOW_S = 2.0
 STATUS_PERIOD_S = 0.5
@@ -38,6 +39,7 @@ class Hub:
     def __init__(self, quality: int, clock: Clock = Clock()) -> None:
         self.clock = clock
         self.wanted = Wanted()
+        self.where = Whereabouts()
         self.encoded = 0
         self._loop = asyncio.get_running_loop()
         self._quality = quality

@@ -25,6 +25,8 @@ DESCRIPTIONS = {
     'max_mbit': 'Most megabit per second for each viewer, 0 = no limit',
     'quality': 'JPEG quality of the pictures, 1 to 100',
     'stale_after': 'Seconds until a picture counts as stale',
+    'model': 'Model whose memory shows the map and looks around; empty: neither',
+    'floor': "A walkable.json, or a map's YAML, whose outlines lie under the map",
 }
 
 
@@ -55,7 +57,7 @@ def read_settings(node: Node) -> ViewerSettings:
         values[name] = node.declare_parameter(
             name, default, ParameterDescriptor(description=description, read_only=True)).value
     token_file = values.pop('token_file')
-    for name in ('cert', 'key'):
+    for name in ('cert', 'key', 'model', 'floor'):
         values[name] = Path(values[name]) if values[name] else None
     return ViewerSettings(token=read_token(Path(token_file) if token_file else None), **values)
 

@@ -1,16 +1,19 @@
 """Pictures from a ROS graph: subscribes to what somebody watches, and to nothing else."""
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 import threading
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from neo_ros.errors import ImageRejected
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from neo_ros.errors import GeometryError, ImageRejected
 from neo_ros.messages.stamps import NS_PER_S, stamp_of
 from neo_ros.viewer.hub import Hub
 from neo_ros.viewer.pictures import SourcePicture, SourceState
+from neo_ros.viewer.whereabouts import PoseJoiner
 from neo_ros.viewer.wide_topics import (
-    NodeDiagnosis, read_grey, read_picture, seen_share, WideTopics)
+    NodeDiagnosis, read_grey, read_picture, read_pixels, read_pose, seen_share, WideTopics)
 import numpy as np
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -57,6 +60,7 @@ class RosSource:
     def run(self, hub: Hub, stop: threading.Event) -> None:
         """Give pictures to the hub until `stop` is set."""
         self._hub = hub
+        self._joiner = PoseJoiner(hub.where)
         executor = SingleThreadedExecutor(context=self._node.context)
         executor.add_node(self._node)
         next_look = 0.0
@@ -86,6 +90,8 @@ class RosSource:
                    and self._node.count_publishers(topics.confidence) > 0, self._on_confidence)
         self._keep(topics.status, DiagnosticArray, showing
                    and self._node.count_publishers(topics.status) > 0, self._on_status)
+        self._keep(topics.pose, PoseWithCovarianceStamped,
+                   showing and self._hub.where.wanted > 0, self._on_pose)
         self._keep('/diagnostics', DiagnosticArray, wanted.image, self._on_diagnostics)
         if self._hub.clock.now() - self._diagnosed > DIAGNOSIS_VALID_S:
             self._state = SourceState(topics.image)
@@ -116,6 +122,7 @@ class RosSource:
         delay = (self._node.get_clock().now().nanoseconds - stamp_of(message.header)) / NS_PER_S
         timed = EARLIEST_S <= delay <= MOST_DELAY_S
         captured = arrived - max(delay, 0) if timed else arrived
+        self._joiner.add_image(stamp_of(message.header), captured, partial(read_pixels, message))
         if self._topics.confidence not in self._subscriptions:
             self._pending = self._confidence = None  # What waited is an old picture now.
             self._publish(message, captured, timed, None)
@@ -124,6 +131,12 @@ class RosSource:
             self._publish(*self._pending, None)  # Its confidence was lost.
         self._pending = message, captured, timed
         self._join()
+
+    def _on_pose(self, message: PoseWithCovarianceStamped) -> None:
+        try:
+            self._joiner.add_pose(stamp_of(message.header), read_pose(message))
+        except GeometryError as error:
+            self._complaint = f'cannot read {self._topics.pose}: {error}'
 
     def _on_confidence(self, message: Image) -> None:
         self._confidence = message

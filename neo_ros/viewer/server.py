@@ -9,8 +9,10 @@ import threading
 from aiohttp import web, WSCloseCode
 from neo_ros.errors import ConfigError
 from neo_ros.viewer.access import Access, add_headers
+from neo_ros.viewer.around_link import AroundLink
 from neo_ros.viewer.hub import Hub, Source
 from neo_ros.viewer.settings import ViewerSettings
+from neo_ros.viewer.surroundings import Surroundings
 from neo_ros.viewer.viewer_link import ViewerLink
 
 # Everything that is served; no name from a request ever becomes a path.
@@ -20,6 +22,10 @@ PAGE = {
     '/viewer.js': ('viewer.js', 'text/javascript'),
     '/link.js': ('link.js', 'text/javascript'),
     '/picture.js': ('picture.js', 'text/javascript'),
+    '/around.css': ('around.css', 'text/css'),
+    '/around.js': ('around.js', 'text/javascript'),
+    '/map.js': ('map.js', 'text/javascript'),
+    '/look.js': ('look.js', 'text/javascript'),
     '/icon.svg': ('icon.svg', 'image/svg+xml'),
 }
 MAX_REQUEST_BYTES = 2048
@@ -33,9 +39,11 @@ FULL = 4001
 class Server:
     """The application: serves the page and the stream of one hub."""
 
-    def __init__(self, settings: ViewerSettings, hub: Hub) -> None:
+    def __init__(self, settings: ViewerSettings, hub: Hub,
+                 surroundings: Surroundings = Surroundings(None)) -> None:
         self._settings = settings
         self._hub = hub
+        self._surroundings = surroundings
         self._access = Access(settings)
         self._viewers: set[web.WebSocketResponse] = set()
         folder = files('neo_ros.viewer') / 'page'
@@ -49,7 +57,8 @@ class Server:
         self.app.add_routes([
             *(web.get(url, self._get_page) for url in PAGE),
             web.get('/login', self._get_login), web.post('/login', self._post_login),
-            web.get('/stream', self._stream)])
+            web.get('/map', self._get_map), web.get('/map.webp', self._get_map_picture),
+            web.get('/stream', self._stream), web.get('/around', self._around)])
 
     async def _get_page(self, request: web.Request) -> web.Response:
         body, kind = self._pages[request.path]
@@ -99,6 +108,35 @@ class Server:
             self._viewers.discard(viewer)
         return viewer
 
+    async def _get_map(self, request: web.Request) -> web.Response:
+        plan = await asyncio.to_thread(self._surroundings.plan)
+        return web.json_response(
+            {'why': self._surroundings.why} if plan is None else plan.about)
+
+    async def _get_map_picture(self, request: web.Request) -> web.Response:
+        plan = await asyncio.to_thread(self._surroundings.plan)
+        if plan is None:
+            raise web.HTTPNotFound(text=self._surroundings.why)
+        return web.Response(body=plan.picture, content_type='image/webp')
+
+    async def _around(self, request: web.Request) -> web.WebSocketResponse:
+        self._access.check_origin(request)
+        viewer = web.WebSocketResponse(
+            max_msg_size=MAX_VIEWER_MESSAGE_BYTES, heartbeat=HEARTBEAT_S, compress=False)
+        await viewer.prepare(request)
+        where = self._hub.where
+        if where.wanted >= self._settings.max_viewers:
+            await viewer.close(code=FULL, message=b'too many viewers')
+            return viewer
+        self._viewers.add(viewer)
+        try:
+            await AroundLink(viewer, where, self._surroundings, self._hub.clock).serve()
+        except ConnectionError:
+            pass
+        finally:
+            self._viewers.discard(viewer)
+        return viewer
+
     async def _close_sockets(self, app: web.Application) -> None:
         for viewer in list(self._viewers):
             await viewer.close(code=WSCloseCode.GOING_AWAY)
@@ -119,7 +157,9 @@ async def _serve(source: Source, settings: ViewerSettings,
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, finished.set)
-    runner = web.AppRunner(Server(settings, hub).app, access_log=None, shutdown_timeout=1.0)
+    surroundings = Surroundings(settings.model, settings.floor)
+    runner = web.AppRunner(Server(settings, hub, surroundings).app, access_log=None,
+                           shutdown_timeout=1.0)
     await runner.setup()
     failures: list[BaseException] = []
 
@@ -132,6 +172,7 @@ async def _serve(source: Source, settings: ViewerSettings,
 
     thread = threading.Thread(target=feed, name='viewer source', daemon=True)
     telling = asyncio.create_task(hub.keep_telling())
+    threading.Thread(target=surroundings.warm_up, name='viewer plan', daemon=True).start()
     try:
         report(_describe(settings, await _listen(runner, settings)))
         thread.start()

@@ -22,7 +22,9 @@ class ViewerSettings:
     empty: none on loopback, a fresh one everywhere else. cert, key: PEM files for TLS.
     max_viewers: how many may watch at a time. max_mbit: megabit per second for each of them,
     0 = no limit. quality: of the JPEG pictures, 1 to 100. stale_after: seconds until a picture
-    counts as stale. fresh_token: whether the token was made here and has to be shown once.
+    counts as stale. model: whose memory shows the map and looks around; None: neither. floor: a
+    walkable.json or the YAML of a map_server map, whose outlines lie under that map.
+    fresh_token: whether the token was made here and has to be shown once.
     """
 
     host: str = '127.0.0.1'
@@ -34,6 +36,8 @@ class ViewerSettings:
     max_mbit: float = 20.0
     quality: int = 80
     stale_after: float = 0.8
+    model: Path | None = None
+    floor: Path | None = None
     fresh_token: bool = field(default=False, init=False)
 
     def __post_init__(self) -> None:

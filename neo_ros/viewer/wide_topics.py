@@ -4,7 +4,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from neo_ros.errors import ImageRejected
-from neo_ros.messages import read_image
+from neo_ros.geometry import CameraPose
+from neo_ros.messages import read_compressed_image, read_image
 from neo_ros.messages.scene_outputs import WIDENING
 from neo_ros.pictures.header import compressed_image_size
 import numpy as np
@@ -39,6 +40,11 @@ class WideTopics:
         return f'{self._wide}/status'
 
     @property
+    def pose(self) -> str:
+        """Where the camera was."""
+        return f'{self._wide}/pose'
+
+    @property
     def camera(self) -> str:
         """The camera's namespace, where the node is."""
         return self._wide.rpartition('/')[0]
@@ -62,6 +68,26 @@ def read_picture(message: Any) -> np.ndarray | bytes:
         raise ImageRejected('size', f'data: expected at most {MAX_COMPRESSED_BYTES} bytes, got '
                             f'{len(data)}')
     return data
+
+
+def read_pixels(message: Any) -> np.ndarray | None:
+    """Return RGB uint8 (H, W, 3) of an Image or a CompressedImage; None where it is unusable."""
+    try:
+        return (read_image if hasattr(message, 'encoding') else read_compressed_image)(message)
+    except ImageRejected:
+        return None
+
+
+def read_pose(message: Any) -> CameraPose:
+    """
+    Return the pose of a PoseWithCovarianceStamped.
+
+    Raises GeometryError for numbers that are none.
+    """
+    pose = message.pose.pose
+    return CameraPose.from_quaternion(
+        np.array([pose.position.x, pose.position.y, pose.position.z]),
+        np.array([getattr(pose.orientation, axis) for axis in 'xyzw']))
 
 
 def read_grey(message: Any) -> np.ndarray:

@@ -7,8 +7,9 @@ import shlex
 from bag_files import START_NS, write_walk_bag
 from camera_bags import CameraBag
 from mcap.writer import Writer as McapWriter
-from neo_ros.bags import BagWriter
+from neo_ros.bags import BagReader, BagWriter
 from neo_ros.bags.bag_info import BagInfo, read_bag_info, TopicInfo
+from neo_ros.bags.camera_topics import find_image_topic
 from neo_ros.captures.bag import BagOptions, read_bag_capture
 from neo_ros.cli.main import app
 from neo_ros.errors import BagError
@@ -208,3 +209,22 @@ def test_images_that_cannot_be_read_are_named_where_they_are_wanted(
     for topic in (None, '/eye'):
         with pytest.raises(BagError, match=f'/eye .{name} as {encoding}.*not read: .*{advice}'):
             read_bag_capture(tmp_path / 'a.mcap', BagOptions(topic))
+
+
+def test_what_a_model_made_is_proposed_as_no_camera(tmp_path: Path) -> None:
+    with CameraBag(tmp_path / 'bag') as bag:
+        bag.info('/camera/wide/camera_info', 0, EXPANSION.target)
+        for stamp in range(3):
+            bag.image('/camera/image_raw', stamp, np.zeros((24, 32, 3), np.uint8))
+            bag.image('/camera/wide/image', stamp, np.zeros((48, 64, 3), np.uint8))
+            for name in ('mask', 'confidence'):
+                bag.image(f'/camera/wide/{name}', stamp, np.zeros((48, 64), np.uint8))
+    info = read_bag_info(tmp_path / 'bag')
+    assert {topic.name: topic.roles for topic in info.topics if topic.roles} == {
+        '/camera/image_raw': ['image']}
+    content = {topic.name: topic.content for topic in info.topics}
+    assert content['/camera/wide/mask'] == content['/camera/wide/image'] == 'made by a model'
+    with BagReader(tmp_path / 'bag') as reader:
+        assert find_image_topic(reader, None).name == '/camera/image_raw'
+        # Whoever names one gets it.
+        assert find_image_topic(reader, '/camera/wide/mask').name == '/camera/wide/mask'

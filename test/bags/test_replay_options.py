@@ -201,6 +201,21 @@ def test_a_wider_camera_is_resampled_to_the_models(tmp_path, extrapolator) -> No
     assert frames[0].shape == (24, 32, 3) and (frames[0] == 90).all()
 
 
+def test_a_calibration_that_is_not_beside_the_images_may_be_named(
+        tmp_path, extrapolator) -> None:
+    with CameraBag(tmp_path / 'bag') as bag:
+        bag.info('/eye/info', 0, Intrinsics.from_hfov(64, 48, 1.8))
+        bag.send(IMAGE, 'sensor_msgs/msg/Image', 1, header=bag.header(1, 'eye'),
+                 **image_fields(np.full((48, 64, 3), 90, np.uint8)))
+    assert not replay(tmp_path / 'bag', extrapolator, tmp_path / 'a', image_topic=IMAGE).frames
+    found = replay(tmp_path / 'bag', extrapolator, tmp_path / 'b', image_topic=IMAGE,
+                   info_topic='/eye/info')
+    assert (found.frames, found.rejected) == (1, {})
+    assert '/eye/wide/image' in _counts(tmp_path / 'b')
+    with pytest.raises(BagError, match='--info-topic: expected a .*CameraInfo on /none'):
+        replay(tmp_path / 'bag', extrapolator, tmp_path / 'c', IMAGE, info_topic='/none')
+
+
 def test_a_replay_that_is_refused_leaves_the_video_of_the_last_one(
         tmp_path, walk_bag) -> None:
     model_file = write_tiny_model(tmp_path / 'm.onnx', EXPANSION)

@@ -163,11 +163,18 @@ def stand_in_field(field: VoxelField, origin: np.ndarray, rays: np.ndarray) -> R
                      np.ones(depth.shape, np.float32), (rays[..., 2] > -0.8).astype(np.float32))
 
 
-def bake_with_post(work: Path) -> SceneMemory:
-    """Bake one keyframe of the room with the post from photos around it."""
+def bake_with_post(work: Path, person: bool = False, masked: bool = False) -> SceneMemory:
+    """
+    Bake one keyframe of the room with the post from photos around it.
+
+    person: most of each photo shows somebody in white; masked: and its mask says so.
+    """
     poses = [planar(2.1, 1.95, yaw).T_world_cam for yaw in range(0, 360, 45)]
-    photos = Photos(np.stack([(PHOTO_GAIN * look(T, PHOTO)).astype(np.uint8) for T in poses]),
-                    PHOTO, np.stack(poses))
+    images = np.stack([(PHOTO_GAIN * look(T, PHOTO)).astype(np.uint8) for T in poses])
+    usable = np.ones(images.shape[:3], bool)
+    usable[:, 12:60, 15:65] = not person
+    images[~usable] = 255
+    photos = Photos(images, PHOTO, np.stack(poses), usable if masked else None)
     sampler = PoseSampler(POSITION[None, :2], (-np.pi, 2 * np.pi), ((0.0, 0.0), (0.0, 0.0)),
                           (HEIGHT, 0.0))
     field = VoxelField.empty(8, POSITION, np.ones(3), 0.2, 0, near=0.5)
@@ -226,6 +233,20 @@ def test_a_baked_keyframe_has_the_colours_of_the_photos(baked: SceneMemory) -> N
     # On the post, which hides other walls from the photos, off its edges by a pixel.
     post = cv2.erode((depth < 1.2).astype(np.uint8), np.ones((5, 5))) > 0
     assert (post & seen).sum() > 500 and wrong[post & seen].mean() < 4
+
+
+def test_what_a_mask_leaves_out_colours_nothing(tmp_path: Path) -> None:
+    off = []
+    for masked in (False, True):
+        memory = bake_with_post(tmp_path / str(masked), person=True, masked=masked)
+        texture = memory.keyframe(0).texture
+        rays = memory.band.rays(*texture.shape[:2])
+        level = np.abs(rays[..., 2]) < 0.3
+        off.append((texture - cast_with_post(POSITION, rays)[0])[level])
+    # Somebody in white shifts the photos' exposure and the room's colours.
+    assert np.abs(off[0]).mean() > 35 and abs(off[0].mean()) > 10
+    # The field's own colours are left there, off by 20 to both sides, and photos elsewhere.
+    assert np.abs(off[1]).mean() < 18 and abs(off[1].mean()) < 1
 
 
 def test_baked_glances_show_what_is_seen_from_their_poses(baked: SceneMemory) -> None:

@@ -1,12 +1,15 @@
 """Landmarks of a training run's photos."""
+from dataclasses import replace
 from pathlib import Path
 
 from box_room import apart
 from corner_photos import CAMERA, EXPANSION, write_corner
 from neo_ros.baking import landmarks as landmarks_module
 from neo_ros.baking.landmarks import find_landmarks
+from neo_ros.baking.photo_bank import read_photo_bank
 from neo_ros.evaluation.evaluate import TruthFrames
 from neo_ros.memory.landmarks import Landmarks, Locator
+from neo_ros.pictures.usable import write_usable
 from neo_ros.scenes.posed_images import PosedImages
 import numpy as np
 import pytest
@@ -37,6 +40,22 @@ def test_the_photos_landmarks_find_the_camera(
     locator = Locator(landmarks, CAMERA)
     found = locator.locate(locator.features(frames.read(0)[0]))
     assert found is not None and apart(found.pose, frames.images.poses[0])[0] < 0.05
+
+
+def test_what_a_mask_leaves_out_has_no_features(
+        corner: tuple[PosedImages, TruthFrames], tmp_path: Path) -> None:
+    photos, _ = corner
+    usable = np.ones((96, 96), bool)
+    usable[:, 30:] = False
+    write_usable(tmp_path / 'mask.png', usable)
+    masked = replace(photos, mask_paths=(tmp_path / 'mask.png', None) + (None,) * 13)
+    whole, found = (read_photo_bank(one, 1.0, tmp_path / f'{index}.npz').features
+                    for index, one in enumerate((photos, masked)))
+    left = whole[0].points[:, 0] < 30
+    assert 0 < left.sum() < len(left)
+    np.testing.assert_array_equal(found[0].points, whole[0].points[left])
+    np.testing.assert_array_equal(found[0].descriptors, whole[0].descriptors[left])
+    np.testing.assert_array_equal(found[1].points, whole[1].points)
 
 
 @pytest.mark.parametrize('patches', [True, False], ids=['patches', 'blank'])

@@ -72,7 +72,7 @@ def run(tmp_path, monkeypatch):
     monkeypatch.setattr(naive, 'OutpaintTrainer', Trainer)
     result = SimpleNamespace(
         held_out=Photos(2), fitted=Photos(5), scene=SimpleNamespace(name='room', train=Photos(7)),
-        expansion=EXPANSION, out=tmp_path, seconds=0.0, log={}, exported=[],
+        network_expansion=EXPANSION, out=tmp_path, seconds=0.0, log={}, exported=[],
         progress=lambda *told: None,
         experiment=SimpleNamespace(network=NetworkConfig(), outpaint=OutpaintConfig(), seed=0))
     monkeypatch.setattr(naive, 'export_step', lambda run, network: result.exported.append(

@@ -104,7 +104,10 @@ def test_depth_that_cannot_be_registered_is_named(tmp_path: Path, lack: dict[str
 def test_what_a_model_made_is_no_measured_depth(tmp_path: Path) -> None:
     with DepthBag(tmp_path / 'bag') as bag:
         for index, depth in enumerate(true_depth()):
+            stamp = START_NS + index * STEP_NS
             bag.depth(index, depth, '32FC1', topic='/cam/color/wide/depth')
+            bag.image('/cam/color/wide/image', stamp, np.zeros((60, 80, 3), np.uint8))
+            bag.image('/cam/color/wide/mask', stamp, np.zeros((60, 80), np.uint8))
     found, notes = imported(tmp_path / 'bag', tmp_path / 'scene')
     assert found is None and 'depth' not in notes
     assert not [topic for topic in read_bag_info(tmp_path / 'bag').topics

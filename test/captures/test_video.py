@@ -3,7 +3,7 @@ from pathlib import Path
 
 import cv2
 from neo_ros.captures import video
-from neo_ros.captures.formats import CaptureFormat, detect_format
+from neo_ros.captures.formats import CaptureFormat, detect_format, FOLDER_OPTIONS
 from neo_ros.captures.video import read_video, STEP
 from neo_ros.cli.import_scene import import_scene
 from neo_ros.errors import SceneError
@@ -74,3 +74,16 @@ def test_what_is_no_video_is_refused(tmp_path: Path) -> None:
     (tmp_path / 'a.mp4').write_bytes(b'no video')
     with pytest.raises(SceneError, match='expected a video'):
         read_video(tmp_path / 'a.mp4')
+
+
+def test_a_video_may_come_with_its_calibration(tmp_path: Path) -> None:
+    path = tmp_path / 'walk.avi'
+    write_video(path, 10)
+    (tmp_path / 'camera.json').write_text(
+        '{"w": 128, "h": 96, "fl_x": 100, "cx": 60, "cy": 50, "k1": 0.1}')
+    lenses = {frame.lens for frame in read_video(
+        path, camera_info=tmp_path / 'camera.json').frames}
+    lens, = lenses
+    assert lens is not None and lens.distortion[0] == 0.1
+    assert (lens.intrinsics.fx, lens.intrinsics.cx, lens.intrinsics.cy) == (100, 60, 50)
+    assert CaptureFormat.VIDEO in FOLDER_OPTIONS['camera_info']

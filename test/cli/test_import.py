@@ -175,3 +175,10 @@ def test_a_camera_on_its_side_does_not_turn_the_world_of_a_bag(tmp_path: Path) -
     assert 'which points up in this format; if it does not, import with --level' in output
     scene = read_scene(tmp_path / 'scene')
     assert stood_up(scene) is scene
+
+
+@pytest.mark.parametrize('camera', ['640', '640x480', '640x480@0', '8x480@69', '640x480@180'])
+def test_a_camera_of_the_demo_that_is_none_is_refused(tmp_path: Path, camera: str) -> None:
+    with pytest.raises(ConfigError, match='--camera: expected WIDTHxHEIGHT@DEGREES'):
+        run('demo', tmp_path / 'scene', '--camera', camera)
+    assert not (tmp_path / 'scene').exists()

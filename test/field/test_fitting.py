@@ -86,6 +86,34 @@ def test_rays_go_through_the_centres_of_the_pixels(
         np.rint(target * 255), images[photo, row.astype(int), column.astype(int)])
 
 
+def test_what_a_mask_leaves_out_is_never_drawn(images: np.ndarray) -> None:
+    usable = np.ones(images.shape[:3], bool)
+    usable[:, 3:, :] = usable[2] = False
+    fit = FieldTrainer(images, CAMERA, np.stack([pose.T_world_cam for pose in POSES]),
+                       FieldConfig(**SETTINGS), 0, usable=usable)
+    fit.random = np.random.default_rng(5)
+    photo, target, _, _, rays_d = fit.sample_rays()
+    down = np.array([POSES[i].T_world_cam[:3, 1] @ ray for i, ray in zip(photo, rays_d)])
+    ahead = np.array([POSES[i].T_world_cam[:3, 2] @ ray for i, ray in zip(photo, rays_d)])
+    assert len(target) == 256 and (photo != 2).all()
+    row = CAMERA.fy * down / ahead + CAMERA.cy
+    assert row.max() < 3 and len(set(photo)) == len(images) - 1
+    # The field is not known by rays that a mask leaves out, either.
+    assert [len(rays) for rays, _ in fit._photo_rays()] == [3 * CAMERA.width] * (len(images) - 1)
+    with pytest.raises(SceneError, match='masks: expected pixels that are not left out'):
+        FieldTrainer(images, CAMERA, np.stack([pose.T_world_cam for pose in POSES]),
+                     FieldConfig(**SETTINGS), 0, usable=np.zeros_like(usable))
+
+
+def test_a_mask_that_leaves_nothing_out_changes_nothing(
+        images: np.ndarray, unbroken: FieldTrainer) -> None:
+    fit = FieldTrainer(images, CAMERA, np.stack([pose.T_world_cam for pose in POSES]),
+                       FieldConfig(**SETTINGS), 0, usable=np.ones(images.shape[:3], bool))
+    while fit.step < 60:
+        fit.train_step()
+    assert_same_state(fit, unbroken)
+
+
 # 3, 10 and 24 are steps at which the grid is refined next.
 @pytest.mark.parametrize('stop', [3, 7, 10, 24, 59], ids=str)
 def test_a_broken_fit_goes_on_to_the_same_bits(

@@ -102,6 +102,21 @@ def trainers(photos: np.ndarray, rules: FitRules = FitRules(), **settings: Any
             TorchFieldTrainer(photos, CAMERA, POSES, config, 0, 'torch', rules))
 
 
+def test_both_paths_draw_what_masks_leave() -> None:
+    photos = np.random.default_rng(0).integers(0, 256, (len(POSES), CAMERA.height, CAMERA.width,
+                                                        3), np.uint8)
+    usable = photos[..., 0] > 100
+    config = FieldConfig(voxels=2000, steps=10, rays_per_step=128)
+    drawn = []
+    for fit in (FieldTrainer(photos, CAMERA, POSES, config, 0, usable=usable),
+                TorchFieldTrainer(photos, CAMERA, POSES, config, 0, 'torch', usable=usable)):
+        fit.random = np.random.default_rng(1)
+        drawn.append(fit.sample_rays())
+    assert (drawn[0][1][:, 0] * 255 > 100).all()
+    for ours, theirs in zip(*drawn):
+        np.testing.assert_array_equal(ours, theirs)
+
+
 def run_to(trainer: FieldTrainer, step: int) -> FieldTrainer:
     while trainer.step < step:
         trainer.train_step()

@@ -7,6 +7,7 @@ from neo_ros.captures.scene_copying import import_transforms
 from neo_ros.errors import SceneError
 from neo_ros.flat.demo_flat import build_demo_flat, with_chairs_moved
 from neo_ros.flat.scene_writing import fingerprint, write_demo_scene
+from neo_ros.geometry import Intrinsics
 from neo_ros.scenes.scene import read_scene
 import numpy as np
 import pytest
@@ -116,3 +117,15 @@ def test_depth_maps_lie_beside_the_photos_where_they_are_asked_for(scene_folder,
         assert known.any() and np.abs(depth / 1000 - true)[known].max() < 0.25
     half = train.subset([3]).read_depths(0.5)
     assert half is not None and half.shape == (1, 8, 8)
+
+
+def test_another_camera_is_rendered_as_it_sees(tmp_path):
+    camera = Intrinsics.from_hfov(32, 24, np.radians(69))
+    write_demo_scene(tmp_path, camera=camera, n_train=2, n_paths=1, frames_per_path=2, workers=1)
+    scene = read_scene(tmp_path)
+    assert scene.train.intrinsics == camera and scene.train.read_image(0).shape == (24, 32, 3)
+    assert scene.expansion is not None and scene.test is not None
+    assert (scene.expansion.target.width, scene.expansion.target.height) == (64, 48)
+    assert scene.expansion.target.fx == pytest.approx(camera.fx)
+    with pytest.raises(SceneError, match='expected an empty folder or a demo scene of'):
+        write_demo_scene(tmp_path, image_size=32, n_train=2, n_paths=1, frames_per_path=2)

@@ -4,6 +4,7 @@ from typing import Any
 
 from hand_clock import HandClock
 from neo_ros.viewer.hub import Source, Wanted
+from neo_ros.viewer.whereabouts import Whereabouts
 
 
 class Collector:
@@ -11,6 +12,7 @@ class Collector:
 
     def __init__(self, count: int, confidence: bool = True) -> None:
         self.wanted = Wanted(True, confidence)
+        self.where = Whereabouts()
         self.pictures: list = []
         self.times: list[float] = []
         self.states: list = []

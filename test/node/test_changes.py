@@ -7,13 +7,14 @@ import signal
 from camera_messages import noise_image
 import cv2
 from diagnostic_msgs.msg import DiagnosticStatus
-from live_node import Camera, end, NODE, set_parameter, started
+from live_node import Camera, end, NODE, node_beside, set_parameter, started
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.messages import camera_info_fields, CameraFit
 from neo_ros.messages.compressed_image import read_compressed_image
 from neo_ros.runtime import FovExtrapolator
 import numpy as np
 import pytest
+from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_sensor_data, ReliabilityPolicy
 from rclpy.time import Time
 from ros_graph import ros_graph
@@ -269,3 +270,21 @@ def test_a_wrong_word_leaves_it_unconfigured_with_the_reason(graph, model, param
     camera = Camera(graph)
     camera.start_node(model, parameter)
     camera.wait_for_diagnosis(DiagnosticStatus.ERROR, words)
+
+
+def test_integers_do_for_doubles_and_nothing_else_does(graph, model):
+    with node_beside(graph, model, '-p', 'max_fps:=20') as node:
+        assert node.get_parameter('max_fps').value == 20.0
+        assert set_parameter(graph, 'max_fps', 25).successful
+        assert node.get_parameter('max_fps').type_ == Parameter.Type.DOUBLE
+        for value in ('fast', True, 2000):
+            assert not set_parameter(graph, 'max_fps', value).successful
+        assert not set_parameter(graph, 'threads', 1.0).successful
+        assert node.get_parameter('max_fps').value == 25.0
+
+
+def test_a_package_that_is_not_there_is_named(graph, model):
+    camera = Camera(graph)
+    camera.start_node('package://nowhere/models/tiny.onnx')
+    camera.wait_for_diagnosis(DiagnosticStatus.ERROR, "there is no package 'nowhere' here")
+    assert set_parameter(graph, 'model', f'file://{model}').successful

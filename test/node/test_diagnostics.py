@@ -5,10 +5,12 @@ from typing import Any, cast
 from diagnostic_msgs.msg import DiagnosticStatus
 from neo_ros.messages import SceneWatch
 from neo_ros.messages.camera_fit import NO_CAMERA_INFO
-from neo_ros.node.diagnostics import build_status, Health, judge, KEYS
+from neo_ros.node.diagnostics import (
+    build_camera_status, build_status, CAMERA_KEYS, Health, judge, KEYS)
 from neo_ros.node.frame_statistics import Snapshot, Spread
 from neo_ros.node.loaded_model import load_model
 from neo_ros.node.parameters import NodeParameters
+from neo_ros.node.stamp_watch import StampReport
 import pytest
 from tiny_model import write_tiny_model
 
@@ -107,6 +109,23 @@ def test_every_key_is_explained_in_the_order_of_the_status():
     model = {key.removeprefix('model '): '' for key in KEYS if key.startswith('model ')}
     status = build_status('/node', health(counts), model)
     assert [pair.key for pair in status.values] == list(KEYS)
+    status = build_camera_status('/node', 'eye', StampReport(), '')
+    assert [pair.key for pair in status.values] == list(CAMERA_KEYS)
+
+
+def test_status_of_a_camera():
+    quiet = build_camera_status('/robot/node', 'eye', StampReport(), 'x')
+    assert (quiet.name, quiet.hardware_id) == ('/robot/node: camera', 'eye')
+    assert (quiet.level, quiet.message) == (OK, 'no image lately')
+    report = StampReport(images=60, infos=0, bytes=921600, age_ms=12.34, same=1, rate=30.0,
+                         sent=150, lost=90)
+    lossy = build_camera_status('/node', 'eye', report, 'set reliable')
+    assert (lossy.level, lossy.message) == (
+        WARN, '90 of 150 images got lost before this node (0.9 MB each): set reliable')
+    assert {pair.key: pair.value for pair in lossy.values} == {
+        'images': '60', 'camera_infos': '0', 'age of the stamps [ms]': '12.3',
+        'images of the newest stamp': '1', 'rate by the stamps [Hz]': '30.0',
+        'images sent': '150', 'images lost before the node': '90'}
 
 
 def test_a_real_models_lines_are_explained(tmp_path):

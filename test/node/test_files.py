@@ -10,7 +10,7 @@ import xml.etree.ElementTree as ElementTree
 
 from ament_index_python.packages import get_package_prefix, PackageNotFoundError
 from camera_messages import noise_image
-from live_node import Camera, end, SOURCE
+from live_node import Camera, end, SOURCE, state_of
 import neo_ros
 from neo_ros.machine.files import share_dir
 from neo_ros.node.extrapolator_node import ExtrapolatorNode
@@ -24,15 +24,15 @@ from tiny_model import write_tiny_model
 import yaml
 
 LAUNCH = share_dir() / 'launch' / 'fov_extrapolator.launch.py'
-# What `ros2 launch` does: the launch file, then names and values of its arguments.
+# What `ros2 launch` does: the launch file, then its arguments as NAME:=VALUE.
 LAUNCHER = """
 import sys
 from launch import LaunchDescription, LaunchService
 from launch.actions import IncludeLaunchDescription
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 source = PythonLaunchDescriptionSource(sys.argv[1])
-arguments = list(zip(sys.argv[2::2], sys.argv[3::2]))
-service = LaunchService()
+arguments = [tuple(argument.split(':=')) for argument in sys.argv[2:]]
+service = LaunchService(argv=sys.argv[2:])
 service.include_launch_description(LaunchDescription([
     IncludeLaunchDescription(source, launch_arguments=arguments)]))
 sys.exit(service.run())
@@ -139,29 +139,60 @@ def launch_system():
     pytest.importorskip('launch_ros')
 
 
-@pytest.mark.usefixtures('launch_system')
-def test_launch_file_describes_its_arguments(monkeypatch):
+@pytest.fixture
+def launch_file(launch_system):
     specification = importlib.util.spec_from_file_location('launch_file', LAUNCH)
-    assert specification is not None and specification.loader is not None
+    assert specification and specification.loader
     module = importlib.util.module_from_spec(specification)
     specification.loader.exec_module(module)
-    monkeypatch.setattr(module, 'get_package_share_directory', lambda name: str(share_dir()))
+    return module
+
+
+def test_launch_file_describes_its_arguments(launch_file):
     names = {argument.name for argument in
-             module.generate_launch_description().get_launch_arguments()}
-    assert names == {'namespace', 'image', 'camera_info', 'model', 'params_file', 'viewer'}
+             launch_file.generate_launch_description().get_launch_arguments()}
+    assert names == {'namespace', 'image', 'camera_info', 'model', 'params_file', 'viewer',
+                     'autostart', 'use_sim_time'}
 
 
-@pytest.mark.usefixtures('launch_system')
-def test_launch_file_starts_the_node(tmp_path):
+@pytest.fixture
+def installed(launch_system):
+    """Skip where ROS does not know the package."""
     try:
         get_package_prefix('neo_ros')
-    except PackageNotFoundError:
+    except (PackageNotFoundError, OSError):
         pytest.skip('neo_ros is not in the ament index (built by colcon)')
+
+
+@pytest.mark.usefixtures('installed')
+def test_launch_file_starts_the_node(tmp_path):
     model = write_tiny_model(tmp_path / 'tiny.onnx')
     with ros_graph() as graph:
         camera = Camera(graph)
         process = graph.start(
-            '-c', LAUNCHER, str(LAUNCH), 'namespace', 'robot', 'model', str(model))
+            '-c', LAUNCHER, str(LAUNCH), 'namespace:=robot', f'model:={model}')
         camera.wait_for_node()
         camera.widen(noise_image(SOURCE, 0), 1)
-        assert end(process, signal.SIGINT)[0] == 0, process.stdout and process.stdout.read()
+        assert end(process, signal.SIGINT)[0] == 0
+
+
+@pytest.mark.usefixtures('installed')
+def test_launch_file_hands_on_its_switches(tmp_path):
+    model = write_tiny_model(tmp_path / 'tiny.onnx')
+    with ros_graph() as graph:
+        graph.start('-c', LAUNCHER, str(LAUNCH), 'namespace:=robot', f'model:={model}',
+                    'autostart:=false', 'use_sim_time:=True')
+        graph.spin_until(lambda: graph.node.count_subscribers('/clock'))
+        assert state_of(graph) == 'unconfigured'
+
+
+@pytest.mark.usefixtures('installed')
+@pytest.mark.parametrize('argument, words', [
+    ('modle:=a.onnx', 'unknown: modle; expected namespace, image'),
+    ('autostart:=maybe', "autostart: expected true or false, got 'maybe'"),
+], ids=['unknown', 'no switch'])
+def test_launch_file_refuses(argument, words):
+    with ros_graph() as graph:
+        process = graph.start('-c', LAUNCHER, str(LAUNCH), argument)
+        text, _ = process.communicate(timeout=30)
+        assert process.returncode != 0 and words in text

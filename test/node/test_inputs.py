@@ -1,9 +1,10 @@
 """Which topics the node listens to, and what it says when they are not what it needs."""
 import math
+import re
 
 from camera_messages import noise_image
 from diagnostic_msgs.msg import DiagnosticStatus
-from live_node import Camera, node_beside, SOURCE
+from live_node import Camera, node_beside, set_parameter, SOURCE
 from neo_ros.geometry import Intrinsics
 from neo_ros.messages import camera_info_fields
 from neo_ros.node.parameters import override_of
@@ -165,3 +166,66 @@ def test_an_override_is_found_without_being_declared(graph):
     node.declare_parameter('given', 1)
     assert override_of(node, 'given') == 3
     node.destroy_node()
+
+
+def camera_status(graph, camera, level, words):
+    """Wait for what the second status says of the camera; return its lines."""
+    def found():
+        for entry in camera.diagnostics:
+            status = entry.status[1]
+            if status.level == level and re.search(words, status.message):
+                return {pair.key: pair.value for pair in status.values}
+        return None
+    camera.diagnostics.clear()
+    return graph.spin_until(found, timeout=30)
+
+
+# A driver of VGA images with the defaults of Fast DDS: rclpy's publisher is reliable.
+DRIVER = """
+import time
+from array import array
+import rclpy
+from sensor_msgs.msg import CameraInfo, Image
+rclpy.init()
+node = rclpy.create_node('driver')
+images = node.create_publisher(Image, '/robot/image', 10)
+infos = node.create_publisher(CameraInfo, '/robot/camera_info', 10)
+image = Image(width=640, height=480, encoding='rgb8', step=1920, data=array('B', bytes(921600)))
+while True:
+    image.header.stamp = node.get_clock().now().to_msg()
+    images.publish(image)
+    infos.publish(CameraInfo(header=image.header))
+    time.sleep(0.1)
+"""
+
+
+def test_a_driver_that_loses_large_images_is_recognised_and_the_remedy_helps(
+        graph, model, monkeypatch):
+    monkeypatch.delenv('FASTRTPS_DEFAULT_PROFILES_FILE', raising=False)
+    camera = Camera(graph)
+    graph.node.destroy_publisher(camera.images)
+    graph.start('-c', DRIVER)
+    camera.start_node(model)
+    lines = camera_status(
+        graph, camera, WARN, '(got lost before this node|the images do not).*: set the parameter '
+        'reliable to true$')
+    assert int(lines['images']) < 0.8 * int(lines['camera_infos'])
+    assert set_parameter(graph, 'reliable', True).successful
+    lines = camera_status(graph, camera, OK, r'^[2-9]\d images in five seconds')
+    assert int(lines['images lost before the node']) < 5
+
+
+def test_stamps_that_stand_still_are_told(graph, model):
+    camera = Camera(graph)
+    with node_beside(graph, model):
+        camera.wait_for_node()
+        graph.node.create_timer(0.1, lambda: camera.publish(noise_image(SOURCE, 0), 7))
+        camera_status(graph, camera, WARN, 'images have one stamp: the driver repeats it')
+
+
+def test_images_of_another_time_are_told(graph, model):
+    camera = Camera(graph)
+    with node_beside(graph, model):
+        camera.wait_for_node()
+        camera.publish(noise_image(SOURCE, 0), 1)
+        camera_status(graph, camera, WARN, r'the images are \d+\.\d s old when they come')

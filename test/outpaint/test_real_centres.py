@@ -1,4 +1,5 @@
 """Photos in the middle of rendered views, and the stream that mixes them in."""
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -60,6 +61,22 @@ def test_the_surroundings_have_the_exposure_of_the_photo(
     photo = PosedImages(PHOTO, (tmp_path / 'dim.png',), photos.poses[3:4], (0,))
     wide = RealCentres(field, photo, expansion, 1.0).view(0)
     assert np.abs(wide[..., :3] - dim).max() < 3
+
+
+def test_what_a_mask_leaves_out_comes_from_the_field(
+        field: VoxelField, photos: PosedImages, tmp_path: Path) -> None:
+    expansion = ViewExpansion(PHOTO, 4, 8, 0, 2)
+    mask = np.full((16, 16), 255, np.uint8)
+    mask[4:10, 3:9] = 0
+    cv2.imwrite(str(tmp_path / 'mask.png'), mask)
+    masked = replace(photos, mask_paths=(None, None, None, tmp_path / 'mask.png', None))
+    centre = expansion.crop(RealCentres(field, masked, expansion, 1.0).view(3))
+    photo, hidden = photos.read_image(3), mask == 0
+    np.testing.assert_array_equal(centre[~hidden, :3], photo[~hidden])
+    assert (centre[hidden, :3] != photo[hidden]).any(-1).mean() > 0.9
+    shown = expansion.crop(to_uint8(render_view(field, expansion.target, photos.poses[3],
+                                                1).coverage))
+    np.testing.assert_array_equal(centre[hidden, 3], shown[hidden])
 
 
 @pytest.mark.parametrize('expansion, rows, columns', [

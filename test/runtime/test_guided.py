@@ -4,6 +4,7 @@ from pathlib import Path
 from box_room import box_walk, EXPANSION, view, write_box_model
 from neo_ros.errors import ModelError
 from neo_ros.runtime import FovExtrapolator
+from neo_ros.runtime.fov_extrapolator import memory_path
 from neo_ros.runtime.model_card import MemoryFile
 import numpy as np
 import pytest
@@ -72,10 +73,27 @@ def test_a_link_to_a_model_finds_its_memory(model: Path, tmp_path: Path) -> None
     link.symlink_to(model)
     narrow = EXPANSION.crop(walk(1)[0])
     assert FovExtrapolator.load(link).expand(narrow).guided
-    # What lies beside the link goes first, and must be the one that the card tells of.
+    # Its checksum tells it from another one of that name beside the link.
     (tmp_path / 'box.memory').write_bytes(b'another')
-    with pytest.raises(ModelError, match='sha256'):
-        FovExtrapolator.load(link)
+    assert FovExtrapolator.load(link).expand(narrow).guided
+
+
+def test_a_model_and_a_memory_that_were_renamed_find_each_other(model: Path, tmp_path: Path
+                                                                ) -> None:
+    kitchen, content = tmp_path / 'kitchen.onnx', model.with_name('box.memory').read_bytes()
+    kitchen.write_bytes(model.read_bytes())
+    (tmp_path / 'a.memory').mkdir()  # No file at all.
+    (tmp_path / 'box.memory').write_bytes(b'of another model')
+    for name in ('kitchen.memory', 'other.memory'):
+        (tmp_path / name).write_bytes(content)
+        extrapolator = FovExtrapolator.load(kitchen)
+        assert extrapolator.card.memory is not None
+        assert memory_path(kitchen, extrapolator.card.memory) == tmp_path / name
+        assert extrapolator.expand(EXPANSION.crop(walk(1)[0])).guided
+        (tmp_path / name).unlink()
+    (tmp_path / 'kitchen.memory').write_bytes(content[:-1] + b'x')
+    with pytest.raises(ModelError, match='box.memory.*sha256'):
+        FovExtrapolator.load(kitchen)
 
 
 @pytest.mark.parametrize('name', ['../x.memory', '/etc/passwd', 'a/b', '', '.', '..'],

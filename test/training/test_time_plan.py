@@ -10,7 +10,8 @@ from neo_ros.runtime import FovExtrapolator
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.scene import Scene
 from neo_ros.training import time_plan
-from neo_ros.training.time_plan import PLAN_FILE, plan_training, read_plan, share_network_minutes
+from neo_ros.training.time_plan import (
+    PLAN_FILE, plan_training, read_plan, share_network_minutes, TimeLeft, TimePlan)
 import numpy as np
 import pytest
 from tiny_training import TINY, write_tiny_scene
@@ -117,6 +118,27 @@ def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:
         plan_training(tmp_path, scene_of(64, 48, 10), Experiment(), 0, lambda text: None)
 
 
+def test_the_minutes_left_in_all_are_told_at_every_stage() -> None:
+    now, shown = [0.0], []
+
+    def show(stage: str, done: int, total: int, note: str = '') -> None:
+        shown.append(note)
+
+    tell = TimeLeft(TimePlan(30, Experiment()), show, clock=lambda: now[0])
+    tell('photos', 1, 9)
+    tell('field', 405, 810, '28 dB')
+    tell('features', 1, 400)
+    now[0] = 300
+    tell('keyframes', 10, 20)
+    tell('outpainter', 0, 600)
+    tell('outpainter', 600, 600)
+    tell('scoring', 0, 10)
+    now[0] = 420
+    tell('scoring', 9, 10)
+    assert [note.split(' of ')[0] for note in shown] == [
+        '30', '28 dB; 23', '16', '12', '13', '3', '3', '1']
+
+
 @pytest.mark.slow
 def test_a_training_by_the_minute_leaves_a_whole_model_and_is_not_done_twice(
         tmp_path: Path) -> None:
@@ -126,14 +148,14 @@ def test_a_training_by_the_minute_leaves_a_whole_model_and_is_not_done_twice(
     def note(stage: str, done: int, total: int, note: str = '') -> None:
         seen.append(stage)
 
-    run = train(tmp_path / 'scene', TINY, tmp_path / 'out', note, minutes=0.4)
-    assert run.plan is not None and run.plan.experiment.field.minutes == pytest.approx(0.18)
+    run = train(tmp_path / 'scene', TINY, tmp_path / 'out', note, minutes=0.15)
+    assert run.plan is not None and run.plan.experiment.field.minutes == pytest.approx(0.0675)
     model = FovExtrapolator.load(run.model_path)
     assert model.card.memory is not None
     content = run.model_path.read_bytes(), run.memory_path.read_bytes()
     order = list(dict.fromkeys(seen))
     assert order.index('plan') < order.index('field') < order.index('keyframes') \
         < order.index('outpainter')
-    again = train(tmp_path / 'scene', TINY, tmp_path / 'out', note, minutes=0.4)
+    again = train(tmp_path / 'scene', TINY, tmp_path / 'out', note, minutes=0.15)
     assert again.samples == run.samples
     assert again.memory_path.read_bytes() == content[1]

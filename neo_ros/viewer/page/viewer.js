@@ -1,4 +1,5 @@
 // The page: shows the pictures, and says plainly how much they can be trusted.
+import { Around } from './around.js';
 import { Link } from './link.js';
 import { paint, snapshot, tintOf } from './picture.js';
 
@@ -33,11 +34,15 @@ const state = {
 };
 
 const link = new Link({
-  onOpen() { state.connected = true; state.full = false; },
-  onClosed(full) { state.connected = false; state.full = full; tick(); },
+  onOpen() { state.connected = true; state.full = false; around.open(); },
+  onClosed(full) { around.close(); state.connected = false; state.full = full; tick(); },
   onHello(hello) { state.staleMs = hello.stale_ms; state.newest = 0; },
   onStatus(status) { state.status = status; showStatus(); },
   onPicture(picture) { showPicture(picture); },
+});
+
+const around = new Around({
+  now: () => link.now(), delay: () => link.roundTrip / 2, redraw: () => draw(),
 });
 
 function showPicture(picture) {
@@ -52,6 +57,7 @@ function showPicture(picture) {
   picture.tint = picture.sureness && tintOf(picture.sureness);
   picture.sureness?.close();
   draw();
+  around.onPicture(picture.captured);
   const now = performance.now();
   state.shown.push(now);
   state.latencies.push(link.now() - picture.captured);
@@ -113,6 +119,7 @@ function tick() {
   showTrust();
   showReadings(verdict);
   announce(verdict);
+  around.tick();
 }
 
 function plays(verdict) {
@@ -228,6 +235,7 @@ function choose(way) {
   state.way = way;
   document.querySelector(`input[name=way][value=${way}]`).checked = true;
   remember('way', way);
+  around.setWay(way);
   link.ask({ confidence: way === 'confidence' });
   explain();
   draw();
