@@ -159,8 +159,12 @@ class Doubt:
                               if other is not own), default=0.0) for own in misfits])
 
     def _misfit(self, image: CameraImage, sight: Sight) -> np.ndarray:
-        grey, depth = self._looker.observed(sight.view)
-        return misfit(image.photo[0].grey, grey, depth > 0, self._limits)
+        solid = np.where(sight.view.stretched, 0, sight.view.depth)
+        grey, depth = self._looker.observed(replace(sight.view, depth=solid))
+        square = np.ones((3, 3), np.uint8)
+        near, far = cv2.erode(depth, square), cv2.dilate(depth, square)
+        known = (near > 0) & (far < (1 + self._limits.leap) * near)
+        return misfit(image.photo[0].grey, grey, known, self._limits)
 
     def _is_elsewhere(self, one: Sight, other: Sight) -> bool:
         return is_elsewhere(one.pose, other.pose, self._limits)
