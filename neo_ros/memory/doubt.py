@@ -112,7 +112,8 @@ class Doubt:
                 pose = self._looker.aligner.align(image.photo, last, 3, near=True)
                 sight = self._looker.look(image, pose, last)
             twice = any(not self._is_elsewhere(sight, other.sight) for other in kept)
-            if not twice and not self._is_elsewhere(sight, one.sight):
+            jumped = is_elsewhere(pose, last if motion is None else expected, self._limits)
+            if not twice and not jumped:
                 kept.append(Hypothesis(sight, last.inverse() @ pose.T_world_cam, one.against))
         least = 1 - max((one.sight.agreement for one in kept), default=1.0)
         return [one for one in kept if one.sight.believed or (
