@@ -80,10 +80,13 @@ def train(scene_folder: Path, experiment: Experiment, out: Path,
         if rank == 0 and plan is not None:  # The network has what field and memory leave.
             memory_step(run, field)
         wait_for_all()
-        network = fit_outpainter_step(run, field, held_out_views(run, field), rank)
+        held_out = held_out_views(run, field)
+        network = fit_outpainter_step(run, field, held_out, rank)
     if rank > 0:
         return run
-    export_step(run, network, held_out_wide_views(run, field))
+    # The network's size may be the camera's.
+    export_step(run, network, held_out if experiment.network.shrink == 1
+                else held_out_wide_views(run, field))
     if plan is None:  # Where it cannot be made, the model is there and works alone.
         memory_step(run, field)
     name_memory(run)

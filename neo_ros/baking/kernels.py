@@ -20,8 +20,6 @@ COLOUR = 60.0
 DISTANCE = 0.3
 # A photo looks at a point from at most 60 degrees aside.
 LEAST_COSINE = 0.5
-# Depths that differ by less than this share are of one surface.
-ONE_SURFACE = 0.1
 # Neighbours in a coarse depth map of a photo, of which the nearer has at least this share of the
 # other's distance, may be of one surface that slants.
 SLANT = 0.7
@@ -162,14 +160,37 @@ def choose_photos(panorama, posed, which, cost):
                 least = SLACK * math.cos(min(score[-1], math.acos(LEAST_COSINE))) ** 2
 
 
+@njit(**FAST)
+def _between(a, b, c, d, s, t):
+    """Interpolate four neighbours, row by row, s of the way across and t down."""
+    return (1 - t) * ((1 - s) * a + s * b) + t * ((1 - s) * c + s * d)
+
+
+@njit(**FAST)
+def _read_cubic(photo, u, v, gain, colour):
+    """Read a photo's colour, times its gain, at (u, v), pixel centres at whole numbers."""
+    u0, v0 = int(u), int(v)
+    for c in range(3):
+        colour[c] = 0.0
+    for p in range(4):
+        line = min(max(v0 + p - 1, 0), photo.shape[0] - 1)
+        for q in range(4):
+            weight = cubic(p, v - v0) * cubic(q, u - u0)
+            for c in range(3):
+                colour[c] += weight * photo[line, min(max(u0 + q - 1, 0), photo.shape[1] - 1), c]
+    for c in range(3):
+        colour[c] *= gain[c]
+
+
 @njit(parallel=True, **FAST)
-def blend_photos(panorama, posed, which, cost, wraps, out):
+def blend_photos(panorama, posed, which, cost, wraps, one_surface, out):
     """
     Colour a texture, uint8 (n h, n w, 3), of a panorama from the photos chosen for its pixels.
 
     Takes PanoramaPixels, PhotoArrays and what `choose_photos` filled; `wraps`: the last column is
-    a neighbour of the first. Photos are read by cubic interpolation: what a linear one blurs would
-    be blurred once more when the panorama is drawn.
+    a neighbour of the first; one_surface: depths that differ by less than this share are of one.
+    Photos are read by cubic interpolation: what a linear one blurs would be blurred once more when
+    the panorama is drawn.
     """
     position, rays, depth, coarse = panorama
     photos, _, rotations, positions, gains, fx, fy, cx, cy = posed
@@ -179,7 +200,6 @@ def blend_photos(panorama, posed, which, cost, wraps, out):
     for i in prange(out.shape[0]):
         ray, own = np.empty(3), np.empty(3)
         colour, total = np.empty(3), np.empty(3)
-        across, down = np.empty(4), np.empty(4)
         y = (i + 0.5) / tall - 0.5
         i0 = min(max(int(math.floor(y)), 0), max(rows - 2, 0))
         i1, t = min(i0 + 1, rows - 1), y - i0
@@ -198,20 +218,16 @@ def blend_photos(panorama, posed, which, cost, wraps, out):
             d = depth[near_i, near_j]
             # On one surface depth and colour of the field go on from pixel to pixel.
             s_in, t_in = min(max(s, 0.0), 1.0), min(max(t, 0.0), 1.0)
-            farthest = max(a, b, e, f)
-            smooth = min(a, b, e, f) > (1 - ONE_SURFACE) * farthest
+            smooth = min(a, b, e, f) > (1 - one_surface) * max(a, b, e, f)
             if smooth:
-                d = ((1 - t_in) * ((1 - s_in) * a + s_in * b)
-                     + t_in * ((1 - s_in) * e + s_in * f))
+                d = _between(a, b, e, f, s_in, t_in)
             for c in range(3):
-                ray[c] = ((1 - t) * ((1 - s) * rays[i0, j0, c] + s * rays[i0, j1, c])
-                          + t * ((1 - s) * rays[i1, j0, c] + s * rays[i1, j1, c]))
+                ray[c] = _between(rays[i0, j0, c], rays[i0, j1, c], rays[i1, j0, c],
+                                  rays[i1, j1, c], s, t)
                 own[c] = coarse[near_i, near_j, c]
                 if smooth:
-                    own[c] = ((1 - t_in) * ((1 - s_in) * coarse[i0, j0, c]
-                                            + s_in * coarse[i0, j1, c])
-                              + t_in * ((1 - s_in) * coarse[i1, j0, c]
-                                        + s_in * coarse[i1, j1, c]))
+                    own[c] = _between(coarse[i0, j0, c], coarse[i0, j1, c], coarse[i1, j0, c],
+                                      coarse[i1, j1, c], s_in, t_in)
             chosen, score = which[near_i, near_j], cost[near_i, near_j]
             # The field's own colour decides only where no photo agrees with it.
             weights = 1e-3
@@ -230,19 +246,9 @@ def blend_photos(panorama, posed, which, cost, wraps, out):
                 v = fy * (R[0, 1] * px + R[1, 1] * py + R[2, 1] * pz) / z + cy - 0.5
                 if z < CLOSEST or not (0 <= u < wide - 1 and 0 <= v < high - 1):
                     continue  # Just outside, where the pixel's middle is inside.
-                photo, gain = photos[n], gains[n]
-                u0, v0 = int(u), int(v)
-                for k in range(4):
-                    across[k], down[k] = cubic(k, u - u0), cubic(k, v - v0)
+                _read_cubic(photos[n], u, v, gains[n], colour)
                 apart = 0.0
                 for c in range(3):
-                    value = 0.0
-                    for p in range(4):
-                        line = min(max(v0 + p - 1, 0), high - 1)
-                        for q in range(4):
-                            value += (down[p] * across[q]
-                                      * photo[line, min(max(u0 + q - 1, 0), wide - 1), c])
-                    colour[c] = gain[c] * value
                     apart += (colour[c] - own[c]) ** 2
                 weight = (math.exp((score[0] - score[m]) / ANGLE)
                           * math.exp(-apart / (COLOUR * COLOUR)))
@@ -254,9 +260,9 @@ def blend_photos(panorama, posed, which, cost, wraps, out):
 
 
 def colour_from_photos(panorama: PanoramaPixels, posed: PhotoArrays, wraps: bool,
-                       out: np.ndarray) -> None:
-    """Colour `out`, uint8 (n h, n w, 3), by the photos that see each point most nearly alike."""
+                       one_surface: float, out: np.ndarray) -> None:
+    """Colour `out`, uint8 (n h, n w, 3), see `choose_photos` and `blend_photos`."""
     which = np.empty((*panorama.depth.shape, BLENDED), np.int32)
     cost = np.empty(which.shape)
     choose_photos(panorama, posed, which, cost)
-    blend_photos(panorama, posed, which, cost, wraps, out)
+    blend_photos(panorama, posed, which, cost, wraps, one_surface, out)

@@ -243,7 +243,8 @@ def _bake_keyframe(field: RadianceField, photos: Photos, seen: np.ndarray, gains
         PhotoArrays(photos.images[near], seen[near],
                     np.ascontiguousarray(photos.T_world_cam[near, :3, :3], np.float32),
                     centres[near].astype(np.float32), gains[near],
-                    camera.fx, camera.fy, camera.cx, camera.cy), band.wraps, texture)
+                    camera.fx, camera.fy, camera.cx, camera.cy),
+        band.wraps, rules.one_surface, texture)
     return Keyframe(position, mesh_depth(depth, dense, rules.one_surface), texture)
 
 

@@ -35,6 +35,9 @@ def view(
     quality: Annotated[int, typer.Option(help='JPEG quality, 1 to 100.')] = 80,
     stale_after: Annotated[float, typer.Option(
         help='Seconds until a picture counts as stale.')] = 0.8,
+    public_origin: Annotated[str, typer.Option(
+        help='What viewers open where a proxy stands before the server, such as '
+             'https://robot.example.')] = '',
 ) -> None:
     """Show the widened stream in a browser, from a ROS graph or from a bag; view only."""
     from neo_ros.cli.options import refuse
@@ -44,7 +47,7 @@ def view(
     settings = partial(
         ViewerSettings, host=host, port=port, token=read_token(token_file), cert=cert, key=key,
         max_viewers=max_viewers, max_mbit=max_mbit, quality=quality, stale_after=stale_after,
-        floor=floor)
+        public_origin=public_origin, floor=floor)
     if bag is not None:
         from neo_ros.viewer.bag_source import BagSource
         from neo_ros.viewer.server import serve

@@ -1,14 +1,18 @@
 """Who may look: the token, the session cookie, and where requests may come from."""
+from collections import deque
 from collections.abc import Awaitable, Callable
 import hashlib
 import hmac
 import time
 
 from aiohttp import web
+from neo_ros.viewer.clock import Clock
 from neo_ros.viewer.settings import ViewerSettings
 from yarl import URL
 
 SESSION_S = 12 * 3600
+# More wrong tokens in so long, from all connections together, and nobody may try any more.
+MAX_WRONG_TOKENS, WRONG_TOKENS_S = 10, 60.0
 # The log-in page and what it needs.
 OPEN_TO_ALL = {'/login', '/viewer.css', '/icon.svg'}
 LOOPBACK_NAMES = {'localhost', '127.0.0.1', '::1'}
@@ -38,11 +42,27 @@ class Access:
     with the same token, and nothing is stored.
     """
 
-    def __init__(self, settings: ViewerSettings) -> None:
+    def __init__(self, settings: ViewerSettings, clock: Clock) -> None:
         self._token = settings.token
-        self._secure = settings.cert is not None
+        self._public_origin = settings.public_origin.rstrip('/')
+        public = _authority(settings.public_origin)
+        self._public_host = public[0] if public else None
+        self._secure = (settings.cert is not None
+                        or settings.public_origin.startswith('https:'))
         self._hosts = LOOPBACK_NAMES | {settings.host}
+        self._clock = clock
+        self._wrong: deque[float] = deque()
         self._key = hashlib.sha256(b'neo_ros viewer session ' + self._token.encode()).digest()
+
+    def may_guess(self) -> bool:
+        """Say whether one more token may be tried: few wrong ones are, whoever tries them."""
+        while self._wrong and self._wrong[0] <= self._clock.now() - WRONG_TOKENS_S:
+            self._wrong.popleft()
+        return len(self._wrong) < MAX_WRONG_TOKENS
+
+    def count_wrong_token(self) -> None:
+        """Remember that somebody did not know the token."""
+        self._wrong.append(self._clock.now())
 
     def is_token(self, candidate: str) -> bool:
         """Compare in constant time, whatever the lengths."""
@@ -80,7 +100,10 @@ class Access:
     def check_origin(self, request: web.Request) -> None:
         """Raise 403 unless the request comes from a page of this server."""
         origin = request.headers.get('Origin', '')
-        if not origin or _authority(origin) != _authority(f'{request.scheme}://{request.host}'):
+        if self._public_origin and origin == self._public_origin:
+            return
+        own = _authority(f'{request.scheme}://{request.host}')
+        if own is None or own[0] == self._public_host or _authority(origin) != own:
             raise web.HTTPForbidden(text='this request comes from another site')
 
     def _check_host(self, request: web.Request) -> None:

@@ -20,6 +20,7 @@ class Wanted(NamedTuple):
 
     image: bool = False
     confidence: bool = False
+    small: bool = False
 
 
 class Source(Protocol):
@@ -57,7 +58,8 @@ class Hub:
         if not wanted.image:
             return
         self.encoded += 1
-        encoded = EncodedPicture(self.encoded, picture, self._quality, wanted.confidence)
+        encoded = EncodedPicture(self.encoded, picture, self._quality, wanted.confidence,
+                                 wanted.small)
         self._call(self._deliver, encoded)
 
     def report(self, state: SourceState) -> None:
@@ -80,7 +82,8 @@ class Hub:
     def update_wanted(self) -> None:
         """Look again at what the viewers ask for."""
         awake = [link for link in self._links if not link.paused]
-        self.wanted = Wanted(bool(awake), any(link.confidence for link in awake))
+        self.wanted = Wanted(bool(awake), any(link.confidence for link in awake),
+                             any(link.small for link in awake))
 
     async def keep_telling(self) -> None:
         """Send the status to all now and then, which also tells that the server lives."""

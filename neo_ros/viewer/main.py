@@ -25,6 +25,8 @@ DESCRIPTIONS = {
     'max_mbit': 'Most megabit per second for each viewer, 0 = no limit',
     'quality': 'JPEG quality of the pictures, 1 to 100',
     'stale_after': 'Seconds until a picture counts as stale',
+    'public_origin': 'What viewers open where a proxy stands before the server, such as '
+                     'https://robot.example; empty: no proxy',
     'model': 'Model whose memory shows the map and looks around; empty: neither',
     'floor': "A walkable.json, or a map's YAML, whose outlines lie under the map",
 }

@@ -9,6 +9,8 @@ import numpy as np
 
 # The tint is smooth: a small picture of it does.
 CONFIDENCE_SIDE = 256
+# Of a picture for a thin link, which is half as large: a fifth of the bytes of the full one.
+SMALL_QUALITY = 50
 
 
 @dataclass(frozen=True)
@@ -57,40 +59,58 @@ class SourceState:
 
 class EncodedPicture:
     """
-    A picture encoded once, for any number of viewers.
+    A picture encoded once, for any number of viewers; also half as large where that is wanted.
 
     A message is two little-endian uint32, the lengths of the next two parts; a JSON object; the
     JPEG of the picture; the JPEG of the confidence, if it is asked for and known. The object
-    holds `seq`, `captured` (the server's clock in ms), `timed`, `seen` and `recorded`. Raises
-    ImageRejected for what is too large for a JPEG.
+    holds `seq`, `captured` (the server's clock in ms), `timed`, `seen`, `recorded` and `small`.
+    Raises ImageRejected for what is too large for a JPEG.
     """
 
     def __init__(self, seq: int, picture: SourcePicture, quality: int,
-                 with_confidence: bool) -> None:
+                 with_confidence: bool, with_small: bool = False) -> None:
         self.seq = seq
-        self._meta = json.dumps({
-            'seq': seq, 'captured': 1e3 * picture.captured, 'timed': picture.timed,
-            'seen': picture.seen, 'recorded': picture.recorded}).encode()
+        self._picture = picture
         image = picture.image
-        self._image = image if isinstance(image, bytes) else bytes(encode_jpeg(image, quality))
-        self._confidence = b''
-        if with_confidence and picture.confidence is not None:
-            self._confidence = bytes(encode_jpeg(_shrink(picture.confidence), quality))
-        self._plain = self._join(b'')
-        self._full = self._join(self._confidence) if self._confidence else self._plain
+        full = image if isinstance(image, bytes) else bytes(encode_jpeg(image, quality))
+        self._messages = self._encode(full, CONFIDENCE_SIDE, quality, with_confidence, False)
+        self._small = self._messages
+        half = _half(image) if with_small else None
+        if half is not None:
+            quality = min(quality, SMALL_QUALITY)
+            self._small = self._encode(bytes(encode_jpeg(half, quality)), CONFIDENCE_SIDE // 2,
+                                       quality, with_confidence, True)
 
-    def message(self, confidence: bool) -> bytes:
-        """Return the message for a viewer."""
-        return self._full if confidence else self._plain
+    def message(self, confidence: bool, small: bool = False) -> bytes:
+        """Return the message for a viewer; the full picture where no small one was made."""
+        return (self._small if small else self._messages)[confidence]
 
-    def _join(self, confidence: bytes) -> bytes:
-        lengths = struct.pack('<II', len(self._meta), len(self._image))
-        return b''.join((lengths, self._meta, self._image, confidence))
+    def _encode(self, image: bytes, side: int, quality: int, with_confidence: bool, small: bool
+                ) -> tuple[bytes, bytes]:
+        """Return the messages without and with the confidence."""
+        picture = self._picture
+        meta = json.dumps({
+            'seq': self.seq, 'captured': 1e3 * picture.captured, 'timed': picture.timed,
+            'seen': picture.seen, 'recorded': picture.recorded, 'small': small}).encode()
+        plain = b''.join((struct.pack('<II', len(meta), len(image)), meta, image))
+        if not with_confidence or picture.confidence is None:
+            return plain, plain
+        return plain, plain + bytes(encode_jpeg(_shrink(picture.confidence, side), quality))
 
 
-def _shrink(confidence: np.ndarray) -> np.ndarray:
-    scale = CONFIDENCE_SIDE / max(confidence.shape)
+def _half(image: np.ndarray | bytes) -> np.ndarray | None:
+    """Return RGB uint8 of half the size; None for a file that OpenCV cannot read."""
+    if isinstance(image, bytes):
+        read = cv2.imdecode(np.frombuffer(image, np.uint8), cv2.IMREAD_REDUCED_COLOR_2)
+        return cv2.cvtColor(read, cv2.COLOR_BGR2RGB) if read is not None else None
+    height, width = image.shape[:2]
+    return cv2.resize(image, (max(width // 2, 1), max(height // 2, 1)),
+                      interpolation=cv2.INTER_AREA)
+
+
+def _shrink(confidence: np.ndarray, side: int) -> np.ndarray:
+    scale = side / max(confidence.shape)
     if scale >= 1:
         return confidence
-    height, width = (max(round(side * scale), 1) for side in confidence.shape)
+    height, width = (max(round(length * scale), 1) for length in confidence.shape)
     return cv2.resize(confidence, (width, height), interpolation=cv2.INTER_AREA)

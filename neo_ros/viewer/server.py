@@ -1,6 +1,7 @@
 """The web server: a fixed set of files, the log-in, and the stream."""
 import asyncio
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
 from importlib.resources import files
 import signal
 import socket
@@ -10,9 +11,10 @@ from aiohttp import web, WSCloseCode
 from neo_ros.errors import ConfigError
 from neo_ros.viewer.access import Access, add_headers
 from neo_ros.viewer.around_link import AroundLink
+from neo_ros.viewer.connections import Connections, limit_logs, listen, PoliteHandler
 from neo_ros.viewer.hub import Hub, Source
 from neo_ros.viewer.settings import ViewerSettings
-from neo_ros.viewer.surroundings import Surroundings
+from neo_ros.viewer.surroundings import PlanPicture, Surroundings
 from neo_ros.viewer.viewer_link import ViewerLink
 
 # Everything that is served; no name from a request ever becomes a path.
@@ -43,8 +45,9 @@ class Server:
                  surroundings: Surroundings = Surroundings(None)) -> None:
         self._settings = settings
         self._hub = hub
+        self.connections = Connections(hub.clock)
         self._surroundings = surroundings
-        self._access = Access(settings)
+        self._access = Access(settings, hub.clock)
         self._viewers: set[web.WebSocketResponse] = set()
         folder = files('neo_ros.viewer') / 'page'
         self._pages = {url: ((folder / name).read_bytes(), kind)
@@ -53,6 +56,7 @@ class Server:
         self.app = web.Application(
             middlewares=[self._access.middleware], client_max_size=MAX_REQUEST_BYTES)
         self.app.on_response_prepare.append(add_headers)
+        self.app.on_response_prepare.append(self._touch)
         self.app.on_shutdown.append(self._close_sockets)
         self.app.add_routes([
             *(web.get(url, self._get_page) for url in PAGE),
@@ -72,8 +76,11 @@ class Server:
     async def _post_login(self, request: web.Request) -> web.Response:
         self._access.check_origin(request)
         token = (await request.post()).get('token', '')
+        if not self._access.may_guess():
+            return self._login_page('Too many wrong tokens. Try again in a minute.', 429)
         if not isinstance(token, str) or not self._access.is_token(token):
-            await asyncio.sleep(WRONG_TOKEN_PAUSE_S)
+            self._access.count_wrong_token()
+            await self._hub.clock.sleep(WRONG_TOKEN_PAUSE_S)
             return self._login_page('That is not the token.', 403)
         response = web.HTTPSeeOther('/')
         self._access.begin_session(request, response)
@@ -95,6 +102,7 @@ class Server:
         link = ViewerLink(viewer, self._settings.max_mbit, self._hub.update_wanted,
                           self._hub.clock)
         self._viewers.add(viewer)
+        self.connections.touch(request, watching=True)
         self._hub.add(link)
         try:
             await viewer.send_json({
@@ -106,15 +114,24 @@ class Server:
         finally:
             self._hub.remove(link)
             self._viewers.discard(viewer)
+            self.connections.touch(request)
         return viewer
 
+    async def _touch(self, request: web.Request, response: web.StreamResponse) -> None:
+        self.connections.touch(request)
+
+    async def _plan(self, request: web.Request) -> PlanPicture | None:
+        # It may be drawn still: who waits for it is not idle until the answer.
+        self.connections.touch(request, watching=True)
+        return await asyncio.to_thread(self._surroundings.plan)
+
     async def _get_map(self, request: web.Request) -> web.Response:
-        plan = await asyncio.to_thread(self._surroundings.plan)
+        plan = await self._plan(request)
         return web.json_response(
             {'why': self._surroundings.why} if plan is None else plan.about)
 
     async def _get_map_picture(self, request: web.Request) -> web.Response:
-        plan = await asyncio.to_thread(self._surroundings.plan)
+        plan = await self._plan(request)
         if plan is None:
             raise web.HTTPNotFound(text=self._surroundings.why)
         return web.Response(body=plan.picture, content_type='image/webp')
@@ -129,12 +146,14 @@ class Server:
             await viewer.close(code=FULL, message=b'too many viewers')
             return viewer
         self._viewers.add(viewer)
+        self.connections.touch(request, watching=True)
         try:
             await AroundLink(viewer, where, self._surroundings, self._hub.clock).serve()
         except ConnectionError:
             pass
         finally:
             self._viewers.discard(viewer)
+            self.connections.touch(request)
         return viewer
 
     async def _close_sockets(self, app: web.Application) -> None:
@@ -158,9 +177,6 @@ async def _serve(source: Source, settings: ViewerSettings,
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, finished.set)
     surroundings = Surroundings(settings.model, settings.floor)
-    runner = web.AppRunner(Server(settings, hub, surroundings).app, access_log=None,
-                           shutdown_timeout=1.0)
-    await runner.setup()
     failures: list[BaseException] = []
 
     def feed() -> None:
@@ -174,28 +190,50 @@ async def _serve(source: Source, settings: ViewerSettings,
     telling = asyncio.create_task(hub.keep_telling())
     threading.Thread(target=surroundings.warm_up, name='viewer plan', daemon=True).start()
     try:
-        report(_describe(settings, await _listen(runner, settings)))
-        thread.start()
-        await finished.wait()
+        async with opened(settings, hub, surroundings) as port:
+            report(_describe(settings, port))
+            thread.start()
+            await finished.wait()
+            stop.set()
     finally:
         stop.set()
         telling.cancel()
-        await runner.cleanup()
         if thread.is_alive():
             await asyncio.to_thread(thread.join, 2.0)
     if failures:
         raise failures[0]
 
 
-async def _listen(runner: web.AppRunner, settings: ViewerSettings) -> int:
-    """Open the port and return it."""
-    site = web.TCPSite(runner, settings.host, settings.port, ssl_context=settings.tls())
+@asynccontextmanager
+async def opened(settings: ViewerSettings, hub: Hub,
+                 surroundings: Surroundings = Surroundings(None)) -> AsyncIterator[int]:
+    """Serve a hub at the settings' port, which is given; raises ConfigError."""
+    tls = settings.tls()
     try:
-        await site.start()
+        listeners = listen(settings.host, settings.port)
     except OSError as error:
         raise ConfigError(f'host, port: cannot listen on {settings.host}:{settings.port}: '
                           f'{error.strerror}; choose another') from error
-    return runner.addresses[0][1]
+    server = Server(settings, hub, surroundings)
+    runner = web.AppRunner(server.app, access_log=None, shutdown_timeout=1.0)
+    await runner.setup()
+    manager, loop = runner.server, asyncio.get_running_loop()
+    assert manager is not None
+    undo = limit_logs(hub.clock)
+    tasks = [asyncio.create_task(server.connections.keep_clearing()), *(
+        asyncio.create_task(server.connections.serve(
+            listener, lambda: PoliteHandler(manager, loop=loop), tls))
+        for listener in listeners)]
+    try:
+        yield listeners[0].getsockname()[1]
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        for listener in listeners:
+            listener.close()
+        await runner.cleanup()
+        undo()
 
 
 def _describe(settings: ViewerSettings, port: int) -> str:
@@ -203,6 +241,8 @@ def _describe(settings: ViewerSettings, port: int) -> str:
     scheme = 'https' if settings.cert else 'http'
     host = socket.gethostname() if settings.host in ('0.0.0.0', '::') else settings.host
     lines = [f'Viewer: {scheme}://{f"[{host}]" if ":" in host else host}:{port}/']
+    if settings.public_origin:
+        lines.append(f'Through the proxy: {settings.public_origin}/')
     if settings.fresh_token:
         lines.append(f'Token: {settings.token}')
     if settings.cert is None and not settings.on_loopback:

@@ -7,6 +7,7 @@ import secrets
 import ssl
 
 from neo_ros.errors import ConfigError
+from yarl import URL
 
 # What a person may choose; the tokens that the viewer makes are longer.
 MIN_TOKEN, MAX_TOKEN = 12, 200
@@ -19,12 +20,13 @@ class ViewerSettings:
     Settings of the server.
 
     host, port: where to listen; port 0 takes any free one. token: what a viewer has to know;
-    empty: none on loopback, a fresh one everywhere else. cert, key: PEM files for TLS.
-    max_viewers: how many may watch at a time. max_mbit: megabit per second for each of them,
+    empty: none on loopback without a proxy, a fresh one everywhere else. cert, key: PEM files for
+    TLS. max_viewers: how many may watch at a time. max_mbit: megabit per second for each of them,
     0 = no limit. quality: of the JPEG pictures, 1 to 100. stale_after: seconds until a picture
-    counts as stale. model: whose memory shows the map and looks around; None: neither. floor: a
-    walkable.json or the YAML of a map_server map, whose outlines lie under that map.
-    fresh_token: whether the token was made here and has to be shown once.
+    counts as stale. public_origin: what viewers open where a proxy stands before the server, such
+    as https://robot.example; empty: no proxy. model: whose memory shows the map and looks around;
+    None: neither. floor: a walkable.json or the YAML of a map_server map, whose outlines lie under
+    that map. fresh_token: whether the token was made here and has to be shown once.
     """
 
     host: str = '127.0.0.1'
@@ -36,6 +38,7 @@ class ViewerSettings:
     max_mbit: float = 20.0
     quality: int = 80
     stale_after: float = 0.8
+    public_origin: str = ''
     model: Path | None = None
     floor: Path | None = None
     fresh_token: bool = field(default=False, init=False)
@@ -48,7 +51,8 @@ class ViewerSettings:
             value = getattr(self, name)
             if not low <= value <= high:
                 raise ConfigError(f'{name}: expected {low} to {high}, got {value}')
-        if not self.token and not self.on_loopback:
+        self._check_origin()
+        if not self.token and (self.public_origin or not self.on_loopback):
             object.__setattr__(self, 'token', secrets.token_urlsafe(18))
             object.__setattr__(self, 'fresh_token', True)
         if self.token and not MIN_TOKEN <= len(self.token) <= MAX_TOKEN:
@@ -56,6 +60,18 @@ class ViewerSettings:
                               f'{len(self.token)}')
         if (self.cert is None) != (self.key is None):
             raise ConfigError('cert, key: expected both or none, got one')
+
+    def _check_origin(self) -> None:
+        if not self.public_origin:
+            return
+        try:
+            url = URL(self.public_origin)
+            good = url.host and url.scheme in ('http', 'https') and url.origin() == url
+        except ValueError:
+            good = False
+        if not good:
+            raise ConfigError('public_origin: expected scheme and host such as '
+                              f'https://robot.example, got {self.public_origin!r}')
 
     @property
     def on_loopback(self) -> bool:

@@ -36,7 +36,7 @@ def bake(poses: list, coarse: np.ndarray, gain: float = 1.0, shift: float = 0.0)
                     np.stack([pose.T_world_cam[:3, :3] for pose in poses]).astype(np.float32),
                     np.stack([pose.position for pose in poses]).astype(np.float32),
                     np.full((len(poses), 3), gain, np.float32),
-                    SOURCE.fx, SOURCE.fy, SOURCE.cx, SOURCE.cy), BAND.wraps, out)
+                    SOURCE.fx, SOURCE.fy, SOURCE.cx, SOURCE.cy), BAND.wraps, 0.1, out)
     return out
 
 
@@ -71,7 +71,7 @@ def test_a_photo_is_not_blurred_when_it_is_read_between_its_pixels() -> None:
                        np.repeat(wave(wanted)[None, :, None], 3, 2).astype(np.uint8)),
         PhotoArrays(photo[None].astype(np.uint8), photo_depth[None].astype(np.float32),
                     np.eye(3, dtype=np.float32)[None], np.zeros((1, 3), np.float32),
-                    np.ones((1, 3), np.float32), focal, focal, 16.0, 16.0), False, out)
+                    np.ones((1, 3), np.float32), focal, focal, 16.0, 16.0), False, 0.1, out)
     # Linear interpolation is off by 12 here.
     assert np.abs(out[0, :, 0] - wave(wanted)).max() < 5
 
@@ -282,7 +282,7 @@ def test_a_texture_finer_than_the_depth_is_as_sharp_as_one_with_depth_for_every_
                         photo_depth[:, every // 2::every, every // 2::every],
                         rotations, np.stack([pose.position for pose in poses]).astype(np.float32),
                         np.ones((len(poses), 3), np.float32),
-                        PHOTO.fx, PHOTO.fy, PHOTO.cx, PHOTO.cy), BAND.wraps, out)
+                        PHOTO.fx, PHOTO.fy, PHOTO.cx, PHOTO.cy), BAND.wraps, 0.1, out)
         baked[name] = out.astype(float)
     level = np.abs(np.arange(132) - 65.5) < 45
     error = {name: np.abs(image[level] - truth[level]).mean() for name, image in baked.items()}

@@ -51,8 +51,8 @@ class NarrowLink:
         self._pairs |= pair
         try:
             await asyncio.gather(self._pass(reader, to_server), self._pass(from_server, writer))
-        except ConnectionError:
-            pass
+        except (ConnectionError, asyncio.CancelledError):
+            pass  # Cut, or the test is over.
         finally:
             self._pairs -= pair
             for end in pair:

@@ -61,12 +61,17 @@ async def receive_picture(socket: ClientWebSocketResponse, confirm: bool = True
         assert message.type in (WSMsgType.TEXT, WSMsgType.BINARY), message
         if message.type is WSMsgType.BINARY:
             break
-    data = message.data
-    first, second = struct.unpack_from('<II', data)
-    meta = json.loads(data[8:8 + first])
+    parts = split(message.data)
     if confirm:
-        await socket.send_json({'shown': meta['seq']})
-    return meta, data[8 + first:8 + first + second], data[8 + first + second:]
+        await socket.send_json({'shown': parts[0]['seq']})
+    return parts
+
+
+def split(data: bytes) -> tuple[dict[str, Any], bytes, bytes]:
+    """Return meta, image and confidence of a message."""
+    first, second = struct.unpack_from('<II', data)
+    return (json.loads(data[8:8 + first]), data[8 + first:8 + first + second],
+            data[8 + first + second:])
 
 
 async def until(condition: Callable[[], Any]) -> None:

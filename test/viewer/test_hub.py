@@ -3,17 +3,19 @@ from contextlib import AsyncExitStack
 import json
 from types import SimpleNamespace
 
+import cv2
 from hand_clock import HandClock
 from hypothesis import given, strategies as st
 from neo_ros.errors import ImageRejected
 from neo_ros.messages import encode_jpeg
+from neo_ros.viewer.hub import Wanted
 from neo_ros.viewer.pictures import EncodedPicture, SourcePicture, SourceState
 from neo_ros.viewer.wide_topics import (
     GUIDED, GUIDED_SHARE, IN_SCENE, LATENCY, MAX_COMPRESSED_BYTES, NodeDiagnosis, read_picture,
     seen_share, WideTopics)
 import numpy as np
 import pytest
-from viewer_server import IMAGE, picture, receive_picture, run, running, until, watching
+from viewer_server import IMAGE, picture, receive_picture, run, running, split, until, watching
 
 
 def test_a_picture_that_cannot_be_a_jpeg_is_refused():
@@ -51,14 +53,14 @@ def test_nothing_is_encoded_while_nobody_watches():
             hub.publish(picture())
             assert hub.encoded == 0 and not hub.wanted.image
             async with watching(client) as socket:
-                assert hub.wanted == (True, False)
+                assert hub.wanted == Wanted(True)
                 await socket.send_json({'paused': True})
                 await until(lambda: not hub.wanted.image)
                 hub.publish(picture())
                 assert hub.encoded == 0
                 await socket.send_json({'paused': False, 'confidence': True})
-                await until(lambda: hub.wanted == (True, True))
-            await until(lambda: hub.wanted == (False, False))
+                await until(lambda: hub.wanted == Wanted(True, True))
+            await until(lambda: hub.wanted == Wanted())
     run(test)
 
 
@@ -168,6 +170,28 @@ def test_a_place_counts_as_recognised_by_the_newest_image():
     assert diagnosis.read_frame(of_frame('false')) == {}
 
 
+@pytest.mark.parametrize('passed_on', [True, False])
+def test_a_thin_link_gets_half_the_size_and_far_fewer_bytes(passed_on):
+    image = cv2.resize(IMAGE[:12, :16], (512, 384), interpolation=cv2.INTER_CUBIC)
+    given = bytes(encode_jpeg(image, 80)) if passed_on else image
+    encoded = EncodedPicture(3, SourcePicture(given, 1.5, True, np.zeros((384, 512), np.uint8)),
+                             80, with_confidence=True, with_small=True)
+    full, small = (encoded.message(True, small) for small in (False, True))
+    meta, body, confidence = split(small)
+    assert meta['small'] and meta['seq'] == 3 and not split(full)[0]['small']
+    shown = cv2.imdecode(np.frombuffer(body, np.uint8), cv2.IMREAD_COLOR)
+    expected = cv2.resize(image, (256, 192), interpolation=cv2.INTER_AREA)[..., ::-1]
+    assert shown is not None and np.abs(shown - expected.astype(float)).mean() < 6
+    assert confidence.startswith(b'\xff\xd8\xff') and len(small) < 0.4 * len(full)
+    without = EncodedPicture(3, SourcePicture(given, 1.5, True), 80, with_confidence=True)
+    assert without.message(False, small=True) == without.message(False)
+
+
+def test_what_cannot_be_made_small_is_passed_on_full():
+    encoded = EncodedPicture(3, SourcePicture(b'JPEG', 1.5, True), 80, False, with_small=True)
+    assert encoded.message(False, small=True) == encoded.message(False)
+
+
 def test_message_layout():
     encoded = EncodedPicture(7, SourcePicture(b'JPEG', 1.5, False, np.zeros((600, 300), np.uint8)),
                              80, with_confidence=True)
@@ -175,7 +199,8 @@ def test_message_layout():
     length = int.from_bytes(plain[:4], 'little')
     assert int.from_bytes(plain[4:8], 'little') == 4 and plain[8 + length:] == b'JPEG'
     assert json.loads(plain[8:8 + length]) == {
-        'seq': 7, 'captured': 1500.0, 'timed': False, 'seen': None, 'recorded': None}
+        'seq': 7, 'captured': 1500.0, 'timed': False, 'seen': None, 'recorded': None,
+        'small': False}
     assert full.startswith(plain) and full[len(plain):].startswith(b'\xff\xd8\xff')
     without = EncodedPicture(7, SourcePicture(b'JPEG', 1.5, False), 80, with_confidence=True)
     assert without.message(True) == without.message(False)

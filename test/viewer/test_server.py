@@ -11,9 +11,10 @@ import urllib.request
 
 from aiohttp import WSServerHandshakeError
 import cv2
+from hand_clock import HandClock
 from neo_ros.errors import ConfigError
 from neo_ros.viewer import access
-from neo_ros.viewer.access import HEADERS
+from neo_ros.viewer.access import HEADERS, MAX_WRONG_TOKENS, WRONG_TOKENS_S
 from neo_ros.viewer.settings import read_token, TOKEN_VARIABLE, ViewerSettings
 import numpy as np
 import pytest
@@ -28,7 +29,9 @@ PATHS = ['/', '/viewer.js', '/link.js', '/picture.js', '/viewer.css', '/icon.svg
     ({'port': 70000}, 'port'), ({'quality': 0}, 'quality'), ({'max_viewers': 0}, 'max_viewers'),
     ({'max_mbit': -1.0}, 'max_mbit'), ({'stale_after': 0.0}, 'stale_after'),
     ({'token': 'short'}, 'token'), ({'token': 201 * 'x'}, 'token'),
-    ({'cert': Path('c.pem')}, 'cert, key'),
+    ({'cert': Path('c.pem')}, 'cert, key'), ({'public_origin': 'robot.example'}, 'public_origin'),
+    ({'public_origin': 'https://robot.example/viewer'}, 'public_origin'),
+    ({'public_origin': 'ftp://robot.example'}, 'public_origin'),
 ], ids=lambda value: str(value))
 def test_bad_settings_are_named(settings, words):
     with pytest.raises(ConfigError, match=words):
@@ -135,6 +138,51 @@ def test_token_is_exchanged_for_a_cookie():
                 await until(lambda: len(hub) == 1)
     with mock.patch('neo_ros.viewer.server.WRONG_TOKEN_PAUSE_S', 0.0):
         run(test)
+
+
+def test_wrong_tokens_are_few_whoever_tries_them():
+    async def test():
+        async with running(token=TOKEN) as (client, hub):
+            async def status_of(token):
+                answer = await client.post('/login', data={'token': token}, headers={
+                    **origin(client), 'Connection': 'close'}, allow_redirects=False)
+                return answer.status
+
+            assert [await status_of(f'{TOKEN}{number}') for number in range(MAX_WRONG_TOKENS)
+                    ] == MAX_WRONG_TOKENS * [403]
+            assert await status_of('another') == await status_of(TOKEN) == 429
+            assert isinstance(hub.clock, HandClock)
+            hub.clock.turn(WRONG_TOKENS_S)
+            assert await status_of(TOKEN) == 303
+    with mock.patch('neo_ros.viewer.server.WRONG_TOKEN_PAUSE_S', 0.0):
+        run(test)
+
+
+@pytest.mark.parametrize('host', ['robot.example', '127.0.0.1:8600'],
+                         ids=['host kept', 'host of the proxy'])
+def test_behind_a_proxy_that_speaks_tls(host):
+    async def test():
+        settings = {'token': TOKEN, 'public_origin': 'https://robot.example'}
+        async with running(**settings) as (client, hub):
+            headers = {'Host': host, 'Origin': 'https://robot.example'}
+            answer = await client.post('/login', data={'token': TOKEN}, headers=headers,
+                                       allow_redirects=False)
+            assert (answer.status, answer.headers['Location']) == (303, '/')
+            cookie, = answer.cookies.values()
+            assert cookie['secure'] and cookie['httponly']
+            headers['Cookie'] = f'{cookie.key}={cookie.value}'
+            async with client.ws_connect('/stream', headers=headers):
+                await until(lambda: len(hub) == 1)
+            for foreign in ('https://robot.example.evil', 'http://robot.example', 'null'):
+                answer = await client.post('/login', data={'token': TOKEN}, headers={
+                    'Host': host, 'Origin': foreign})
+                assert answer.status == 403
+    run(test)
+
+
+def test_whoever_comes_through_a_proxy_needs_a_token():
+    settings = ViewerSettings(public_origin='https://robot.example')
+    assert settings.on_loopback and settings.fresh_token and len(settings.token) >= 24
 
 
 def test_session_survives_a_restart_but_not_another_token_or_its_end():

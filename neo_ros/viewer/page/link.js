@@ -10,10 +10,12 @@ const DRIFT_MS = 0.2;
 const SILENCE_MS = 3000;
 // How long the server may take to say whether the session still holds.
 const CHECK_MS = 5000;
+// Codes of the server's: no place left, and hidden for so long that the place is another's.
 const FULL = 4001;
+const ASLEEP = 4002;
 
 export class Link {
-  // `events`: onOpen(), onClosed(full), onHello(hello), onStatus(status), onPicture(picture).
+  // `events`: onOpen(), onClosed('full', 'asleep' or 'lost'), onHello(hello), onStatus(status), onPicture(picture).
   constructor(events) {
     this.events = events;
     this.asked = { confidence: false, paused: true };
@@ -22,7 +24,10 @@ export class Link {
     this.checking = false;
     this.offset = null;
     this.roundTrip = Infinity;
-    document.addEventListener('visibilitychange', () => this.pauseOrGoOn());
+    document.addEventListener('visibilitychange', () => {
+      this.pauseOrGoOn();
+      if (!document.hidden) this.retryNow();
+    });
     window.addEventListener('online', () => this.retryNow());
     setInterval(() => this.watch(), 500);
     setInterval(() => this.send({ ping: performance.now() }), PING_MS);
@@ -57,7 +62,8 @@ export class Link {
       else this.receive(event.data);
     };
     socket.onclose = (event) => {
-      if (this.socket === socket) this.lost(event.code === FULL);
+      const reasons = { [FULL]: 'full', [ASLEEP]: 'asleep' };
+      if (this.socket === socket) this.lost(reasons[event.code] ?? 'lost');
     };
   }
 
@@ -75,7 +81,10 @@ export class Link {
       this.setClock(message);
       this.answers += 1;
       if (this.answers < ANSWERS_FIRST) this.send({ ping: performance.now() });
-      if (this.answers === ANSWERS_FIRST) this.pauseOrGoOn();
+      if (this.answers === ANSWERS_FIRST) {
+        this.send({ round_trip: this.roundTrip });
+        this.pauseOrGoOn();
+      }
     } else {
       this.events.onStatus(message);
     }
@@ -117,15 +126,16 @@ export class Link {
     const busy = this.socket.readyState <= WebSocket.OPEN;
     if (busy && !document.hidden && performance.now() - this.heard > SILENCE_MS) {
       const dead = this.socket;
-      this.lost(false);
+      this.lost('lost');
       dead.close();
     }
   }
 
-  lost(full) {
+  lost(reason) {
     this.socket.onclose = this.socket.onmessage = null;
-    this.events.onClosed(full);
-    const wait = full ? RETRY_MS.at(-1) : RETRY_MS[Math.min(this.attempt, RETRY_MS.length - 1)];
+    this.events.onClosed(reason);
+    if (reason === 'asleep' && document.hidden) return;  // Goes on when the tab is seen.
+    const wait = reason === 'full' ? RETRY_MS.at(-1) : RETRY_MS[Math.min(this.attempt, RETRY_MS.length - 1)];
     this.attempt += 1;
     this.retry = setTimeout(() => this.checkSession(), wait);
   }
@@ -147,7 +157,7 @@ export class Link {
         return;
       }
     } catch {
-      this.lost(false);
+      this.lost('lost');
       return;
     } finally {
       this.checking = false;

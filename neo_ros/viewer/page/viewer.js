@@ -21,6 +21,12 @@ const ROUGH_EXPLANATIONS = {
 };
 // What is said of single images would flicker: a place counts as recognised after so long.
 const RECOGNISED_AFTER_MS = 500;
+// Why there is no connection.
+const CLOSED = {
+  full: { title: 'No place left', text: 'As many viewers as allowed are watching.' },
+  asleep: { title: 'Asleep', text: 'This page was hidden for a minute and gave its place away.' },
+  lost: { title: 'Disconnected', text: 'Trying to reach the viewer.' },
+};
 const UNKNOWN_FRAME = 'The camera\'s frame is not known yet: any part of the picture may be made up.';
 
 const find = (id) => document.getElementById(id);
@@ -28,14 +34,14 @@ const stage = find('stage');
 const canvas = find('picture');
 const context = canvas.getContext('2d', { alpha: false });
 const state = {
-  picture: null, newest: 0, status: {}, connected: false, full: false, staleMs: 800,
+  picture: null, newest: 0, status: {}, connected: false, closed: 'lost', staleMs: 800,
   way: 'outline', shown: [], latencies: [], nextReadings: 0, pending: '', since: 0, announced: '',
   verdict: '', unknownUntil: 0,
 };
 
 const link = new Link({
-  onOpen() { state.connected = true; state.full = false; around.open(); },
-  onClosed(full) { around.close(); state.connected = false; state.full = full; tick(); },
+  onOpen() { state.connected = true; around.open(); },
+  onClosed(reason) { around.close(); state.connected = false; state.closed = reason; tick(); },
   onHello(hello) { state.staleMs = hello.stale_ms; state.newest = 0; },
   onStatus(status) { state.status = status; showStatus(); },
   onPicture(picture) { showPicture(picture); },
@@ -90,9 +96,8 @@ function judge() {
   const age = state.picture ? link.now() - state.picture.captured : null;
   const old = age === null ? '' : ` This picture is ${seconds(age)} old.`;
   if (!state.connected) {
-    return state.full
-      ? { name: 'full', title: 'No place left', text: 'As many viewers as allowed are watching.' }
-      : { name: 'lost', title: 'Disconnected', text: `Trying to reach the viewer.${old}` };
+    const { title, text } = CLOSED[state.closed];
+    return { name: state.closed, title, text: state.closed === 'lost' ? text + old : text };
   }
   if (age !== null && age <= state.staleMs) {
     return state.status.span ? { name: 'recording', title: 'Recording', text: '' }
@@ -174,7 +179,9 @@ function showStatus() {
   write('viewers', String(status.viewers));
   write('node-latency', status.node_ms === null ? '–' : `${status.node_ms.toFixed(0)} ms`);
   if (state.picture) {
-    write('size', `${state.picture.bitmap.width} × ${state.picture.bitmap.height}`);
+    const { bitmap, small } = state.picture;
+    write('size', `${bitmap.width} × ${bitmap.height}`
+      + (small ? ' (thin link: smaller picture)' : ''));
   }
   set(find('bag-time-reading'), 'hidden', !status.span);
   stage.setAttribute('aria-label', status.span ? 'Recorded picture' : 'Live picture');
