@@ -3,8 +3,8 @@ from dataclasses import dataclass
 import math
 
 import cv2
-from neo_ros.baking.keyframes import (
-    BakingRules, glance, GLANCE_WIDTH, keyframe_glances, keyframe_positions, keyframe_size, Photos)
+from neo_ros.baking.glances import glance, GLANCE_WIDTH, keyframe_glances
+from neo_ros.baking.keyframes import BakingRules, keyframe_positions, keyframe_size, Photos
 from neo_ros.field.panorama import view_band
 from neo_ros.flat.building import Building
 from neo_ros.flat.building_routes import mapping_poses
