@@ -115,10 +115,10 @@ def _digest(settings: dict[str, Any]) -> str:
     # Runs of before there were these go on: at their defaults they change nothing. (A scene with
     # measured depth has another list of photos.)
     for part, name, default in (('field', 'depth', FieldConfig.depth), ('field', 'shrink', 1),
-                                ('network', 'shrink', 1)):
-        if settings.get(part, {}).get(name) == default:
-            settings = {**settings, part: {**settings[part]}}
-            del settings[part][name]
+                                ('network', 'shrink', 1), ('memory', 'minutes', None)):
+        found = settings.get(part) or {}
+        if name in found and found[name] == default:
+            settings = {**settings, part: {key: found[key] for key in found if key != name}}
     text = json.dumps(settings, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 

@@ -12,6 +12,7 @@ import time
 from zipfile import BadZipFile
 
 import cv2
+from neo_ros.baking.glances import glance_rotations, keyframe_glances, photo_glances
 from neo_ros.baking.kernels import colour_from_photos, PanoramaPixels, PhotoArrays
 from neo_ros.errors import ConfigError, NeoError
 from neo_ros.field.panorama import view_band
@@ -21,11 +22,8 @@ from neo_ros.geometry import Band, CameraPose, Intrinsics, ViewExpansion
 from neo_ros.machine.files import whole_file
 from neo_ros.machine.progress import no_stage_progress, of_stage, Progress, StageProgress
 from neo_ros.memory.scene_memory import compress, FINER, Glances, Keyframe, SceneMemory
-from neo_ros.scenes.pose_sampling import PoseSampler, rotation_from_angles
+from neo_ros.scenes.pose_sampling import PoseSampler
 import numpy as np
-
-# Pixels across a glance; the search compares them.
-GLANCE_WIDTH = 16
 
 
 @dataclass(frozen=True)
@@ -39,7 +37,6 @@ class BakingRules:
     one_surface: float = 0.1       # depths that differ by less than this share are of one surface
     least_coverage: float = 0.5    # of a pixel by what photos saw, for its depth to be known
     least_keyframes: int = 8       # however short the time
-    glance_yaw_deg: float = 15.0   # between two glances of a keyframe
 
 
 @dataclass(frozen=True)
@@ -103,13 +100,14 @@ def bake_memory(field: RadianceField, photos: Photos, expansion: ViewExpansion,
             keyframe = _bake_keyframe(field, photos, seen, gains, position, band,
                                       expansion.target.fx, rules)
             frame = (*compress(keyframe), keyframe_glances(
-                [keyframe], band, expansion.source, _headings(sampler, rules)))
+                [keyframe], band, expansion.source, glance_rotations(sampler)))
             _write_finished(path, *frame)
         frames.append(frame)
         progress('keyframes', index + 1, clock.possible(index + 1, len(positions)))
     positions = positions[:len(frames)]
     textures, depths, glances = zip(*frames)
-    glances = (*glances, _photo_glances(photos, expansion.source))
+    glances = (*glances, photo_glances(
+        photos.images, photos.intrinsics, photos.T_world_cam, expansion.source))
     return SceneMemory(positions, band, textures, depths, Glances(
         np.concatenate([part.pictures for part in glances]),
         np.concatenate([part.T_world_cam for part in glances])))
@@ -261,44 +259,3 @@ def mesh_depth(depth: np.ndarray, finer: int,
     blocks, count = np.sort(blocks, axis=-1), finer * finer
     near, far = blocks[..., (count - 1) // 2], blocks[..., count // 2]
     return np.where(far - near < one_surface * far, (near + far) / 2, far)
-
-
-def keyframe_glances(keyframes: list[Keyframe], band: Band, source: Intrinsics,
-                     rotations: list[np.ndarray]) -> Glances:
-    """Take small pictures at every keyframe with these rotations (3, 3), camera to world."""
-    small = source.scaled(GLANCE_WIDTH / source.width)
-    fine = small.scaled(4)
-    pictures, poses = [], []
-    for keyframe in keyframes:
-        for rotation in rotations:
-            T = np.eye(4)
-            T[:3, :3], T[:3, 3] = rotation, keyframe.position
-            where = band.pixels(fine.pixel_rays() @ rotation.T, *keyframe.texture.shape[:2])
-            cut = cv2.remap(keyframe.texture, where[..., 0], where[..., 1], cv2.INTER_LINEAR,
-                            borderMode=cv2.BORDER_WRAP)
-            pictures.append(glance(cut, small))
-            poses.append(T)
-    return Glances(np.stack(pictures), np.stack(poses))
-
-
-def _photo_glances(photos: Photos, source: Intrinsics) -> Glances:
-    """Shrink the photos, each cut to the source view."""
-    small = source.scaled(GLANCE_WIDTH / source.width)
-    window = photos.intrinsics.window(source)
-    return Glances(np.stack([glance(image[window], small) for image in photos.images]),
-                   photos.T_world_cam)
-
-
-def _headings(sampler: PoseSampler, rules: BakingRules) -> list[np.ndarray]:
-    """Return rotations (3, 3) all over the sampler's headings, with its mean tilt."""
-    low, width = sampler.yaw_range
-    (pitch, roll), _ = sampler.pitch_roll
-    count = max(math.ceil(width / math.radians(rules.glance_yaw_deg)), 1)
-    return [rotation_from_angles(yaw, pitch, roll)
-            for yaw in low + width * (np.arange(count) + 0.5) / count]
-
-
-def glance(image: np.ndarray, small: Intrinsics) -> np.ndarray:
-    """Shrink RGB uint8 to a grey uint8 picture of the size of `small`."""
-    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-    return cv2.resize(grey, (small.width, small.height), interpolation=cv2.INTER_AREA)

@@ -100,6 +100,12 @@ GEOMETRY_DEPTH = (
     Column('more than 10 % too far', 'depth_too_far_10_percent', '{:.1f} %', 100),
     Column('occupied cells marked', 'occupied_marked', '{:.1f} %', 100),
     Column('free cells marked', 'free_marked_occupied', '{:.1f} %', 100))
+BUILDING = (
+    Column('rooms', 'layout'), Column('search', 'search'), Column('searches', 'searches'),
+    Column('wrong place believed', 'wrong_places'), Column('ambiguous', 'ambiguous'),
+    Column('not found', 'lost'), Column('walks through doors', 'door_walks'),
+    Column('right at the end', 'walks_found_right'), Column('ever wrong', 'walks_ever_wrong'),
+    Column('search, ms', 'found_ms_median', '{:.0f}'), Column('p95', 'found_ms_p95', '{:.0f}'))
 
 TABLES: dict[str, Rows] = {
     **{name: Rows(name, METHOD) for name in (
@@ -114,6 +120,7 @@ TABLES: dict[str, Rows] = {
     'geometry_pose': Rows('geometry', GEOMETRY_POSE),
     'geometry_depth': Rows('geometry', GEOMETRY_DEPTH,
                            lambda row: row['depth_error_median'] is not None),
+    'building': Rows('building', BUILDING),
     'hard_times': Rows('hard_times', HARD), 'out_of_scene': Rows('out_of_scene', OUTSIDE),
 }
 # Over all scenes of a suite: the key of a row, its format and a factor.

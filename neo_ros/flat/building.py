@@ -44,9 +44,14 @@ class Building:
     placed: tuple[Placed, ...]
     insides: dict[Piece, DemoFlat]
 
-    def render(self, intrinsics: Intrinsics, pose: CameraPose) -> tuple[np.ndarray, np.ndarray]:
-        """Look at the building through a pinhole camera, see `DemoFlat.render`."""
-        directions = camera_directions(intrinsics, pose, SAMPLES)
+    def render(self, intrinsics: Intrinsics, pose: CameraPose, samples: int = SAMPLES
+               ) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Look at the building through a pinhole camera, see `DemoFlat.render`.
+
+        samples: rays per pixel and axis, an odd number.
+        """
+        directions = camera_directions(intrinsics, pose, samples)
         hits = self._cast(intrinsics, pose, directions)
         rays = directions.reshape(3, -1).T
         distance, solid = hits.distance.ravel(), hits.solid.ravel()
@@ -61,8 +66,9 @@ class Building:
                 solid[chosen] - self._first[index],
                 piece.to_own(pose.position).astype(np.float32),
                 rays[chosen] * piece.turn.astype(np.float32), distance[chosen],
-                sample_spread(intrinsics))
-        return developed(radiance, intrinsics), centre_samples(hits.distance)
+                sample_spread(intrinsics, samples))
+        return (developed(radiance, intrinsics, samples),
+                centre_samples(hits.distance, samples))
 
     def depth(self, intrinsics: Intrinsics, pose: CameraPose) -> np.ndarray:
         """Return the depth along the optical axis, float32 (H, W) metres."""

@@ -125,21 +125,21 @@ def _panorama() -> MipMap:
     return MipMap(panorama(), wrap=False)
 
 
-def sample_spread(intrinsics: Intrinsics) -> np.float32:
+def sample_spread(intrinsics: Intrinsics, samples: int = SAMPLES) -> np.float32:
     """Return the angle between two samples, radians."""
-    return np.float32(1 / (SAMPLES * intrinsics.fx))
+    return np.float32(1 / (samples * intrinsics.fx))
 
 
-def centre_samples(values: np.ndarray) -> np.ndarray:
+def centre_samples(values: np.ndarray, samples: int = SAMPLES) -> np.ndarray:
     """Return the samples (h, w) at the centres of the pixels."""
-    centres = slice(SAMPLES // 2, None, SAMPLES)
+    centres = slice(samples // 2, None, samples)
     return values[centres, centres].copy()
 
 
-def developed(radiance: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
+def developed(radiance: np.ndarray, intrinsics: Intrinsics, samples: int = SAMPLES) -> np.ndarray:
     """Average the samples (M, 3) of each pixel as a camera would: RGB uint8 (H, W, 3)."""
-    shown = _tone(radiance).reshape(intrinsics.height, SAMPLES, intrinsics.width, SAMPLES, 3)
-    return _encoded(shown.sum(axis=(1, 3)) / np.float32(SAMPLES ** 2))
+    shown = _tone(radiance).reshape(intrinsics.height, samples, intrinsics.width, samples, 3)
+    return _encoded(shown.sum(axis=(1, 3)) / np.float32(samples ** 2))
 
 
 def outside_radiance(rays: np.ndarray) -> np.ndarray:

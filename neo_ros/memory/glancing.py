@@ -4,7 +4,7 @@ from collections.abc import Iterable
 import cv2
 from neo_ros.geometry import CameraPose
 from neo_ros.memory.scene_memory import Glances
-from neo_ros.memory.sight import GuideThresholds
+from neo_ros.memory.sight import AmbiguityThresholds, GuideThresholds
 import numpy as np
 
 
@@ -24,14 +24,29 @@ class GlanceFinder:
 
         around: only there, within prior_metres of any height and about in this direction.
         """
-        grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-        small = cv2.resize(grey, self._size, interpolation=cv2.INTER_AREA)
-        alike = self._rows @ normalized(small.reshape(1, -1))[0]
+        alike = self._likeness(image)
         if around is not None:
             alike[~self._near(around)] = -np.inf
         places = np.argsort(-alike, kind='stable')[:40 * self._limits.candidates]
         chosen = self._apart(places[np.isfinite(alike[places])])
         return [CameraPose(self.poses[index]) for index in chosen]
+
+    def find_many(self, image: np.ndarray, limits: AmbiguityThresholds) -> list[CameraPose]:
+        """Return all places that an image may have been taken at, the most alike first."""
+        alike, chosen = self._likeness(image), list[CameraPose]()
+        while len(chosen) < limits.starts and alike.max() > 0:
+            best = self.poses[int(alike.argmax())]
+            chosen.append(CameraPose(best))
+            near = np.linalg.norm(self.poses[:, :3, 3] - best[:3, 3], axis=1)
+            alike[(near <= limits.start_metres)
+                  & (self.poses[:, :3, 2] @ best[:3, 2] >= limits.start_cosine)] = -1
+        return chosen
+
+    def _likeness(self, image: np.ndarray) -> np.ndarray:
+        grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+        small = cv2.resize(grey, self._size, interpolation=cv2.INTER_AREA)
+        alike: np.ndarray = self._rows @ normalized(small.reshape(1, -1))[0]
+        return alike
 
     def _near(self, pose: CameraPose) -> np.ndarray:
         away = np.linalg.norm(self.poses[:, :2, 3] - pose.position[:2], axis=1)

@@ -29,6 +29,11 @@ class GuidedView:
         """Find the camera and draw what is around it; None while it is lost."""
         return self._guide.guide(image, prior, motion)
 
+    @property
+    def ambiguous(self) -> bool:
+        """Whether there is no guide because several places explain the last image."""
+        return self._guide.ambiguous
+
     def needs_network(self, guide: Guide) -> bool:
         """Tell whether the memory has gaps that are worth the time of the network."""
         missing = ~guide.known

@@ -1,24 +1,22 @@
 """Where is the camera, and what does the memory show around its image: frame after frame."""
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
-import cv2
 from neo_ros.geometry import CameraPose, ViewExpansion
 from neo_ros.machine.compiled import ALL_THREADS
-from neo_ros.memory.alignment import agreement, Aligner
 from neo_ros.memory.alignment_kernels import GuideLevel, PhotoLevel
+from neo_ros.memory.doubt import Doubt
 from neo_ros.memory.glancing import GlanceFinder
 from neo_ros.memory.landmarks import Location, Locator
 from neo_ros.memory.local_features import Features
+from neo_ros.memory.looking import Looker
 from neo_ros.memory.panorama import draw_panorama, Panorama
 from neo_ros.memory.parallel import parallel_loops
 from neo_ros.memory.pose_covariance import (
     aligned_covariance, in_world, located_covariance, with_floor)
 from neo_ros.memory.recent_images import RecentImages
-from neo_ros.memory.rendering import GuideView, MemoryRenderer
 from neo_ros.memory.scene_memory import SceneMemory
-from neo_ros.memory.sight import (better, CameraImage, Found, Guide, GuideThresholds, located,
+from neo_ros.memory.sight import (CameraImage, Found, Guide, GuideThresholds, located,
                                   Sight)
 from neo_ros.pictures.exposure import exposure_gain
 import numpy as np
@@ -35,17 +33,24 @@ class SceneGuide:
                  thresholds: GuideThresholds = GuideThresholds()) -> None:
         self.expansion, self.thresholds = expansion, thresholds
         self._threads = min(threads or ALL_THREADS, ALL_THREADS)
-        self.renderer = MemoryRenderer(memory)
-        self.aligner = Aligner(self.renderer, expansion.source, thresholds.alignment)
+        self._looker = Looker(memory, expansion, thresholds)
+        self.renderer, self.aligner = self._looker.renderer, self._looker.aligner
         self._recent = RecentImages(expansion, thresholds.recent)
         self._locator = (None if memory.landmarks is None
                          else Locator(memory.landmarks, expansion.source, thresholds.landmarks))
         self._glances = GlanceFinder(memory.glances, thresholds)
+        self._doubt = Doubt(self._looker, self._glances)
         self.reset()
+
+    @property
+    def ambiguous(self) -> bool:
+        """Whether the camera of the last image may be at several places that look alike."""
+        return self._doubt.is_open
 
     def reset(self) -> None:
         """Forget the frames so far."""
         self._recent.forget()
+        self._doubt.forget()
         self._last: CameraPose | None = None
         self._motion = np.eye(4)
         self._since_search = self.thresholds.search_every
@@ -55,7 +60,9 @@ class SceneGuide:
     def guide(self, image: np.ndarray, prior: CameraPose | None = None,
               motion: np.ndarray | None = None) -> Guide | None:
         """
-        Find the pose of an image, uint8 RGB (h, w, 3), and draw the wide view; None if lost.
+        Find the pose of an image, uint8 RGB (h, w, 3), and draw the wide view.
+
+        None if lost, or if several places explain the images equally well: `ambiguous`.
 
         prior: where somebody says that the camera is, within metres; motion: (4, 4), the camera's
         pose in the axes of the image before, as odometry measures it. Both only say where to look
@@ -84,11 +91,14 @@ class SceneGuide:
                 and self._is_near(followed.pose, told.pose, self.thresholds.expected_metres,
                                   self.thresholds.expected_cosine)):
             best = told
+            self._doubt.forget()
+        elif self._doubt.is_open:
+            best = self._doubt.follow(image, motion)
         self._since_search += 1
-        if self._search_is_due(best):
+        if not self._doubt.is_open and self._search_is_due(best):
             self._since_search = 0
-            best = better(best, self._search(image))
-        if best is None or not best.believed:
+            best = self._doubt.settle(image, best, self._search(image))
+        if self._doubt.is_open or best is None or not best.believed:
             self._led = 0
             return None
         if best is not followed:
@@ -122,7 +132,7 @@ class SceneGuide:
             view = self.renderer.render(pose, self.expansion.source, self.thresholds.shown)
             image = self._camera_image(view.image)
             self.aligner.align(image.photo, pose, rounds=1)
-            wide = self._look(image, pose).view
+            wide = self._looker.look(image, pose).view
             shown = (wide.depth, pose, np.ones(3, np.float32))
             self._recent.keep(self.expansion.crop(wide.image).astype(np.uint8), wide.image, *shown)
             self._recent.bring(*shown)
@@ -135,11 +145,11 @@ class SceneGuide:
             self._led -= 1
             location = self._locate(image, expected)
             if location is not None:
-                return self._located(self._look(image, location.pose, location.pose), location,
-                                     'landmarks')
+                led = self._looker.look(image, location.pose, location.pose)
+                return self._located(led, location, 'landmarks')
         # A camera in steady motion would be there now.
-        tracked = self._look(image, self.aligner.align(image.photo, expected, 1, near=True),
-                             expected)
+        tracked = self._looker.look(
+            image, self.aligner.align(image.photo, expected, 1, near=True), expected)
         self._since_landmarks += 1
         if (self._since_landmarks >= self.thresholds.landmarks_every
                 or tracked.agreement < self.thresholds.sure):
@@ -152,7 +162,7 @@ class SceneGuide:
         if tracked.believed:
             return tracked
         # It may have stopped while somebody stands in the image.
-        again = self._look(image, self.aligner.align(image.photo, last, 3, near=True), last)
+        again = self._looker.look(image, self.aligner.align(image.photo, last, 3, near=True), last)
         return max(tracked, again, key=Sight.rank)
 
     def _locate(self, image: CameraImage, around: CameraPose | None) -> Location | None:
@@ -168,34 +178,7 @@ class SceneGuide:
             pose, self._led = location.pose, self.thresholds.landmarks_every
         # What is tracked next may be off, too.
         self._since_landmarks = self.thresholds.landmarks_every
-        return self._located(self._look(image, pose, pose), location, 'landmarks')
-
-    def _look(self, image: CameraImage, pose: CameraPose,
-              expected: CameraPose | None = None, searched: bool = False) -> Sight:
-        """Draw the wide view from a pose and compare the image with its part of it."""
-        limits, photo = self.thresholds, image.photo
-        view = self.renderer.render(pose, self.expansion.target, limits.shown)
-        grey, depth = self._observed(view)
-        whole, part = agreement(photo[0].grey, grey, depth > 0, limits.alignment)
-        there = expected is not None and (
-            np.linalg.norm(pose.position - expected.position) < limits.expected_metres
-            and pose.forward @ expected.forward > limits.expected_cosine)
-        believed = whole >= limits.least_agreement and (
-            not searched or whole >= limits.least_found or part >= limits.least_found_partial)
-        believed = believed or bool(there and part >= limits.least_partial)
-        return Sight(pose, view, whole, believed, found='searched' if searched else 'tracked')
-
-    def _observed(self, view: GuideView) -> tuple[np.ndarray, np.ndarray]:
-        """Return grey in [0, 1] and depth of what the camera sees of a view, float32 (h, w)."""
-        rows, columns = self.expansion.observed
-        finest = self.aligner.levels[0]
-        size = (finest.width, finest.height)
-        grey = cv2.cvtColor(view.image[rows, columns] / 255, cv2.COLOR_RGB2GRAY)
-        depth = view.depth[rows, columns]
-        if size != grey.shape[::-1]:
-            grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
-            depth = cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST)
-        return grey, depth
+        return self._located(self._looker.look(image, pose, pose), location, 'landmarks')
 
     def _covariance(self, sight: Sight, photo: PhotoLevel) -> np.ndarray:
         covariance = self._covariance_of(sight, photo)
@@ -207,7 +190,7 @@ class SceneGuide:
         if location is not None and sight.pose is location.pose:  # Alignment had no say.
             return located_covariance(location, limits.covariance)
         camera = self.aligner.levels[0]
-        shown = GuideLevel(*self._observed(sight.view), self.aligner.rays[0])
+        shown = GuideLevel(*self._looker.observed(sight.view), self.aligner.rays[0])
         return aligned_covariance(photo, shown, camera, limits.alignment.geman_mcclure,
                                   limits.covariance)
 
@@ -227,7 +210,7 @@ class SceneGuide:
             found = self._look_from(location, image)
             if found.believed:
                 return found
-        return self._best_of(image, self._glances.find(image.pixels), 'searched')
+        return self._looker.best_of(image, self._glances.find(image.pixels), 'searched')
 
     def _try(self, image: CameraImage, prior: CameraPose) -> Sight | None:
         """Look around where somebody says that the camera is; None: nothing is like it."""
@@ -237,26 +220,13 @@ class SceneGuide:
                                                   limits.prior_cosine):
             return replace(self._look_from(location, image), found='prior')
         # A click on a map tells no height: the places around it do.
-        return self._best_of(image, [prior, *self._glances.find(image.pixels, prior)], 'prior')
+        starts = [prior, *self._glances.find(image.pixels, prior)]
+        return self._looker.best_of(image, starts, 'prior')
 
     @staticmethod
     def _is_near(pose: CameraPose, other: CameraPose, metres: float, cosine: float) -> bool:
         return bool(np.linalg.norm((pose.position - other.position)[:2]) < metres
                     and pose.forward @ other.forward > cosine)
-
-    def _best_of(self, image: CameraImage, starts: Sequence[CameraPose], found: Found
-                 ) -> Sight | None:
-        """Align with the memory from each start; look from the pose that agrees most."""
-        best, most = None, 0.0
-        for start in starts:
-            pose = self.aligner.align(image.photo, start, rounds=3)
-            agrees = self.aligner.agreement(image.photo, pose)
-            if agrees > most:
-                best, most = pose, agrees
-            if most > self.thresholds.sure:
-                break
-        return (replace(self._look(image, best, searched=True), found=found)
-                if best is not None else None)
 
     def _expose(self, guide: np.ndarray, known: np.ndarray, image: np.ndarray) -> np.ndarray:
         """Give the guide, float32 RGB (H, W, 3), the image's exposure; return the gain (3,)."""

@@ -74,6 +74,10 @@ class View(Protocol):
     def guide(self) -> Guide | None:
         """What it knows; None while the network works alone."""
 
+    @property
+    def ambiguous(self) -> bool:
+        """Whether the network works alone because several places look like the image."""
+
 
 class SceneScorer(Protocol):
     """Tells images of the trained scene from others, as runtime's SceneCheck does."""
@@ -112,7 +116,8 @@ class WideFrame:
     like it; None where the network did not run or its card holds no reference. guided: the scene
     memory knew where the camera is. camera_note: what was done to the image to make it the
     model's view. stages_ms: milliseconds spent in 'decode', 'infer' and 'check'. view: the wide
-    camera, pixels. guide: what the memory knows; it computes what it is asked for.
+    camera, pixels. guide: what the memory knows; it computes what it is asked for. ambiguous: it
+    knows several places that look like this, and not which one it is.
     """
 
     image: np.ndarray | None
@@ -125,6 +130,7 @@ class WideFrame:
     stages_ms: dict[str, float]
     view: Intrinsics
     guide: Guide | None = None
+    ambiguous: bool = False
 
 
 class FrameProcessor:
@@ -186,7 +192,8 @@ class FrameProcessor:
             guided=wide is not None and wide.guided, camera_note=fit.note,
             stages_ms={'decode': 1e3 * (decoded - started), 'infer': 1e3 * (inferred - decoded),
                        'check': 1e3 * (checked - inferred)},
-            view=self._expansion.target, guide=wide.guide if wide else None)
+            view=self._expansion.target, guide=wide.guide if wide else None,
+            ambiguous=wide is not None and wide.ambiguous)
 
     def _take_hints(self, message: Any) -> dict[str, Any]:
         if self.hints is None:

@@ -84,7 +84,8 @@ def status_lines(frame: WideFrame, age_ms: float | None = None) -> dict[str, str
     guide = frame.guide
     return {
         'guided': str(frame.guided).lower(),
-        'found': guide.found if guide is not None else 'not',
+        'found': (guide.found if guide is not None
+                  else 'ambiguous' if frame.ambiguous else 'not'),
         'agreement': f'{guide.agreement:.3f}' if guide is not None else 'unknown',
         'landmarks matched': str(guide.landmarks) if guide is not None else 'unknown',
         'out of the scene': ('unknown' if frame.out_of_scene is None
@@ -104,6 +105,8 @@ def status_message(make: Make, header: Any, name: str, frame: WideFrame,
     level, words = OK, 'the network alone'
     if frame.guided:
         words = f'guided by the scene memory: {frame.guide.found if frame.guide else "unknown"}'
+    elif frame.ambiguous:
+        words = 'the network alone: several places of the scene look like this'
     if (frame.out_of_scene or 0) > WatchThresholds().unlike_above:
         level, words = WARN, 'the image is unlike the trained scene'
     return diagnostics_message(make, header, f'{name}: frame', level, words,

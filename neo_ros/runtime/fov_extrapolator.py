@@ -34,12 +34,14 @@ class WideView:
     alone made it up. guide: then what the memory knows, with the camera's `pose` in the scene
     and its `covariance`, `agreement`, `landmarks`, how it was `found`, and `depth()`; what is not
     asked for is not computed. It keeps the images it comes from.
+    ambiguous: not guided, as several places of the scene explain the image equally well.
     """
 
     wide_image: np.ndarray
     confidence: np.ndarray
     guided: bool = False
     guide: 'Guide | None' = None
+    ambiguous: bool = False
 
 
 class FovExtrapolator:
@@ -119,7 +121,8 @@ class FovExtrapolator:
         guided = self._guided_view
         guide = guided.guide(image, prior, motion) if guided is not None else None
         if guided is None or guide is None:
-            return WideView(*self._run_network(image))
+            return WideView(*self._run_network(image),
+                            ambiguous=guided is not None and guided.ambiguous)
         network = self._run_network(image) if guided.needs_network(guide) else None
         wide, error = guided.fuse(image, guide, network[0] if network else None)
         confidence = confidence_of(error)

@@ -12,7 +12,8 @@ import tempfile
 import time
 
 import cv2
-from neo_ros.baking.keyframes import keyframe_glances, keyframe_size, mesh_depth
+from neo_ros.baking.glances import keyframe_glances
+from neo_ros.baking.keyframes import keyframe_size, mesh_depth
 from neo_ros.field.panorama import view_band
 from neo_ros.flat.demo_flat import build_demo_flat, DemoFlat
 from neo_ros.geometry import Band, CameraPose, Intrinsics, ViewExpansion

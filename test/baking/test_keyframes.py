@@ -4,9 +4,10 @@ from pathlib import Path
 from box_room import BAND, cast, EXPANSION, HEIGHT, planar, SOURCE, view
 import cv2
 from neo_ros.baking import keyframes
+from neo_ros.baking.glances import glance_rotations
 from neo_ros.baking.kernels import colour_from_photos, PanoramaPixels, PhotoArrays
 from neo_ros.baking.keyframes import (
-    bake_memory, BakingRules, keyframe_positions, MemoryConfig, Photos)
+    bake_memory, keyframe_positions, MemoryConfig, Photos)
 from neo_ros.errors import ConfigError, NeoError
 from neo_ros.field.rendering import Rendering
 from neo_ros.field.voxel_field import VoxelField
@@ -127,7 +128,7 @@ def test_a_vertex_lies_on_a_surface(block: list[list[float]], expected: float) -
 
 def test_a_camera_that_never_turns_has_one_heading() -> None:
     sampler = PoseSampler(np.zeros((1, 2)), (0.3, 0.0), ((0.0, 0.0), (0.0, 0.0)), (1.4, 0.0))
-    rotation, = keyframes._headings(sampler, BakingRules())
+    rotation, = glance_rotations(sampler)
     assert np.arctan2(rotation[1, 2], rotation[0, 2]) == pytest.approx(0.3)
 
 

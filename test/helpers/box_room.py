@@ -11,6 +11,7 @@ from tiny_model import write_tiny_model
 
 LOW, HIGH = np.array([0.0, 0.0, 0.0]), np.array([5.0, 4.0, 2.6])
 HEIGHT = 1.4
+AWAY = 20.0  # metres from the room to its twin
 BAND = Band(1.1, -1.1)
 SOURCE = Intrinsics.from_hfov(64, 64, np.pi / 2)
 EXPANSION = ViewExpansion.to_size(SOURCE, 128, 128)
@@ -71,6 +72,43 @@ def apart(one: CameraPose, other: CameraPose) -> tuple[float, float]:
     turn = one.T_world_cam[:3, :3].T @ other.T_world_cam[:3, :3]
     return (float(np.linalg.norm(one.position - other.position)),
             float(np.degrees(rotation_angle(turn))))
+
+
+def twin_memory(own_picture: bool) -> SceneMemory:
+    """
+    Remember the room twice, the second one AWAY metres along x.
+
+    own_picture: the second one has a dark picture on the wall that the first one's x ends at.
+    """
+    first, positions = box_memory(), box_memory().positions
+    keyframes = [keyframe(position) for position in positions]
+    second = [Keyframe(one.position + [AWAY, 0, 0], one.depth,
+                       _with_picture(one) if own_picture else one.texture) for one in keyframes]
+    moved = first.glances.T_world_cam.copy()
+    moved[:, 0, 3] += AWAY
+    glances = Glances(np.concatenate([first.glances.pictures] * 2),
+                      np.concatenate([first.glances.T_world_cam, moved]))
+    return SceneMemory.from_keyframes([*keyframes, *second], BAND, glances)
+
+
+def _with_picture(one: Keyframe) -> np.ndarray:
+    rays = BAND.rays(*one.texture.shape[:2])
+    _, depth = cast(one.position, rays)
+    return paint_picture(one.texture, one.position + rays * depth[..., None])
+
+
+def paint_picture(colour: np.ndarray, xyz: np.ndarray) -> np.ndarray:
+    """Hang the picture: return colours (..., 3) of points (..., 3) of the room with it."""
+    there = (np.abs(xyz[..., 0] - HIGH[0]) < 1e-3) & (np.abs(xyz[..., 1] - 2) < 0.5) & (
+        np.abs(xyz[..., 2] - 1.4) < 0.4)
+    return np.where(there[..., None], 255 - colour, colour)
+
+
+def view_with_picture(pose: CameraPose) -> np.ndarray:
+    """Return the image, uint8 (h, w, 3), that the camera takes of the room with the picture."""
+    rays = SOURCE.pixel_rays() @ pose.T_world_cam[:3, :3].T
+    image, z = view(pose, SOURCE)
+    return paint_picture(image, pose.position + rays * z[..., None])
 
 
 def box_walk(count: int) -> list[CameraPose]:

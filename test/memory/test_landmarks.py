@@ -4,7 +4,7 @@ import cv2
 from neo_ros.flat.demo_flat import build_demo_flat, walking_paths
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
 from neo_ros.machine.files import share_dir
-from neo_ros.memory import scene_guide
+from neo_ros.memory import looking
 from neo_ros.memory.landmarks import Landmarks, Location, Locator
 from neo_ros.memory.scene_guide import SceneGuide
 from neo_ros.memory.scene_memory import SceneMemory
@@ -133,7 +133,7 @@ def test_what_landmarks_say_is_believed_unless_all_differs(
         shipped: tuple[SceneMemory, ViewExpansion], monkeypatch: pytest.MonkeyPatch,
         whole: float, partial: float, believed: bool) -> None:
     guide = SceneGuide(*shipped)
-    monkeypatch.setattr(scene_guide, 'agreement', lambda *images: (whole, partial))
+    monkeypatch.setattr(looking, 'agreement', lambda *images: (whole, partial))
     for pose in walking_paths(FLAT, 1, 40, 5)[0][:2]:
         found = guide.guide(FLAT.render(shipped[1].source, pose)[0])
         assert (found is not None) == believed

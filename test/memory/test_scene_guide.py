@@ -8,7 +8,7 @@ from neo_ros.geometry import CameraPose
 from neo_ros.geometry.camera_pose import rotation_from_vector
 from neo_ros.machine.compiled import ALL_THREADS
 from neo_ros.machine.files import share_dir
-from neo_ros.memory import scene_guide
+from neo_ros.memory import looking
 from neo_ros.memory.alignment import agreement, Aligner, AlignmentThresholds
 from neo_ros.memory.alignment_kernels import GuideLevel, Warp
 from neo_ros.memory.rendering import GuideView, MemoryRenderer
@@ -193,7 +193,7 @@ def test_a_pose_that_was_searched_for_has_to_agree_more(monkeypatch: pytest.Monk
     guide = SceneGuide(MEMORY, EXPANSION)
     for whole, partial, searched in ((0.91, 0, True), (0.88, 0.999, True), (0.88, 0.99, False),
                                      (0.84, 0.999, False)):
-        monkeypatch.setattr(scene_guide, 'agreement', lambda *images: (whole, partial))
+        monkeypatch.setattr(looking, 'agreement', lambda *images: (whole, partial))
         guide.reset()
         assert (guide.guide(photo_at(TRUE_POSE)) is not None) == searched
         guide._last = TRUE_POSE

@@ -1,0 +1,203 @@
+"""
+Which places of a scene could show an image, and which of them it contradicts.
+
+Rooms can look alike. A place that was searched for is believed only if no other place could be
+it; the images that follow tell them apart, or nothing does.
+"""
+from dataclasses import dataclass, replace
+
+import cv2
+from neo_ros.geometry import CameraPose
+from neo_ros.memory.glancing import GlanceFinder
+from neo_ros.memory.looking import Looker
+from neo_ros.memory.sight import AmbiguityThresholds, better, CameraImage, Sight
+import numpy as np
+
+
+@dataclass
+class Hypothesis:
+    """A place that could be it; `against` is the most of an image that spoke for another one."""
+
+    sight: Sight
+    motion: np.ndarray
+    against: float = 0.0
+
+
+class Doubt:
+    """The places between which the images of one camera have not decided yet."""
+
+    def __init__(self, looker: Looker, glances: GlanceFinder) -> None:
+        self._looker, self._glances = looker, glances
+        self._limits = looker.thresholds.ambiguity
+        self.forget()
+
+    def forget(self) -> None:
+        """Decide nothing, doubt nothing."""
+        self._open: list[Hypothesis] = []
+        # From where the camera is to where it is not, though it looked alike, in world axes.
+        self._refuted: list[np.ndarray] = []
+
+    @property
+    def is_open(self) -> bool:
+        """Whether there are several places that could be it."""
+        return bool(self._open)
+
+    def settle(self, image: CameraImage, followed: Sight | None, found: Sight | None
+               ) -> Sight | None:
+        """
+        Choose between where a camera was followed to and where a search found it.
+
+        A search is believed if no place elsewhere explains the image as well; else, a followed
+        camera stays where it is, and of a lost one the places are kept to be told apart.
+        """
+        if found is None or not found.believed:
+            return better(followed, found)
+        stays = followed if followed is not None and followed.believed else None
+        if stays is not None and not self._is_elsewhere(found, stays):
+            return better(followed, found)
+        self.forget()
+        candidates = [found, *self._rivals(image, found)]
+        if stays is not None:
+            candidates.append(stays)
+        against = self._against(image, candidates)
+        best = int(np.argmin(against))
+        left = [index for index, share in enumerate(against)
+                if share - against[best] < self._limits.decisive]
+        if len(left) == 1:
+            return candidates[best]
+        if stays is not None:
+            return stays
+        self._open = [Hypothesis(candidates[index], np.eye(4), float(against[index]))
+                      for index in left]
+        return None
+
+    def follow(self, image: CameraImage, motion: np.ndarray | None) -> Sight | None:
+        """
+        Follow the camera at all places where it could be; return the one that is left.
+
+        motion: (4, 4), as in `SceneGuide.guide`. None while several are left, or none.
+        """
+        self._open = self._followed(image, motion)
+        if not self._open:
+            self.forget()
+            return None
+        shares = self._against(image, [one.sight for one in self._open])
+        for one, share in zip(self._open, shares):
+            one.against = max(one.against, float(share))
+        least = min(one.against for one in self._open)
+        best = min(self._open, key=lambda one: one.against)
+        for one in self._open:
+            if one.against - least >= self._limits.decisive:
+                self._refuted.append(one.sight.pose.T_world_cam
+                                     @ np.linalg.inv(best.sight.pose.T_world_cam))
+        self._open = [one for one in self._open
+                      if one.against - least < self._limits.decisive]
+        if len(self._open) == 1:
+            self._open += self._newly_doubted(image, self._open[0])
+        if len(self._open) > 1:
+            return None
+        self.forget()
+        return replace(best.sight, found='searched')
+
+    def _followed(self, image: CameraImage, motion: np.ndarray | None) -> list[Hypothesis]:
+        """Move all places on with the camera, and drop those that the image does not fit."""
+        kept = list[Hypothesis]()
+        for one in self._open:
+            last = one.sight.pose
+            expected = CameraPose.nearest(
+                last.T_world_cam @ (one.motion if motion is None else motion))
+            pose = self._looker.aligner.align(image.photo, expected, 1, near=True)
+            sight = self._looker.look(image, pose, expected)
+            if not sight.believed and motion is None:
+                pose = self._looker.aligner.align(image.photo, last, 3, near=True)
+                sight = self._looker.look(image, pose, last)
+            twice = any(not self._is_elsewhere(sight, other.sight) for other in kept)
+            jumped = is_elsewhere(pose, last if motion is None else expected, self._limits)
+            if not twice and not jumped:
+                kept.append(Hypothesis(sight, last.inverse() @ pose.T_world_cam, one.against))
+        least = 1 - max((one.sight.agreement for one in kept), default=1.0)
+        return [one for one in kept if one.sight.believed or (
+            any(other.sight.believed for other in kept)
+            and 1 - one.sight.agreement < self._limits.unexplained * least)]
+
+    def _newly_doubted(self, image: CameraImage, only: Hypothesis) -> list[Hypothesis]:
+        """Find places that could be it but were not followed, before the last one is believed."""
+        here = only.sight.pose.T_world_cam
+        refuted = [CameraPose.nearest(T @ here) for T in self._refuted]
+        rivals = [rival for rival in self._rivals(image, only.sight) if all(
+            is_elsewhere(rival.pose, pose, self._limits) for pose in refuted)]
+        shares = self._against(image, [only.sight, *rivals])
+        return [Hypothesis(rival, np.eye(4), only.against + float(share - shares[0]))
+                for rival, share in zip(rivals, shares[1:])
+                if share - shares[0] < self._limits.decisive]
+
+    def _rivals(self, image: CameraImage, found: Sight) -> list[Sight]:
+        """Return what is seen from other places that explain an image, each place once."""
+        looker, limits, coarse = self._looker, self._limits, self._looker.coarse_aligner
+        photo, tried = coarse.photo(image.pixels), list[tuple[float, CameraPose]]()
+        for start in self._glances.find_many(image.pixels, limits):
+            pose = coarse.align(photo, start, rounds=1)
+            agrees = coarse.agreement(photo, pose)
+            if agrees > limits.least_coarse and is_elsewhere(pose, found.pose, limits):
+                tried.append((agrees, pose))
+        rivals = list[Sight]()
+        for _, start in sorted(tried, key=lambda one: -one[0]):
+            if len(rivals) == limits.most_rivals:
+                break
+            if any(not is_elsewhere(start, rival.pose, limits) for rival in rivals):
+                continue
+            sight = looker.look(image, looker.aligner.align(image.photo, start, rounds=2),
+                                searched=True)
+            if sight.believed and all(self._is_elsewhere(sight, other)
+                                      for other in (found, *rivals)):
+                rivals.append(sight)
+        return rivals
+
+    def _against(self, image: CameraImage, sights: list[Sight]) -> np.ndarray:
+        """Return how much of an image speaks against each of several places, (N,)."""
+        misfits = [self._misfit(image, sight) for sight in sights]
+        return np.array([max((speaks_against(own, other, self._limits) for other in misfits
+                              if other is not own), default=0.0) for own in misfits])
+
+    def _misfit(self, image: CameraImage, sight: Sight) -> np.ndarray:
+        solid = np.where(sight.view.stretched, 0, sight.view.depth)
+        grey, depth = self._looker.observed(replace(sight.view, depth=solid))
+        square = np.ones((3, 3), np.uint8)
+        near, far = cv2.erode(depth, square), cv2.dilate(depth, square)
+        known = (near > 0) & (far < (1 + self._limits.leap) * near)
+        return misfit(image.photo[0].grey, grey, known, self._limits)
+
+    def _is_elsewhere(self, one: Sight, other: Sight) -> bool:
+        return is_elsewhere(one.pose, other.pose, self._limits)
+
+
+def is_elsewhere(one: CameraPose, other: CameraPose, limits: AmbiguityThresholds) -> bool:
+    """Tell whether two poses are of two places, and not one pose found twice."""
+    return bool(np.linalg.norm(one.position - other.position) > limits.elsewhere_metres
+                or one.forward @ other.forward < limits.elsewhere_cosine)
+
+
+def misfit(image: np.ndarray, shown: np.ndarray, known: np.ndarray,
+           limits: AmbiguityThresholds) -> np.ndarray:
+    """
+    Return by how much an image differs from what a place shows, float32 (h, w), smoothed.
+
+    image, shown: grey float32 (h, w) in [0, 1], whose exposures may differ; NaN where not known.
+    """
+    a, b = shown[known], image[known]
+    if not len(a):
+        return np.full_like(image, np.nan)
+    gain = float(np.mean((a - a.mean()) * (b - b.mean()))) / max(float(a.var()), 1e-6)
+    off = np.where(known, image - (b.mean() + gain * (shown - a.mean())), 0)
+    size = max(round(limits.around * image.shape[1]), 1)
+    share = cv2.blur(known.astype(np.float32), (size, size))
+    mean = cv2.blur(np.abs(off).astype(np.float32), (size, size)) / np.maximum(share, 0.5)
+    return np.where(share >= 0.5, mean, np.nan)
+
+
+def speaks_against(one: np.ndarray, other: np.ndarray,
+                   limits: AmbiguityThresholds) -> float:
+    """Return the share of an image in which `one` misfits and `other` fits, less the reverse."""
+    def share(bad: np.ndarray, good: np.ndarray) -> float:
+        return float(((bad > limits.contradiction) & (good < bad / 2)).mean())
+    return share(one, other) - share(other, one)

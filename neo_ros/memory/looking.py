@@ -1,0 +1,65 @@
+"""Look at the memory from a pose, or from where it agrees most with an image."""
+from collections.abc import Sequence
+from dataclasses import replace
+
+import cv2
+from neo_ros.geometry import CameraPose, ViewExpansion
+from neo_ros.memory.alignment import agreement, Aligner
+from neo_ros.memory.rendering import GuideView, MemoryRenderer
+from neo_ros.memory.scene_memory import SceneMemory
+from neo_ros.memory.sight import CameraImage, Found, GuideThresholds, Sight
+import numpy as np
+
+
+class Looker:
+    """Compares images of one camera with what one memory shows."""
+
+    def __init__(self, memory: SceneMemory, expansion: ViewExpansion,
+                 thresholds: GuideThresholds) -> None:
+        self.expansion, self.thresholds = expansion, thresholds
+        self.renderer = MemoryRenderer(memory)
+        self.aligner = Aligner(self.renderer, expansion.source, thresholds.alignment)
+        width = thresholds.ambiguity.coarse
+        self.coarse_aligner = Aligner(self.renderer, expansion.source, replace(
+            thresholds.alignment, finest=width, coarsest=width // 2))
+
+    def look(self, image: CameraImage, pose: CameraPose, expected: CameraPose | None = None,
+             searched: bool = False) -> Sight:
+        """Draw the wide view from a pose and compare the image with its part of it."""
+        limits, photo = self.thresholds, image.photo
+        view = self.renderer.render(pose, self.expansion.target, limits.shown)
+        grey, depth = self.observed(view)
+        whole, part = agreement(photo[0].grey, grey, depth > 0, limits.alignment)
+        there = expected is not None and (
+            np.linalg.norm(pose.position - expected.position) < limits.expected_metres
+            and pose.forward @ expected.forward > limits.expected_cosine)
+        believed = whole >= limits.least_agreement and (
+            not searched or whole >= limits.least_found or part >= limits.least_found_partial)
+        believed = believed or bool(there and part >= limits.least_partial)
+        return Sight(pose, view, whole, believed, found='searched' if searched else 'tracked')
+
+    def observed(self, view: GuideView) -> tuple[np.ndarray, np.ndarray]:
+        """Return grey in [0, 1] and depth of what the camera sees of a view, float32 (h, w)."""
+        rows, columns = self.expansion.observed
+        finest = self.aligner.levels[0]
+        size = (finest.width, finest.height)
+        grey = cv2.cvtColor(view.image[rows, columns] / 255, cv2.COLOR_RGB2GRAY)
+        depth = view.depth[rows, columns]
+        if size != grey.shape[::-1]:
+            grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+            depth = cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST)
+        return grey, depth
+
+    def best_of(self, image: CameraImage, starts: Sequence[CameraPose], found: Found
+                ) -> Sight | None:
+        """Align with the memory from each start; look from the pose that agrees most."""
+        best, most = None, 0.0
+        for start in starts:
+            pose = self.aligner.align(image.photo, start, rounds=3)
+            agrees = self.aligner.agreement(image.photo, pose)
+            if agrees > most:
+                best, most = pose, agrees
+            if most > self.thresholds.sure:
+                break
+        return (replace(self.look(image, best, searched=True), found=found)
+                if best is not None else None)

@@ -1,0 +1,120 @@
+"""Rooms that look alike: no place is believed while another one explains the images as well."""
+from box_room import (
+    apart, AWAY, box_memory, EXPANSION, planar, SOURCE, twin_memory, view, view_with_picture)
+from neo_ros.geometry import CameraPose
+from neo_ros.memory.doubt import is_elsewhere, misfit, speaks_against
+from neo_ros.memory.scene_guide import SceneGuide
+from neo_ros.memory.sight import AmbiguityThresholds
+import numpy as np
+import pytest
+
+LIMITS = AmbiguityThresholds()
+AT_THE_PICTURE, ASIDE = planar(2.6, 1.9, 0), planar(1.9, 1.7, 180)
+
+
+def photo_at(pose: CameraPose) -> np.ndarray:
+    return view(pose, SOURCE)[0]
+
+
+@pytest.fixture(scope='module')
+def twins() -> SceneGuide:
+    return SceneGuide(twin_memory(own_picture=False), EXPANSION)
+
+
+@pytest.fixture(scope='module')
+def with_picture() -> SceneGuide:
+    return SceneGuide(twin_memory(own_picture=True), EXPANSION)
+
+
+def _in_twin(pose: CameraPose) -> CameraPose:
+    T = pose.T_world_cam.copy()
+    T[0, 3] += AWAY
+    return CameraPose(T)
+
+
+def test_equal_rooms_are_ambiguous_however_long_one_looks(twins: SceneGuide) -> None:
+    twins.reset()
+    for step in range(8):
+        assert twins.guide(photo_at(planar(1.9 + 0.05 * step, 1.7, 35 + 5 * step))) is None
+        assert twins.ambiguous
+
+
+def test_a_prior_says_which_of_two_equal_rooms_it_is(twins: SceneGuide) -> None:
+    for prior, true in ((planar(2.2, 1.4, 50), planar(1.9, 1.7, 35)),
+                        (_in_twin(planar(2.2, 1.4, 50)), _in_twin(planar(1.9, 1.7, 35)))):
+        twins.reset()
+        assert twins.guide(photo_at(planar(1.9, 1.7, 35))) is None
+        found = twins.guide(photo_at(planar(1.9, 1.7, 35)), prior=prior)
+        assert found is not None and not twins.ambiguous
+        assert apart(found.pose, true)[0] < 0.03
+        # From there on it is followed.
+        after = twins.guide(photo_at(planar(1.95, 1.7, 37)))
+        assert after is not None and apart(after.pose, found.pose)[0] < 0.2
+
+
+def test_what_tells_the_rooms_apart_is_believed_at_once(with_picture: SceneGuide) -> None:
+    for image, true in ((photo_at(AT_THE_PICTURE), AT_THE_PICTURE),
+                        (view_with_picture(AT_THE_PICTURE), _in_twin(AT_THE_PICTURE))):
+        with_picture.reset()
+        found = with_picture.guide(image)
+        assert found is not None and apart(found.pose, true)[0] < 0.03
+
+
+def test_a_turn_to_the_picture_resolves_the_doubt(with_picture: SceneGuide) -> None:
+    for take, true in ((photo_at, lambda pose: pose), (view_with_picture, _in_twin)):
+        with_picture.reset()
+        assert with_picture.guide(take(ASIDE)) is None and with_picture.ambiguous
+        for degrees in range(172, -1, -8):
+            pose = planar(1.9, 1.7, degrees)
+            found = with_picture.guide(take(pose))
+            if found is not None:
+                break
+        assert found is not None and not with_picture.ambiguous
+        assert apart(found.pose, true(pose))[0] < 0.05
+
+
+def test_odometry_moves_the_places_that_could_be_it(with_picture: SceneGuide) -> None:
+    with_picture.reset()
+    assert with_picture.guide(photo_at(ASIDE)) is None
+    turned = AT_THE_PICTURE  # in one step: too far to be followed by looks
+    found = with_picture.guide(photo_at(turned), motion=ASIDE.inverse() @ turned.T_world_cam)
+    assert found is not None and apart(found.pose, turned)[0] < 0.05
+
+
+def test_a_place_that_the_image_does_not_fit_any_more_is_dropped(twins: SceneGuide) -> None:
+    twins.reset()
+    assert twins.guide(photo_at(ASIDE)) is None and twins.ambiguous
+    noise = np.random.default_rng(0).integers(0, 256, (64, 64, 3), np.uint8)
+    assert twins.guide(noise) is None and not twins.ambiguous
+
+
+def test_a_single_room_is_never_ambiguous() -> None:
+    guide = SceneGuide(box_memory(), EXPANSION)
+    for yaw in range(0, 360, 40):
+        guide.reset()
+        assert guide.guide(photo_at(planar(1.9, 1.7, yaw))) is not None and not guide.ambiguous
+
+
+@pytest.mark.parametrize('other, elsewhere', [
+    (planar(2.2, 1.7, 40), False), (planar(3.2, 1.7, 35), True), (planar(1.9, 1.7, 60), True)],
+    ids=['near', 'a metre off', 'turned'])
+def test_what_is_elsewhere(other: CameraPose, elsewhere: bool) -> None:
+    assert is_elsewhere(planar(1.9, 1.7, 35), other, LIMITS) == elsewhere
+
+
+def test_only_what_fits_one_place_and_not_the_other_speaks() -> None:
+    image = np.random.default_rng(0).random((64, 64)).astype(np.float32) * 0.4 + 0.3
+    known = np.ones((64, 64), bool)
+    changed = image.copy()
+    changed[10:26, 20:36] += 0.3
+    same, other = (misfit(image, shown, known, LIMITS) for shown in (0.5 * image + 0.1, changed))
+    assert speaks_against(other, same, LIMITS) == pytest.approx(16 * 16 / 64 ** 2, rel=0.5)
+    assert speaks_against(same, other, LIMITS) == -speaks_against(other, same, LIMITS)
+    # What hides both, such as somebody who stands there, decides nothing.
+    hidden = image.copy()
+    hidden[:, 40:] = 0
+    one, two = (misfit(hidden, shown, known, LIMITS) for shown in (image, 0.9 * image))
+    assert abs(speaks_against(one, two, LIMITS)) < LIMITS.decisive
+    # Nor does what one of them does not know.
+    blind = misfit(image, changed, np.zeros_like(known), LIMITS)
+    assert speaks_against(other, blind, LIMITS) == 0
