@@ -32,7 +32,7 @@ class BakingRules:
 
     mesh_focal: float = 96.0       # the mesh's vertices a radian are at most so many
     dense: int = 3                 # rays into the field for a vertex, along each side, at most
-    photo_focal: float = 128.0     # rays into the field a radian, at most, to see what photos see
+    photo_focal: float = 64.0      # rays into the field a radian, at most, to see what photos see
     photos: int = 400              # nearest to a keyframe, that may colour it
     one_surface: float = 0.1       # depths that differ by less than this share are of one surface
     least_coverage: float = 0.5    # of a pixel by what photos saw, for its depth to be known

@@ -100,6 +100,13 @@ GEOMETRY_DEPTH = (
     Column('more than 10 % too far', 'depth_too_far_10_percent', '{:.1f} %', 100),
     Column('occupied cells marked', 'occupied_marked', '{:.1f} %', 100),
     Column('free cells marked', 'free_marked_occupied', '{:.1f} %', 100))
+MINUTES = (
+    Column('scene', 'scene'), Column('camera', 'camera'), Column('photos', 'photos'),
+    Column('`--minutes`', 'minutes', '{:g}'), Column('took', 'elapsed_minutes', '{:.1f}'),
+    Column('keyframes', 'keyframes'), Column('guided ring, dB', 'ring_psnr', DB),
+    Column('SSIM', 'ring_ssim', RATIO), Column('network alone, dB', 'network_ring_psnr', DB),
+    Column('oracle, dB', 'oracle_ring_psnr', DB), Column('memory, MB', 'memory_mb', '{:.1f}'),
+    Column('model, MB', 'model_mb', '{:.1f}'), Column('resident, GB', 'resident_gb', '{:.1f}'))
 BUILDING = (
     Column('rooms', 'layout'), Column('search', 'search'), Column('searches', 'searches'),
     Column('wrong place believed', 'wrong_places'), Column('ambiguous', 'ambiguous'),
@@ -120,7 +127,7 @@ TABLES: dict[str, Rows] = {
     'geometry_pose': Rows('geometry', GEOMETRY_POSE),
     'geometry_depth': Rows('geometry', GEOMETRY_DEPTH,
                            lambda row: row['depth_error_median'] is not None),
-    'building': Rows('building', BUILDING),
+    'building': Rows('building', BUILDING), 'minutes': Rows('minutes', MINUTES),
     'hard_times': Rows('hard_times', HARD), 'out_of_scene': Rows('out_of_scene', OUTSIDE),
 }
 # Over all scenes of a suite: the key of a row, its format and a factor.
