@@ -5,8 +5,9 @@ The one place that leans on private parts of numba, all of them in `kept_on_disk
 bounds numba's version from above; with a version that lacks one of them kernels still run, but
 every start compiles them, and a warning names what is missing.
 """
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, ExitStack, suppress
+import fcntl
 import functools
 from pathlib import Path
 from typing import Any
@@ -62,7 +63,8 @@ def _cache_class() -> type[Any]:
 
         def load_overload(self, sig: Any, target_context: Any) -> Any:
             try:
-                return super().load_overload(sig, target_context)
+                with _alone_in(Path(self.cache_path)):
+                    return super().load_overload(sig, target_context)
             except Exception:  # Unpickling what a power cut left of a file may raise anything.
                 with suppress(OSError):
                     self.flush()
@@ -70,11 +72,27 @@ def _cache_class() -> type[Any]:
 
         def save_overload(self, sig: Any, data: Any) -> None:
             try:
-                super().save_overload(sig, data)
+                with _alone_in(Path(self.cache_path)):
+                    super().save_overload(sig, data)
             except Exception as error:  # Among others, what could not be flushed.
                 _warn(getattr(error, 'strerror', None) or type(error).__name__)
 
     return Cache
+
+
+@contextmanager
+def _alone_in(folder: Path) -> Iterator[None]:
+    """
+    Keep other processes out of a folder of compiled code, where one may write there.
+
+    Numba's index of a kernel and the files it names are written one after the other: of two
+    processes that keep code for other types at once, one would find the other's code as its own.
+    """
+    with ExitStack() as held:
+        with suppress(OSError):
+            folder.mkdir(parents=True, exist_ok=True)
+            fcntl.flock(held.enter_context(open(folder / 'neo_ros.lock', 'w')), fcntl.LOCK_EX)
+        yield
 
 
 def _replace(owner: Any, name: str, value: Any) -> None:

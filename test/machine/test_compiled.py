@@ -1,9 +1,13 @@
 """Compiled kernels are kept on disk, whatever the disk and numba do."""
 from collections.abc import Iterator
+from contextlib import suppress
 import errno
 import importlib
 from pathlib import Path
+import shutil
 import sys
+import threading
+from typing import Any
 import warnings
 
 from neo_ros.machine import compiled
@@ -91,6 +95,38 @@ def test_what_is_kept_is_found_again() -> None:
     double = sys.modules['doubling_kernels'].double
     assert sum(double.stats.cache_hits.values()) == 1
     assert not double.stats.cache_misses
+
+
+def test_two_that_keep_code_at_once_do_not_mix_it(
+        cache_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert doubled_by_fresh_kernels() == 42
+    double = sys.modules['doubling_kernels'].double
+    shutil.rmtree(cache_folder)
+    assert double(2.5) == 5.0
+    shutil.rmtree(cache_folder)
+    # Without the lock both read the index before either writes it.
+    both_have_read = threading.Barrier(2)
+    write_index = IndexDataCacheFile._save_index
+
+    def write_index_late(*arguments: Any) -> None:
+        with suppress(threading.BrokenBarrierError):
+            both_have_read.wait(timeout=0.5)
+        write_index(*arguments)
+
+    monkeypatch.setattr(IndexDataCacheFile, '_save_index', write_index_late)
+    savers = []
+    for overload in double.overloads.items():
+        another = numba.njit(double.py_func)
+        compiled.kept_on_disk(another, double.py_func)
+        savers.append(threading.Thread(target=another._cache.save_overload, args=overload))
+    for saver in savers:
+        saver.start()
+    for saver in savers:
+        saver.join()
+    assert doubled_by_fresh_kernels() == 42
+    fresh = sys.modules['doubling_kernels'].double
+    assert fresh(2.5) == 5.0
+    assert sum(fresh.stats.cache_hits.values()) == 2
 
 
 @pytest.mark.parametrize('owner, name', [
