@@ -7,8 +7,8 @@ What measured depth brings: fields and memories of the demo flat with its depth 
 The depth has the faults of a depth camera (`flat/depth_sensor.py`). Fields of several lengths are
 fitted to the same photos; of the longest two memories are made, and the model's network is guided
 by each. Minutes are those of the processor: what else runs does not count; NUMBA_NUM_THREADS=1
-makes them comparable. Prints a Markdown table and writes results/measured_depth.json; run again
-after an interruption, it goes on with the next row.
+makes them comparable. Prints the rows and writes results/measured_depth.json; run again after an
+interruption, it goes on with the next row.
 """
 from collections.abc import Callable
 from dataclasses import replace
@@ -28,7 +28,7 @@ from neo_ros.evaluation.evaluate import evaluate, TruthFrames
 from neo_ros.evaluation.geometry import score_geometry
 from neo_ros.evaluation.metrics import score_frame
 from neo_ros.evaluation.stability import DepthOf
-from neo_ros.experiment import Experiment
+from neo_ros.experiment import Experiment, read_experiment
 from neo_ros.field.radiance_field import RadianceField
 from neo_ros.field.rendering import render_view
 from neo_ros.machine.files import write_bytes
@@ -75,6 +75,7 @@ def measure(scene: Path, model: Path, work: Path, base: Experiment,
             (run.out / 'field.ckpt').unlink(missing_ok=True)
             row = _row(run, model if count == max(steps) else None)
             rows.append({**key, **row, 'commit': commit(), 'host': host()})
+            print(rows[-1], flush=True)
             write_bytes(results, (json.dumps(rows, indent=1) + '\n').encode())
     return rows
 
@@ -118,19 +119,12 @@ def _depth_error(frames: TruthFrames, field: RadianceField, true_depth: DepthOf)
 
 
 def main() -> None:
-    """Measure what the command line names, print the table and keep the figures."""
-    from neo_ros.cli.progress import stage_progress
-    from neo_ros.documents.pages import table
-    from neo_ros.experiment import read_experiment
-
+    """Measure what the command line names, and keep the figures."""
     if len(sys.argv) != 4:
         sys.exit('usage: python -m neo_ros.benchmark.measured_depth FLAT MODEL.onnx WORK')
     scene, model, work = (Path(argument) for argument in sys.argv[1:])
     base = read_experiment(Path('config/experiments/demo_flat.yaml'))
-    with stage_progress() as show:
-        rows = measure(scene, model, work, base, progress=show)
-    names = [name for name in rows[-1] if name not in ('commit', 'host')]
-    print(table(names, [[f'{row.get(name, "")}' for name in names] for row in rows]))
+    measure(scene, model, work, base)
 
 
 if __name__ == '__main__':
