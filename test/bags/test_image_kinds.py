@@ -92,7 +92,8 @@ def test_every_encoding_goes_through_every_entry(tmp_path: Path, encoding: str) 
 # Ending for OpenCV, bits of a sample, and how far off pixels may be. Drivers leave old bytes of
 # their buffer behind a JPEG.
 PICTURES = {'jpeg': ('.jpg', 8, 8), 'jpeg with a tail': ('.jpg', 8, 8), 'png': ('.png', 8, 0),
-            'png of 16 bits': ('.png', 16, 0), 'webp': ('.webp', 8, 0), 'tiff': ('.tiff', 8, 0), 'tiff of 16 bits': ('.tiff', 16, 0)}
+            'png of 16 bits': ('.png', 16, 0), 'webp': ('.webp', 8, 0),
+            'tiff': ('.tiff', 8, 0), 'tiff of 16 bits': ('.tiff', 16, 0)}
 
 
 @pytest.mark.parametrize('kind, picture', PICTURES.items())
