@@ -7,7 +7,7 @@ from neo_ros.node.camera_inputs import CameraInputs
 from neo_ros.node.diagnosing import Diagnosing, NodeState
 from neo_ros.node.frame_statistics import Statistics
 from neo_ros.node.frame_worker import Frame, FrameWorker
-from neo_ros.node.interface import ENABLE, RELOAD_MODEL, RELOCALIZE
+from neo_ros.node.interface import ENABLE, NODE_NAME, RELOAD_MODEL, RELOCALIZE
 from neo_ros.node.loaded_model import Load, LoadedModel
 from neo_ros.node.loading import ModelLoader
 from neo_ros.node.manager_bond import form_bond
@@ -28,7 +28,6 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool, Trigger
 
-NODE_NAME = 'fov_extrapolator'
 # How long a transition waits for the frame in work; its result is thrown away in any case.
 STOP_TIMEOUT_S = 0.3
 REPORT_PERIOD_S = 5.0

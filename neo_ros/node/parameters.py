@@ -13,7 +13,7 @@ from rclpy.parameter import Parameter
 
 # A change of these loads a model, of those subscribes anew, where somebody listens.
 MODEL_PARAMETERS = ('model', 'threads', 'providers')
-INPUT_PARAMETERS = ('image_transport', 'reliable', 'publish_tf')
+INPUT_PARAMETERS = ('image_transport', 'reliable')
 TRANSPORTS = ('raw', 'compressed')
 
 

@@ -38,6 +38,11 @@ class RobotFrames:
         self._listener = tf2_ros.TransformListener(self._buffer, node)
         self._broadcaster = tf2_ros.TransformBroadcaster(node) if values.publish_tf else None
 
+    @property
+    def sends(self) -> bool:
+        """Whether transforms are sent, to whoever listens to tf."""
+        return self._broadcaster is not None
+
     def camera_in_base(self, camera_frame: str) -> np.ndarray | None:
         """Return T_base_camera (4, 4), the newest one; None while nobody has sent it."""
         return self._lookup(self._values.base_frame, camera_frame, Time())

@@ -50,7 +50,7 @@ class WidePublishers:
 
     def use(self, values: NodeParameters, arbitrary_scale: bool) -> None:
         """Go by these parameters, and by the scale of the model's scene, from now on."""
-        self._jpeg_quality, self._publish_tf = values.jpeg_quality, values.publish_tf
+        self._jpeg_quality = values.jpeg_quality
         self.scene_frame = values.scene_frame or default_scene_frame(arbitrary_scale)
         self._memory = MemoryMessages(make_message, MemorySettings(
             self.scene_frame, self._node.get_fully_qualified_name(), values.points_every,
@@ -58,7 +58,7 @@ class WidePublishers:
 
     def wanted(self) -> Wanted:
         """Say which topics have subscribers."""
-        return Wanted(transform=self._frames is not None and self._publish_tf, **{
+        return Wanted(transform=self._frames is not None and self._frames.sends, **{
             name: publisher.get_subscription_count() > 0
             for name, publisher in self._publishers.items()})
 

@@ -1,4 +1,4 @@
-"""What the node uses of tf2_ros (Jazzy), which is not among PyPI's wheels: same names, same calls."""
+"""What the node uses of tf2_ros (Jazzy), which PyPI has not: the same names, the same calls."""
 from importlib.machinery import ModuleSpec
 import sys
 from types import ModuleType
