@@ -1,7 +1,8 @@
 """What tests share, and what holds for all: no clock in hypothesis, no logs at home."""
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 import re
+import sys
 from typing import Any
 
 from hypothesis import settings
@@ -12,8 +13,30 @@ settings.register_profile('shared machine', deadline=None)
 settings.load_profile('shared machine')
 # What a file imports, and what fixtures a test uses, tell what it needs.
 MARKS = {'ros': r'import.*\b(ros_graph|live_node|rclpy)\b|^from (ros_graph|live_node) ',
-         'torch': r'\b(torch|tiny_training|tiny_model|live_node|onnx)\b'}
-FIXTURES = {'tiny_run': {'slow', 'torch'}, 'graph': {'ros'}, 'model': {'torch'}}
+         'torch': r'^ *(import|from) (torch|onnx|tiny_training|tiny_graph|plain_field)\b'}
+FIXTURES = {'tiny_run': {'slow', 'torch'}, 'flat_scene': {'torch'}, 'graph': {'ros'}}
+# What the extra train brings; a robot has none of it.
+TRAINER = {'onnx', 'onnxscript', 'pycolmap', 'pydantic', 'scipy', 'tensorboard', 'torch'}
+# What a robot runs; their tests find neither torch nor onnx, here as there.
+ROBOT_ROOMS = {'bags', 'geometry', 'machine', 'memory', 'messages', 'node', 'pictures', 'viewer'}
+
+
+class RobotModule(pytest.Module):
+    """A file of tests, skipped as a whole where it imports what only the trainer needs."""
+
+    def collect(self) -> Iterable[pytest.Item | pytest.Collector]:
+        try:
+            return super().collect()
+        except self.CollectError as error:
+            missing = getattr(error.__cause__, 'name', None) or ''
+            if missing.partition('.')[0] in TRAINER:
+                pytest.skip(f'needs {missing}, of the extra train', allow_module_level=True)
+            raise
+
+
+def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> pytest.Module:
+    """Let a robot's install, without torch and onnx, run all tests that it can."""
+    return RobotModule.from_parent(parent, path=module_path)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -43,6 +66,16 @@ def ros_logs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope='module', autouse=True)
+def robots_install(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Hide torch and onnx from the tests of a robot's rooms: they use the models of test/data."""
+    with pytest.MonkeyPatch.context() as modules:
+        if request.path.parent.name in ROBOT_ROOMS:
+            for name in ('torch', 'onnx'):
+                modules.setitem(sys.modules, name, None)
+        yield
+
+
 @pytest.fixture(scope='module')
 def one_thread() -> Iterator[None]:
     """Compute on one torch thread: of many small operations several would only wait."""
@@ -56,6 +89,7 @@ def one_thread() -> Iterator[None]:
 @pytest.fixture(scope='session')
 def tiny_run(tmp_path_factory: pytest.TempPathFactory) -> Any:
     """Train once, in seconds: the TrainingRun; its scene lies in `scene` beside its `out`."""
+    pytest.importorskip('torch')
     from tiny_training import train_tiny, write_tiny_scene
     folder = tmp_path_factory.mktemp('tiny_training')
     write_tiny_scene(folder / 'scene')
@@ -65,6 +99,7 @@ def tiny_run(tmp_path_factory: pytest.TempPathFactory) -> Any:
 @pytest.fixture(scope='session')
 def flat_scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a scene of `write_tiny_scene` in a folder called flat; nobody writes there."""
+    pytest.importorskip('torch')
     from tiny_training import write_tiny_scene
     folder = tmp_path_factory.mktemp('scenes') / 'flat'
     write_tiny_scene(folder)

@@ -3,10 +3,8 @@ from pathlib import Path
 from typing import Any
 
 from neo_ros.geometry import Intrinsics, ViewExpansion
-from neo_ros.runtime.model_card import ModelCard, Parity, write_model_card
-import numpy as np
-import onnx
-from onnx import helper, numpy_helper, TensorProto
+from neo_ros.runtime.model_card import CARD_KEY, ModelCard, Parity
+import pytest
 
 TINY_EXPANSION = ViewExpansion.to_size(Intrinsics(32, 24, 16.0, 16.0, 16.0, 12.0), 64, 48)
 
@@ -20,49 +18,37 @@ def tiny_card(expansion: ViewExpansion = TINY_EXPANSION, **overrides: Any) -> Mo
     return ModelCard(**fields)
 
 
-def tiny_graph(expansion: ViewExpansion = TINY_EXPANSION) -> onnx.ModelProto:
-    """
-    Build image -> wide, confidence without a card.
-
-    Ring: the nearest observed pixel, blurred by a 5x5 mean; confidence 64 there, 255 inside.
-    """
-    source, target = expansion.source, expansion.target
-    grow = [0, 0, expansion.top, expansion.left, 0, 0, expansion.bottom, expansion.right]
-    mask = expansion.extrapolated_mask
-    constants = {
-        'grow': np.array(grow, np.int64),
-        'unseen': mask[None, None],
-        'sureness': np.where(mask, 64, 255).astype(np.uint8)[None],
-        'no_mask': np.zeros(1, np.uint8),
-        'kernel': np.full((3, 1, 5, 5), 1 / 25, np.float32),
-    }
-    nodes = [
-        helper.make_node('Transpose', ['image'], ['image_BCHW'], perm=[0, 3, 1, 2]),
-        helper.make_node('Cast', ['image_BCHW'], ['pixels'], to=TensorProto.FLOAT),
-        helper.make_node('Pad', ['pixels', 'grow'], ['padded'], mode='edge'),
-        helper.make_node('Conv', ['padded', 'kernel'], ['blurred'], pads=[2] * 4, group=3),
-        helper.make_node('Where', ['unseen', 'blurred', 'padded'], ['composite']),
-        helper.make_node('Cast', ['composite'], ['wide_BCHW'], to=TensorProto.UINT8),
-        helper.make_node('Transpose', ['wide_BCHW'], ['wide'], perm=[0, 2, 3, 1]),
-        # An output must depend on a node; adding zero keeps it a constant.
-        helper.make_node('Add', ['sureness', 'no_mask'], ['confidence']),
-    ]
-    graph = helper.make_graph(
-        nodes, 'tiny',
-        [helper.make_tensor_value_info(
-            'image', TensorProto.UINT8, [1, source.height, source.width, 3])],
-        [helper.make_tensor_value_info(
-            'wide', TensorProto.UINT8, [1, target.height, target.width, 3]),
-         helper.make_tensor_value_info(
-             'confidence', TensorProto.UINT8, [1, target.height, target.width])],
-        [numpy_helper.from_array(value, name) for name, value in constants.items()])
-    return helper.make_model(
-        graph, ir_version=10, opset_imports=[helper.make_opsetid('', 18)])
+def graph_file(expansion: ViewExpansion) -> Path:
+    """Return where the graph of an expansion is kept, if it is: tiny_graph.py writes it."""
+    source = expansion.source
+    grown = f'{expansion.left}_{expansion.right}_{expansion.top}_{expansion.bottom}'
+    return (Path(__file__).parents[1] / 'data' /
+            f'tiny_{source.width}x{source.height}_grown_{grown}.onnx')
 
 
 def write_tiny_model(path: Path, expansion: ViewExpansion = TINY_EXPANSION,
                      **card_overrides: Any) -> Path:
     """Write a small valid model; keyword arguments replace fields of its card."""
-    onnx.save_model(tiny_graph(expansion), str(path))
-    write_model_card(path, tiny_card(expansion, **card_overrides))
+    kept = graph_file(expansion)
+    if kept.exists():
+        graph = kept.read_bytes()
+    else:
+        pytest.importorskip('onnx', reason='makes models of sizes that test/data has not')
+        from tiny_graph import tiny_graph
+        graph = tiny_graph(expansion).SerializeToString()
+    path.write_bytes(graph + _metadata(CARD_KEY, tiny_card(expansion, **card_overrides).to_json()))
     return path
+
+
+def _metadata(key: str, value: str) -> bytes:
+    """Encode what onnx would append to ModelProto.metadata_props, its field 14."""
+    return _field(14, _field(1, key.encode()) + _field(2, value.encode()))
+
+
+def _field(number: int, content: bytes) -> bytes:
+    """Encode a field of bytes of a protobuf message."""
+    head, length = bytearray([number << 3 | 2]), len(content)
+    while length > 127:
+        head.append(length & 127 | 128)
+        length >>= 7
+    return bytes([*head, length]) + content

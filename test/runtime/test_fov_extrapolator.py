@@ -9,7 +9,8 @@ import numpy as np
 import onnx
 from onnx import helper, TensorProto
 import pytest
-from tiny_model import tiny_card, TINY_EXPANSION, tiny_graph, write_tiny_model
+from tiny_graph import tiny_graph
+from tiny_model import tiny_card, TINY_EXPANSION, write_tiny_model
 
 SIDED = ViewExpansion(Intrinsics(20, 16, 14.0, 14.0, 10.0, 8.0), 3, 8, 0, 5)
 

@@ -10,7 +10,8 @@ from neo_ros.runtime.onnx_file import scan_onnx_file
 import onnx
 from onnx import helper, TensorProto
 import pytest
-from tiny_model import tiny_card, tiny_graph, write_tiny_model
+from tiny_graph import tiny_graph
+from tiny_model import tiny_card, write_tiny_model
 
 
 def test_card_survives_the_file(tmp_path: Path) -> None:

@@ -12,7 +12,8 @@ import numpy as np
 import onnx
 from onnx import helper, numpy_helper, TensorProto
 import pytest
-from tiny_model import tiny_card, TINY_EXPANSION, tiny_graph, write_tiny_model
+from tiny_graph import KEPT, tiny_graph
+from tiny_model import graph_file, tiny_card, TINY_EXPANSION, write_tiny_model
 
 
 @pytest.fixture
@@ -219,3 +220,8 @@ def test_inputs_and_outputs_are_read_from_the_graph(tmp_path) -> None:
                              'confidence': 'tensor(uint8) [1, 48, 64]'}
     assert found.operators == {node.op_type for node in tiny_graph(TINY_EXPANSION).graph.node}
     assert (found.graphs, found.functions) == (1, 0)
+
+
+def test_the_kept_files_are_what_onnx_makes_of_the_graph() -> None:
+    for expansion in KEPT:
+        assert onnx.load(graph_file(expansion)) == tiny_graph(expansion)
