@@ -24,6 +24,7 @@ import time
 from typing import Any
 
 from neo_ros.geometry import CameraPose, Intrinsics
+from neo_ros.pictures.usable import draw_usable
 from neo_ros.training.run import TrainingRun
 from nerfstudio.cameras.rays import RayBundle
 from nerfstudio.field_components.field_heads import FieldHeadNames
@@ -100,7 +101,7 @@ def fit_nerfacto(run: TrainingRun, seconds: float, stage: str,
     """Train for so many seconds; returns what renders it, with its steps and minutes."""
     torch.manual_seed(run.experiment.seed)
     scale = run.experiment.scale
-    images = run.fitted.read_images(scale)
+    images, usable = run.fitted.read_images(scale), run.fitted.read_all_usable(scale)
     camera, poses = run.fitted.intrinsics.scaled(scale), run.fitted.T_world_cam
     model = Nerfacto(poses, rules)
     optimiser = torch.optim.Adam(model.parameters(), rules.learning_rate, eps=1e-15)
@@ -112,7 +113,7 @@ def fit_nerfacto(run: TrainingRun, seconds: float, stage: str,
         # Mip-NeRF 360, equation 18: the proposals' weights are sharpened slowly.
         part = min(step / rules.anneal_steps, 2 * share, 1.0)
         model.sampler.set_anneal(rules.slope * part / ((rules.slope - 1) * part + 1))
-        target, origins, directions = _draw(images, camera, poses, random, rules.rays)
+        target, origins, directions = _draw(images, usable, camera, poses, random, rules.rays)
         shown = model(origins, directions)
         error = ((shown['rgb'] - target) ** 2).mean()
         loss = (error + interlevel_loss(shown['weights'], shown['levels'])
@@ -130,12 +131,11 @@ def fit_nerfacto(run: TrainingRun, seconds: float, stage: str,
     return (lambda view, pose: _render(model, view, pose)), {'steps': step, 'minutes': minutes}
 
 
-def _draw(images: np.ndarray, camera: Intrinsics, T_world_cam: np.ndarray,
-          random: np.random.Generator, rays: int,
+def _draw(images: np.ndarray, usable: np.ndarray | None, camera: Intrinsics,
+          T_world_cam: np.ndarray, random: np.random.Generator, rays: int,
           ) -> tuple[torch.Tensor, np.ndarray, np.ndarray]:
-    """Draw pixels of all photos: colours (N, 3) in [0, 1], origins and directions (N, 3)."""
-    photo = random.integers(len(images), size=rays)
-    row, column = (random.integers(size, size=rays) for size in (camera.height, camera.width))
+    """Draw pixels that show the scene: colours (N, 3) in [0, 1], origins, directions (N, 3)."""
+    photo, row, column = draw_usable(random, rays, images.shape[:3], usable)
     directions = camera.pixel_rays()[row, column]
     directions = np.einsum('nij,nj->ni', T_world_cam[photo, :3, :3], directions)
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)

@@ -26,9 +26,9 @@ class CameraInputs:
     def __init__(self, node: Node, take: Callable[[Any, Any | None], None]) -> None:
         self._node, self._take = node, take
         self._topics = InputTopics(node)
+        self._subscriptions: list[Subscription] = []
         self._pairing = CameraPairing(self._take_pair, self._is_announced)
         self.stamps = StampWatch()
-        self._subscriptions: list[Subscription] = []
         self.frame_id = ''  # Of the images; '' before the first.
         self.choose('raw', reliable=False)
 
@@ -50,7 +50,8 @@ class CameraInputs:
                     f'for the camera_info on {self._topics.camera_info()}')
         publishers = self.publishers
         hint = '' if publishers else self._topics.hint(self._transport)
-        return (f'waiting for image on {self.topic}, publishers: {publishers}'
+        words = 'waiting for image on' if self.subscribed else 'no image is taken from'
+        return (f'{words} {self.topic}, publishers: {publishers}'
                 f'{"; " + hint if hint else ""}')
 
     @property
@@ -74,13 +75,18 @@ class CameraInputs:
                     'reliable')
         return 'set the parameter reliable to true'
 
+    @property
+    def subscribed(self) -> bool:
+        """Whether images are taken."""
+        return bool(self._subscriptions)
+
     def choose(self, transport: str, reliable: bool) -> None:
-        """Set what the next `subscribe` asks for."""
+        """Take no more images; set what the next `subscribe` asks for."""
+        self.unsubscribe()
         self._transport, self._reliable = transport, reliable
 
     def subscribe(self) -> None:
         """Take images from now on."""
-        self.unsubscribe()
         for (topic, endpoint), callback in zip(
                 self._wanted(), (self._on_image, self._on_info)):
             # The newest only; a frame that waits here is as old as one that waits anywhere.
