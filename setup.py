@@ -34,6 +34,8 @@ EXTRAS = {
     'foxglove': ['mcap-protobuf-support'],
     # Photos of phones, in `neo import`.
     'heic': ['pillow-heif'],
+    # Depth of this app for phones, in `neo import`.
+    'record3d': ['lzfse', 'OpenEXR'],
     # The page of `neo view`.
     'viewer': ['aiohttp'],
     # Video messages in bags, and the video of `neo replay --side-by-side`.

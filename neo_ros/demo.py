@@ -115,7 +115,7 @@ def run_demo(model: Path, out: Path, frames: int, rate: float,
         progress('playing it over ROS', 1, 1)
         result = score_recording(bag, recorded, card.expansion, out)
         while go_on(result):
-            graph.play(bag, subscribers=2)
+            graph.play(bag, subscribers=0)  # The node listens while somebody looks at the page.
     return result
 
 

@@ -1,4 +1,5 @@
 """Glances: small pictures of the scene, by which a lost camera is searched for."""
+from collections.abc import Iterable
 import math
 
 import cv2
@@ -31,9 +32,9 @@ def keyframe_glances(keyframes: list[Keyframe], band: Band, source: Intrinsics,
     return Glances(np.stack(pictures), np.stack(poses))
 
 
-def photo_glances(images: np.ndarray, camera: Intrinsics, T_world_cam: np.ndarray,
+def photo_glances(images: Iterable[np.ndarray], camera: Intrinsics, T_world_cam: np.ndarray,
                   source: Intrinsics) -> Glances:
-    """Shrink photos, uint8 (N, H, W, 3) of `camera`, each cut to the source view."""
+    """Shrink N photos, uint8 (H, W, 3) of `camera`, each cut to the source view."""
     small = source.scaled(GLANCE_WIDTH / source.width)
     window = camera.window(source)
     return Glances(np.stack([glance(image[window], small) for image in images]), T_world_cam)

@@ -5,6 +5,7 @@ The field knows where things are better than how they look: each point of a pano
 colour from the photos that saw it from nearly the same direction, and from the field where no
 photo agrees.
 """
+from collections.abc import Iterator
 from dataclasses import dataclass
 import math
 from pathlib import Path
@@ -107,7 +108,8 @@ def bake_memory(field: RadianceField, photos: Photos, expansion: ViewExpansion,
     positions = positions[:len(frames)]
     textures, depths, glances = zip(*frames)
     glances = (*glances, photo_glances(
-        photos.images, photos.intrinsics, photos.T_world_cam, expansion.source))
+        _of_scene_alone(field, photos, gains, rules), photos.intrinsics, photos.T_world_cam,
+        expansion.source))
     return SceneMemory(positions, band, textures, depths, Glances(
         np.concatenate([part.pictures for part in glances]),
         np.concatenate([part.T_world_cam for part in glances])))
@@ -133,6 +135,20 @@ def _seen_by_photos(field: RadianceField, photos: Photos, rules: BakingRules, pr
         gains.append(_gain(rendering.image[clear], image[usable]))
         progress(index + 1, len(photos.images))
     return seen, np.stack(gains)
+
+
+def _of_scene_alone(field: RadianceField, photos: Photos, gains: np.ndarray, rules: BakingRules
+                    ) -> Iterator[np.ndarray]:
+    """Yield the photos; what their masks leave out is shown as the field has it."""
+    camera = photos.intrinsics
+    small = camera.scaled(min(rules.photo_focal / camera.fx, 1.0))
+    for index, (image, T) in enumerate(zip(photos.images, photos.T_world_cam)):
+        usable = None if photos.usable is None else photos.usable[index]
+        if usable is not None and not usable.all():
+            rendering = render_rays(field, *world_rays(small, CameraPose(T)))
+            shown = cv2.resize(rendering.image / gains[index], (camera.width, camera.height))
+            image = np.where(usable[..., None], image, to_uint8(shown))
+        yield image
 
 
 def _clear(usable: np.ndarray, camera: Intrinsics) -> np.ndarray:

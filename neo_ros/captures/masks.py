@@ -4,7 +4,7 @@ Find the masks that lie beside the photos of a capture, and write them into the 
 nerfstudio's `mask_path` and its and COLMAP's folder masks/ are black where pixels are left out;
 instant-ngp's dynamic_mask_NAME.png are white there. In a scene black is left out.
 """
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -49,13 +49,11 @@ def write_masks(capture: Capture, names: Sequence[str | None], pinhole: Intrinsi
     wanted = list(paths)
     if not wanted:
         return (), []
-    straightener = Straightener(pinhole)
     unreadable, shares = [], []
-    for done, index in enumerate(wanted, start=1):
-        frame = capture.frames[index]
-        usable = _aligned(frame, straightener)
+    for done, (index, usable) in enumerate(aligned_masks(capture, wanted, pinhole), start=1):
         if usable is None:
-            unreadable.append(str(frame.mask and frame.mask.file))
+            mask = capture.frames[index].mask
+            unreadable.append(str(mask and mask.file))
             del paths[index]
         else:
             write_usable(paths[index], usable)
@@ -75,8 +73,15 @@ def write_masks(capture: Capture, names: Sequence[str | None], pinhole: Intrinsi
     return tuple(paths.get(index) for index in range(len(capture))) if paths else (), notes
 
 
+def aligned_masks(capture: Capture, indices: Sequence[int], pinhole: Intrinsics
+                  ) -> Iterator[tuple[int, np.ndarray | None]]:
+    """Yield (index, which pixels of the straight photo are used, bool (H, W), None unread)."""
+    straightener = Straightener(pinhole)
+    for index in indices:
+        yield index, _aligned(capture.frames[index], straightener)
+
+
 def _aligned(frame: CapturedFrame, straightener: Straightener) -> np.ndarray | None:
-    """Return which pixels of the straight photo are used, bool (H, W)."""
     lens, source = frame.raw_lens or frame.lens, frame.mask
     assert lens is not None and source is not None, 'photos have a lens when they are written'
     camera = lens.intrinsics

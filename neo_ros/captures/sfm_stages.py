@@ -41,10 +41,16 @@ def photo_pairs(names: Sequence[str]) -> list[tuple[str, str]]:
 
 
 def extract_features(database: Path, work: Path, names: list[str], pinhole: Intrinsics | None,
-                     progress: StageProgress) -> None:
-    """Add the features of photos that the database lacks; pinhole: their camera, if known."""
+                     progress: StageProgress, masks: Path | None = None) -> None:
+    """
+    Add the features of photos that the database lacks.
+
+    pinhole: their camera, if known; masks: a folder with NAME.png, black where there are none.
+    """
     import pycolmap
     reader = pycolmap.ImageReaderOptions()
+    if masks is not None:
+        reader.mask_path = masks
     if pinhole is not None:
         reader.camera_model = 'PINHOLE'
         reader.camera_params = ','.join(

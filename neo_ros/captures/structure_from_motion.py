@@ -1,4 +1,5 @@
 """Poses for photos that have none: structure from motion with pycolmap, on the CPU."""
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 import json
 import math
@@ -7,21 +8,26 @@ import re
 import shutil
 from typing import Any
 
-from neo_ros.captures.capture import Capture
+from neo_ros.captures.capture import Capture, CapturedFrame
 from neo_ros.captures.colmap import read_colmap_model
 from neo_ros.captures.levelling import level_world, scaled
+from neo_ros.captures.masks import aligned_masks
 from neo_ros.captures.scene_writing import unreadable_note, write_images
 from neo_ros.captures.sfm_stages import (
     extract_features, focal_length_held, is_plausible, match_photos, place_photos)
 from neo_ros.geometry import Intrinsics
+from neo_ros.geometry.lens import Lens
 from neo_ros.machine.names import listed
 from neo_ros.machine.progress import no_stage_progress, StageProgress
+from neo_ros.pictures.usable import write_usable
 import numpy as np
 
 # With fewer than this placed, more should be recorded.
 WELL_PLACED = 0.8
 # Nobody knows the scale: the median point is put as far away as walls of a room often are.
 MEDIAN_DISTANCE = 3.0
+# Below the working folder, as COLMAP looks for them: a photo's name with .png behind it.
+MASKS = 'masks'
 
 
 @dataclass(frozen=True)
@@ -61,11 +67,15 @@ def reconstruct(capture: Capture, work: Path,
     chosen = [name for name in names if name is not None]
     calibrated = all(frame.lens is not None for frame in capture.frames)
     pycolmap.logging.minloglevel = int(pycolmap.logging.FATAL)  # What fails is raised.
-    _claim(work, chosen, pinhole if calibrated else None)
+    masked = [frame for frame in capture.frames if frame.mask is not None]
+    _claim(work, chosen, pinhole if calibrated else None, [_mask_state(one) for one in masked])
     model = work / 'model'
     if not (model / 'images.bin').is_file() or not is_plausible(pycolmap.Reconstruction(model)):
         database = work / 'database.db'
-        extract_features(database, work, chosen, pinhole if calibrated else None, progress)
+        if masked:
+            _write_masks(capture, names, pinhole, work / MASKS)
+        extract_features(database, work, chosen, pinhole if calibrated else None, progress,
+                         work / MASKS if masked else None)
         match_photos(database, work, chosen, progress)
         place_photos(database, work, model, len(chosen), calibrated, progress)
     reconstruction = pycolmap.Reconstruction(model)
@@ -98,15 +108,38 @@ def _without_blanks(capture: Capture) -> Capture:
         for index, frame in enumerate(capture.frames)))
 
 
-def _claim(work: Path, names: list[str], pinhole: Intrinsics | None) -> None:
-    """Keep the database of the same photos, and begin anew with others."""
+def _write_masks(capture: Capture, names: Sequence[str | None], pinhole: Intrinsics, folder: Path
+                 ) -> None:
+    """Write a mask for every photo: COLMAP leaves out photos that have none where others do."""
+    lens = Lens(pinhole)  # Of photos that nobody calibrated only the size counts.
+    capture = replace(capture, frames=tuple(
+        replace(frame, lens=frame.lens or lens) for frame in capture.frames))
+    masked = {index for index, frame in enumerate(capture.frames) if frame.mask is not None}
+    everything = np.ones((pinhole.height, pinhole.width), bool)
+    for index, usable in aligned_masks(capture, sorted(masked), pinhole):
+        if names[index] is not None:
+            write_usable(folder / f'{names[index]}.png', everything if usable is None else usable)
+    for index, name in enumerate(names):
+        if name is not None and index not in masked:
+            write_usable(folder / f'{name}.png', everything)
+
+
+def _mask_state(frame: CapturedFrame) -> list[Any]:
+    assert frame.mask is not None
+    state = frame.mask.file.stat()
+    return [frame.name, state.st_size, state.st_mtime_ns]
+
+
+def _claim(work: Path, names: list[str], pinhole: Intrinsics | None, masks: list[Any]) -> None:
+    """Keep the database of the same photos and masks, and begin anew with others."""
     note = work / 'photos.json'
-    wanted = json.dumps([names, repr(pinhole), (work / 'import.json').read_text()])
+    wanted = json.dumps([names, repr(pinhole), (work / 'import.json').read_text(), *masks])
     if note.is_file() and note.read_text() == wanted:
         return
     for old in ('database.db', 'database.db-wal', 'database.db-shm'):
         (work / old).unlink(missing_ok=True)
-    shutil.rmtree(work / 'model', ignore_errors=True)
+    for old in ('model', MASKS):
+        shutil.rmtree(work / old, ignore_errors=True)
     note.write_text(wanted)
 
 

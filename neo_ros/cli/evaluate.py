@@ -21,20 +21,22 @@ def evaluate(
     Of a model with a scene memory, the network alone is scored, too, and how true pose, covariance
     and depth are goes into geometry.json. Also says how true the confidence is.
     """
+    from neo_ros.benchmark.protocols import split_walks
     from neo_ros.cli.progress import stage_progress
     from neo_ros.evaluation.baselines import EdgeReplication, MeanImage, Method, NeoModel
     from neo_ros.evaluation.evaluate import evaluate as score, TruthFrames
     from neo_ros.evaluation.evaluation_report import write_evaluation
     from neo_ros.machine.files import make_output_folder
-    from neo_ros.scenes.scene import read_scene
+    from neo_ros.scenes.upright import read_upright_scene
     import numpy as np
     import rich
     from rich.markup import escape
     from rich.table import Table
 
-    scene_data = read_scene(scene)
+    scene_data = read_upright_scene(scene)  # Its poses are the memory's.
     neo = NeoModel(model)
-    truth = TruthFrames(scene_data.test, neo.expansion, frames)
+    test = scene_data.test
+    truth = TruthFrames(test and split_walks(test), neo.expansion, frames)
     folder = make_output_folder(out or Path(f'evaluation_{scene_data.name}'))
     train = scene_data.train
     with stage_progress() as show:

@@ -14,6 +14,7 @@ from neo_ros.field.rendering import render_rays
 from neo_ros.field.voxel_field import packed, unpacked, VoxelField
 from neo_ros.geometry import Intrinsics
 from neo_ros.pictures.depth import MM_PER_M
+from neo_ros.pictures.usable import draw_usable
 from numba import get_num_threads
 import numpy as np
 
@@ -96,7 +97,9 @@ class FieldTrainer:
         pixels, the mean of four is fitted to it; they follow one another.
         """
         across = self.rays_across
-        photo, row, column = self._draw_pixels(self.config.rays_per_step // across ** 2)
+        photo, row, column = draw_usable(
+            self.random, self.config.rays_per_step // across ** 2, self.images.shape[:3],
+            self.usable)
         target = self.images[photo, row, column].astype(np.float32) / 255
         part = np.arange(across)
         rows = (across * row[:, None] + part.repeat(across)).ravel()
@@ -107,16 +110,6 @@ class FieldTrainer:
         directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
         return (photo, target, self._distances(photo, row, column), self.origins[each],
                 directions)
-
-    def _draw_pixels(self, count: int) -> tuple[np.ndarray, ...]:
-        """Draw photo, row and column (P,) of pixels that show the scene."""
-        drawn = tuple(self.random.integers(size, size=count) for size in self.images.shape[:3])
-        if self.usable is not None:
-            # Another one each for those that are left out.
-            while len(left_out := np.flatnonzero(~self.usable[drawn])):
-                for numbers, size in zip(drawn, self.images.shape[:3]):
-                    numbers[left_out] = self.random.integers(size, size=len(left_out))
-        return drawn
 
     def _distances(self, photo: np.ndarray, row: np.ndarray, column: np.ndarray) -> np.ndarray:
         """Return float32 (P,), metres along the rays of pixels to measured depth, 0 = unknown."""

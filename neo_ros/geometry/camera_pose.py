@@ -127,7 +127,7 @@ def transform_from_quaternion(translation: np.ndarray, quaternion_xyzw: np.ndarr
     Raises GeometryError for quaternions that are not four finite numbers, or of length zero.
     """
     q = np.asarray(quaternion_xyzw, np.float64)
-    norm = np.linalg.norm(q)
+    norm = math.hypot(*q.ravel())  # Without a warning for numbers that are too large.
     if q.shape != (4,) or not np.isfinite(norm) or norm < 1e-6:
         raise GeometryError(f'quaternion: expected a unit (x, y, z, w), got {q.tolist()}')
     x, y, z, w = q / norm

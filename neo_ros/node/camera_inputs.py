@@ -11,7 +11,8 @@ from neo_ros.node.interface import CAMERA_INFO, Endpoint
 from neo_ros.node.stamp_watch import StampWatch
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, qos_policy_name_from_kind, QoSProfile, ReliabilityPolicy
+from rclpy.qos import (
+    DurabilityPolicy, qos_policy_name_from_kind, QoSPolicyKind, QoSProfile, ReliabilityPolicy)
 from rclpy.subscription import Subscription
 
 
@@ -25,9 +26,9 @@ class CameraInputs:
     def __init__(self, node: Node, take: Callable[[Any, Any | None], None]) -> None:
         self._node, self._take = node, take
         self._topics = InputTopics(node)
+        self._subscriptions: list[Subscription] = []
         self._pairing = CameraPairing(self._take_pair, self._is_announced)
         self.stamps = StampWatch()
-        self._subscriptions: list[Subscription] = []
         self.frame_id = ''  # Of the images; '' before the first.
         self.choose('raw', reliable=False)
 
@@ -49,7 +50,8 @@ class CameraInputs:
                     f'for the camera_info on {self._topics.camera_info()}')
         publishers = self.publishers
         hint = '' if publishers else self._topics.hint(self._transport)
-        return (f'waiting for image on {self.topic}, publishers: {publishers}'
+        words = 'waiting for image on' if self.subscribed else 'no image is taken from'
+        return (f'{words} {self.topic}, publishers: {publishers}'
                 f'{"; " + hint if hint else ""}')
 
     @property
@@ -61,21 +63,30 @@ class CameraInputs:
     @property
     def remedy(self) -> str:
         """What to do about images that get lost on their way, in words."""
-        if self._reliable:
+        if self._is_reliable():
             return 'this computer or the network is too slow for them'
         if any(publisher.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
                for publisher in self._topics.publishers(*self._wanted()[0])):
             return ('let the camera driver publish reliably, or give it the Fast DDS profile of '
                     'this package')
+        overrides = self._topics.qos_overrides(self.topic)
+        if overrides is not None and QoSPolicyKind.RELIABILITY in overrides.policy_kinds:
+            return (f'set the parameter qos_overrides.{self.topic}.subscription.reliability to '
+                    'reliable')
         return 'set the parameter reliable to true'
 
+    @property
+    def subscribed(self) -> bool:
+        """Whether images are taken."""
+        return bool(self._subscriptions)
+
     def choose(self, transport: str, reliable: bool) -> None:
-        """Set what the next `subscribe` asks for."""
+        """Take no more images; set what the next `subscribe` asks for."""
+        self.unsubscribe()
         self._transport, self._reliable = transport, reliable
 
     def subscribe(self) -> None:
         """Take images from now on."""
-        self.unsubscribe()
         for (topic, endpoint), callback in zip(
                 self._wanted(), (self._on_image, self._on_info)):
             # The newest only; a frame that waits here is as old as one that waits anywhere.
@@ -114,6 +125,12 @@ class CameraInputs:
         return [(self.topic, ENDPOINTS[self._transport]),
                 (self._topics.camera_info(), CAMERA_INFO)]
 
+    def _is_reliable(self) -> bool:
+        """Say what holds for the images: the parameter, unless a QoS override says otherwise."""
+        if not self._subscriptions:
+            return self._reliable
+        return self._subscriptions[0].qos_profile.reliability == ReliabilityPolicy.RELIABLE
+
     def _has_camera_info(self) -> bool:
         return bool(self._topics.publishers(self._topics.camera_info(), CAMERA_INFO))
 
@@ -149,5 +166,5 @@ class CameraInputs:
         policy = qos_policy_name_from_kind(event.last_policy_kind)
         self._node.get_logger().warning(
             f'the publisher of {topic} offers another {policy} than this node asks for '
-            f'({"reliable" if self._reliable else "best effort"}): change its QoS or the '
+            f'({"reliable" if self._is_reliable() else "best effort"}): change its QoS or the '
             'parameter reliable')

@@ -16,33 +16,44 @@ import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from nav_msgs.msg import Odometry
 from neo_ros.messages import image_fields
 from neo_ros.messages.scene_outputs import WIDENING
 from neo_ros.node.fastdds_profile import use_large_image_profile
+from neo_ros.node.interface import NODE_NAME, ODOMETRY, OUTPUTS, PRIOR, RELOCALIZE
 import numpy as np
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.time import Time
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import Image
+from std_msgs.msg import Header
+from std_srvs.srv import Trigger
 
 START_TIMEOUT_S = 60.0
 WARM_UP_S = 1.0
 # After the last image: long enough for one that is slow and for one more diagnosis.
 DRAIN_S = 1.5
 IDLE_S = 5.0
+WATCHED = ('image', 'mask', 'confidence', 'camera_info')
+# Images from one prior to the next, and from one search to the next.
+PRIOR_EVERY, RELOCALIZE_EVERY = 200, 900
 
 
 class CameraProbe:
     """
-    Publishes on `image` at a fixed rate and subscribes to everything the node offers.
+    Publishes on `image` at a fixed rate and subscribes to the wide images.
 
+    With `everything` it subscribes to all that the node offers, sends odometry with each image
+    (the camera stands still), now and then a prior, and asks the node to search anew.
     images: uint8 RGB (N, h, w, 3), sent to and fro. `arrivals` holds, per wide image, its stamp
     and when it came, both in nanoseconds; `beats` when each diagnosis came, in seconds, and the
     memory of the process `pid` then, in MB.
     """
 
-    def __init__(self, images: np.ndarray, pid: int) -> None:
+    def __init__(self, images: np.ndarray, pid: int, everything: bool = False) -> None:
         self._pid = pid
         self._node = rclpy.create_node('camera_probe')
         self._executor = SingleThreadedExecutor()
@@ -56,11 +67,13 @@ class CameraProbe:
         self.arrivals: list[tuple[int, int]] = []
         self.beats: list[tuple[float, float]] = []
         self.stages: dict[str, str] = {}
-        for kind, topic, callback in (
-                (Image, 'wide/image', self._on_wide), (Image, 'wide/mask', _ignore),
-                (Image, 'wide/confidence', _ignore), (CameraInfo, 'wide/camera_info', _ignore),
-                (DiagnosticArray, '/diagnostics', self._on_diagnostics)):
-            self._node.create_subscription(kind, topic, callback, QoSProfile(depth=10))
+        self._node.create_subscription(
+            DiagnosticArray, '/diagnostics', self._on_diagnostics, QoSProfile(depth=10))
+        self._watching = [
+            self._node.create_subscription(output.kind, output.name, self._on_wide
+                                           if name == 'image' else _ignore, QoSProfile(depth=10))
+            for name, output in OUTPUTS.items() if everything or name in WATCHED]
+        self._stir = _Stir(self._node) if everything else None
 
     def wait_for_node(self) -> None:
         """Wait until images go in and come out; raises TimeoutError."""
@@ -85,10 +98,22 @@ class CameraProbe:
         """Send nothing, but take what is on its way."""
         self._spin_until(time.monotonic() + seconds)
 
+    def watch_no_more(self) -> None:
+        """Unsubscribe from the wide images; TimeoutError where the node still hears the camera."""
+        for subscription in self._watching:
+            self._node.destroy_subscription(subscription)
+        deadline = time.monotonic() + START_TIMEOUT_S
+        while self._camera.get_subscription_count():
+            if time.monotonic() > deadline:
+                raise TimeoutError('the node subscribes to the camera though nobody watches')
+            self._spin_until(time.monotonic() + 0.2)
+
     def _send(self) -> None:
         now = time.time_ns()
         self._message.data = next(self._images)
         self._message.header.stamp = Time(nanoseconds=now).to_msg()
+        if self._stir is not None:
+            self._stir.send(self._message.header)
         self._camera.publish(self._message)
         self.sent.append(now)
 
@@ -107,16 +132,40 @@ class CameraProbe:
                 self.beats.append((time.monotonic(), _rss_mb(self._pid)))
 
 
+class _Stir:
+    """Says where the camera is, in every way that the node hears; true only by chance."""
+
+    def __init__(self, node: Node) -> None:
+        self._sent = 0
+        self._odometry = node.create_publisher(ODOMETRY.kind, ODOMETRY.name, 10)
+        self._prior = node.create_publisher(
+            PRIOR.kind, PRIOR.name.replace('~', NODE_NAME), 10)
+        self._relocalize = node.create_client(
+            RELOCALIZE.kind, RELOCALIZE.name.replace('~', NODE_NAME))
+
+    def send(self, header: Any) -> None:
+        """Do what is due with an image of this header."""
+        self._sent += 1
+        message = Odometry(header=Header(stamp=header.stamp, frame_id='odom'),
+                           child_frame_id=header.frame_id)
+        self._odometry.publish(message)
+        if self._sent % PRIOR_EVERY == 0:
+            self._prior.publish(PoseWithCovarianceStamped())
+        if self._sent % RELOCALIZE_EVERY == 0 and self._relocalize.service_is_ready():
+            self._relocalize.call_async(Trigger.Request())
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measure once and print the result."""
     parser = argparse.ArgumentParser(description=main.__doc__)
     for name, kind in (('images', Path), ('rate', float), ('seconds', float), ('pid', int)):
         parser.add_argument(f'--{name}', type=kind, required=True)
+    parser.add_argument('--everything', action='store_true')
     options = parser.parse_args(arguments)
     use_large_image_profile()
     rclpy.init(args=[])
     try:
-        probe = CameraProbe(np.load(options.images), options.pid)
+        probe = CameraProbe(np.load(options.images), options.pid, options.everything)
         print(json.dumps(_measure(probe, options)))
     except TimeoutError as error:
         sys.exit(str(error))
@@ -136,10 +185,14 @@ def _measure(probe: CameraProbe, options: argparse.Namespace) -> dict[str, Any]:
     rss_mb, beats = _rss_mb(options.pid), probe.beats.copy()
     probe.rest()
     sent = set(probe.sent)
-    return {'sent': len(sent), 'arrivals': [pair for pair in probe.arrivals if pair[0] in sent],
+    arrivals = [pair for pair in probe.arrivals if pair[0] in sent]
+    probe.watch_no_more()
+    unwatched_percent = _cpu_percent(options.pid, lambda: probe.run(options.rate, IDLE_S))
+    return {'sent': len(sent), 'arrivals': arrivals,
             'first_sent': min(sent), 'ended': ended,
-            'cpu_percent': cpu_percent, 'idle_cpu_percent': idle_percent, 'rss_mb': rss_mb,
-            'beats': beats, 'diagnostics': probe.stages}
+            'cpu_percent': cpu_percent, 'idle_cpu_percent': idle_percent,
+            'unwatched_cpu_percent': unwatched_percent, 'rss_mb': rss_mb, 'beats': beats,
+            'diagnostics': probe.stages}
 
 
 def _cpu_percent(pid: int, work: Callable[[], None]) -> float:

@@ -101,10 +101,10 @@ def _judge_frames(health: Health) -> tuple[bytes, str]:
         return DiagnosticStatus.OK, f'{health.state}: waiting for a lifecycle transition'
     if not health.enabled:
         return DiagnosticStatus.OK, 'disabled by the enable service'
+    if not health.subscribed:
+        return DiagnosticStatus.OK, f'nobody subscribes to wide/*: {health.missing}'
     if counts.recent_received == 0:
         return DiagnosticStatus.WARN, health.missing
-    if not health.subscribed:
-        return DiagnosticStatus.OK, 'nobody subscribes to wide/*: images are not widened'
     if counts.recent_rejected and not counts.recent_published:
         return DiagnosticStatus.ERROR, f'every image is rejected: {counts.last_rejection}'
     if counts.recent_rejected:

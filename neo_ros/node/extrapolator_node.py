@@ -7,9 +7,10 @@ from neo_ros.node.camera_inputs import CameraInputs
 from neo_ros.node.diagnosing import Diagnosing, NodeState
 from neo_ros.node.frame_statistics import Statistics
 from neo_ros.node.frame_worker import Frame, FrameWorker
-from neo_ros.node.interface import ENABLE, RELOAD_MODEL, RELOCALIZE
+from neo_ros.node.interface import ENABLE, NODE_NAME, RELOAD_MODEL, RELOCALIZE
 from neo_ros.node.loaded_model import Load, LoadedModel
 from neo_ros.node.loading import ModelLoader
+from neo_ros.node.manager_bond import form_bond
 from neo_ros.node.parameters import (
     declare_parameters,
     INPUT_PARAMETERS,
@@ -27,7 +28,6 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool, Trigger
 
-NODE_NAME = 'fov_extrapolator'
 # How long a transition waits for the frame in work; its result is thrown away in any case.
 STOP_TIMEOUT_S = 0.3
 REPORT_PERIOD_S = 5.0
@@ -41,11 +41,11 @@ class ExtrapolatorNode(LifecycleNode):
     """
     Widens the images of one camera.
 
-    configure loads and checks the model, activate subscribes, deactivate stops taking frames,
-    cleanup frees the model. A model that cannot be loaded leaves the node unconfigured with the
-    reason in the log and on `/diagnostics`. While it is configured, another model takes over
-    once it has passed its checks; the subscriptions stay. `load` makes an extrapolator of a
-    path, a number of threads and ONNX Runtime's providers.
+    configure loads and checks the model, activate lets it subscribe to the camera while somebody
+    listens, deactivate stops that, cleanup frees the model. A model that cannot be loaded leaves
+    the node unconfigured with the reason in the log and on `/diagnostics`. While it is configured,
+    another model takes over once it has passed its checks; the subscriptions stay. `load` makes
+    an extrapolator of a path, a number of threads and ONNX Runtime's providers.
     """
 
     def __init__(self, load: Load = FovExtrapolator.load, **node_options: Any) -> None:
@@ -59,6 +59,7 @@ class ExtrapolatorNode(LifecycleNode):
         self._frames: RobotFrames | None = None
         self._pose_inputs: PoseInputs | None = None
         self._worker: FrameWorker | None = None
+        self._bond: Any | None = None
         self._lingering: list[FrameWorker] = []  # stopped, but in the middle of a frame
         self._inputs = CameraInputs(self, self._on_image)
         answer_every_request(self)
@@ -93,7 +94,8 @@ class ExtrapolatorNode(LifecycleNode):
             self.get_logger().error(self.fault)
             return TransitionCallbackReturn.FAILURE
         self._frames = RobotFrames(self, values) if values.base_frame else None
-        self._outputs = WidePublishers(self, values, self._model.arbitrary_scale, self._frames)
+        self._outputs = WidePublishers(self, values, self._model.arbitrary_scale, self._frames,
+                                       self._attend)
         self._pose_inputs = PoseInputs(self, self._outputs.scene_frame, values.base_frame,
                                        self._frames)
         self._use_hints()
@@ -109,18 +111,18 @@ class ExtrapolatorNode(LifecycleNode):
         values = read_parameters(self)
         self._worker = FrameWorker(self._model.processor, self._outputs, self._statistics,
                                    self._report, values.max_fps)
-        self._statistics.begin()
-        self._diagnosing.begin()
         self._worker.start()
         self._inputs.choose(values.image_transport, values.reliable)
-        if self._enabled:
-            self._inputs.subscribe()
+        self._attend()
+        if not values.autostart:  # Somebody else activates it.
+            self._bond = form_bond(self)
         self.fault = ''
         return result
 
     @logged
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Take no more frames; the model stays loaded."""
+        self._break_bond()
         self.stop()
         return super().on_deactivate(state)
 
@@ -150,7 +152,13 @@ class ExtrapolatorNode(LifecycleNode):
         self._lingering = [worker for worker in self._lingering if worker.busy]
         return not self._lingering and not self._loader.busy
 
+    def _break_bond(self) -> None:
+        if self._bond is not None:
+            self._bond.shutdown()
+        self._bond = None
+
     def _free(self) -> None:
+        self._break_bond()
         self.stop()
         if self._outputs is not None:
             self._outputs.destroy()
@@ -159,6 +167,19 @@ class ExtrapolatorNode(LifecycleNode):
         if self._frames is not None:
             self._frames.destroy()
         self._outputs = self._model = self._candidate = self._pose_inputs = self._frames = None
+
+    def _attend(self) -> None:
+        """Be subscribed to the camera exactly while the node is active and somebody listens."""
+        if self._worker is None or not self._enabled or not self._has_audience():
+            self._inputs.unsubscribe()
+        elif not self._inputs.subscribed:
+            self._worker.forget()  # The camera may have been carried elsewhere.
+            self._statistics.begin()
+            self._diagnosing.begin()
+            self._inputs.subscribe()
+
+    def _has_audience(self) -> bool:
+        return self._outputs is not None and any(self._outputs.wanted())
 
     def _on_image(self, message: Any, camera_info: Any | None) -> None:
         if self._pose_inputs is not None:
@@ -169,11 +190,7 @@ class ExtrapolatorNode(LifecycleNode):
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response
                    ) -> SetBool.Response:
         self._enabled = request.data
-        if self._worker is not None:
-            self._inputs.unsubscribe()
-            if self._enabled:
-                self._worker.forget()
-                self._inputs.subscribe()
+        self._attend()
         response.success = True
         response.message = f'{"enabled" if self._enabled else "disabled"}, {self.state_label}'
         return response
@@ -237,10 +254,8 @@ class ExtrapolatorNode(LifecycleNode):
         if self._worker is not None:
             self._worker.max_fps = values.max_fps
             if any(parameter.name in INPUT_PARAMETERS for parameter in parameters):
-                self._inputs.unsubscribe()
                 self._inputs.choose(values.image_transport, values.reliable)
-                if self._enabled:
-                    self._inputs.subscribe()
+                self._attend()
 
     def _take_over(self, model: LoadedModel) -> None:
         """Let the next frame go through this model."""
@@ -265,4 +280,4 @@ class ExtrapolatorNode(LifecycleNode):
 
     def _look(self) -> NodeState:
         return NodeState(self.state_label, self.fault, self._loader.busy, self._enabled,
-                         self._outputs is not None and any(self._outputs.wanted()), self._model)
+                         self._has_audience(), self._model)

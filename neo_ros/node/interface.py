@@ -7,6 +7,8 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 from std_srvs.srv import SetBool, Trigger
 
+NODE_NAME = 'fov_extrapolator'
+
 
 class Endpoint(NamedTuple):
     """A topic or a service: its name, its type, and what it is for."""

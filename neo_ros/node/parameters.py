@@ -11,7 +11,7 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-# A change of these loads a model, of those subscribes anew.
+# A change of these loads a model, of those subscribes anew, where somebody listens.
 MODEL_PARAMETERS = ('model', 'threads', 'providers')
 INPUT_PARAMETERS = ('image_transport', 'reliable')
 TRANSPORTS = ('raw', 'compressed')

@@ -1,4 +1,6 @@
 """What others say of where the camera is: priors and odometry, for the hints of the next image."""
+import math
+import time
 from typing import Any
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
@@ -12,6 +14,8 @@ from neo_ros.node.robot_frames import RobotFrames
 import numpy as np
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data, QoSProfile
+
+REPORT_PERIOD_S = 5.0
 
 
 class PoseInputs:
@@ -28,7 +32,7 @@ class PoseInputs:
         self.camera_frame = ''
         self._node, self._frames = node, frames
         self._scene_frame, self._base_frame = scene_frame, base_frame
-        self._told: set[str] = set()
+        self._told: dict[str, float] = {}
         self._subscriptions = [
             node.create_subscription(PRIOR.kind, PRIOR.name, self._on_prior, QoSProfile(depth=1)),
             node.create_subscription(ODOMETRY.kind, ODOMETRY.name, self._on_odometry,
@@ -42,8 +46,8 @@ class PoseInputs:
     def _on_prior(self, message: PoseWithCovarianceStamped) -> None:
         frame = message.header.frame_id.lstrip('/')
         if frame not in ('', self._scene_frame):
-            self._tell(f'{PRIOR.name}: expected a pose in {self._scene_frame} (scene_frame), got '
-                       f'{frame}: dropped')
+            self._tell('prior', f'{PRIOR.name}: expected a pose in {self._scene_frame} '
+                       f'(scene_frame), got {frame}: dropped')
             return
         T_camera = T_BODY_OPTICAL if not self._base_frame else self._camera_in_base()
         pose = self._read(PRIOR.name, message.pose.pose)
@@ -60,8 +64,8 @@ class PoseInputs:
         elif self._base_frame and child in ('', self._base_frame):
             T_camera = self._camera_in_base()
         else:
-            self._tell(f'{ODOMETRY.name}: is of {child or "no frame"}; to use it, set base_frame '
-                       f'to that, or send it of {self.camera_frame}')
+            self._tell('odometry', f'{ODOMETRY.name}: is of {child or "no frame"}; to use it, set '
+                       f'base_frame to that, or send it of {self.camera_frame}')
             return
         pose = self._read(ODOMETRY.name, message.pose.pose)
         if pose is not None and T_camera is not None:
@@ -71,7 +75,7 @@ class PoseInputs:
     def _camera_in_base(self) -> np.ndarray | None:
         T = self._frames.camera_in_base(self.camera_frame) if self._frames else None
         if T is None:
-            self._tell(f'no transform from {self._base_frame} to '
+            self._tell('transform', f'no transform from {self._base_frame} to '
                        f'{self.camera_frame or "the camera, which has sent no image yet"}: '
                        'what is of the base is dropped')
         return T
@@ -80,11 +84,12 @@ class PoseInputs:
         try:
             return read_pose(pose)
         except GeometryError as error:
-            self._tell(f'{name}: {error}: dropped')
+            self._tell(name, f'{name}: {error}: dropped')
             return None
 
-    def _tell(self, words: str) -> None:
-        """Log each complaint once: odometry comes many times a second."""
-        if words not in self._told:
-            self._told.add(words)
+    def _tell(self, kind: str, words: str) -> None:
+        """Log complaints of a kind now and then: odometry comes many times a second."""
+        now = time.monotonic()
+        if now > self._told.get(kind, -math.inf) + REPORT_PERIOD_S:
+            self._told[kind] = now
             self._node.get_logger().warning(words)

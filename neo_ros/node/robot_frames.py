@@ -33,10 +33,15 @@ class RobotFrames:
     def __init__(self, node: Node, values: NodeParameters) -> None:
         import tf2_ros
 
-        self._tf2, self._values = tf2_ros, values
+        self._node, self._tf2, self._values = node, tf2_ros, values
         self._buffer = tf2_ros.Buffer()
         self._listener = tf2_ros.TransformListener(self._buffer, node)
         self._broadcaster = tf2_ros.TransformBroadcaster(node) if values.publish_tf else None
+
+    @property
+    def sends(self) -> bool:
+        """Whether transforms are sent, to whoever listens to tf."""
+        return self._broadcaster is not None
 
     def camera_in_base(self, camera_frame: str) -> np.ndarray | None:
         """Return T_base_camera (4, 4), the newest one; None while nobody has sent it."""
@@ -72,8 +77,10 @@ class RobotFrames:
                                       **dict(zip('xyzw', quaternion))))))
 
     def destroy(self) -> None:
-        """Stop listening."""
+        """Stop listening and sending."""
         self._listener.unregister()
+        if self._broadcaster is not None:
+            self._node.destroy_publisher(self._broadcaster.pub_tf)
 
     def _lookup(self, target: str, source: str, stamp: Time) -> np.ndarray | None:
         try:

@@ -1,4 +1,5 @@
 """The topics that the node publishes."""
+from collections.abc import Callable
 import functools
 from typing import Any
 
@@ -28,17 +29,20 @@ class WidePublishers:
     Publishers of the topics in `interface.OUTPUTS`.
 
     Reliable; every policy can be overridden by the `qos_overrides` parameters. `frames` tell
-    where the camera is on the robot.
+    where the camera is on the robot. `audience_changed` is called when somebody begins or ceases
+    to listen.
     """
 
     def __init__(self, node: LifecycleNode, values: NodeParameters, arbitrary_scale: bool,
-                 frames: RobotFrames | None = None) -> None:
+                 frames: RobotFrames | None = None,
+                 audience_changed: Callable[[], None] = lambda: None) -> None:
         self._node, self._frames = node, frames
         self.use(values, arbitrary_scale)
         self._publishers = {
             name: node.create_lifecycle_publisher(
                 output.kind, output.name, QoSProfile(depth=DEPTH),
                 event_callbacks=PublisherEventCallbacks(
+                    matched=lambda _: audience_changed(),
                     incompatible_qos=functools.partial(self._on_qos_conflict, output.name)),
                 qos_overriding_options=QoSOverridingOptions.with_default_policies())
             for name, output in OUTPUTS.items()}
@@ -46,7 +50,7 @@ class WidePublishers:
 
     def use(self, values: NodeParameters, arbitrary_scale: bool) -> None:
         """Go by these parameters, and by the scale of the model's scene, from now on."""
-        self._jpeg_quality, self._publish_tf = values.jpeg_quality, values.publish_tf
+        self._jpeg_quality = values.jpeg_quality
         self.scene_frame = values.scene_frame or default_scene_frame(arbitrary_scale)
         self._memory = MemoryMessages(make_message, MemorySettings(
             self.scene_frame, self._node.get_fully_qualified_name(), values.points_every,
@@ -54,7 +58,7 @@ class WidePublishers:
 
     def wanted(self) -> Wanted:
         """Say which topics have subscribers."""
-        return Wanted(transform=self._frames is not None and self._publish_tf, **{
+        return Wanted(transform=self._frames is not None and self._frames.sends, **{
             name: publisher.get_subscription_count() > 0
             for name, publisher in self._publishers.items()})
 

@@ -44,12 +44,29 @@ def read_depth(path: Path, width: int, height: int) -> np.ndarray:
 
 
 def read_numbers(path: Path) -> np.ndarray | None:
-    """Return the numbers of a picture's file as they are stored; None if it cannot be read."""
+    """
+    Return the numbers of a picture's file as they are stored; None if it cannot be read.
+
+    EXR needs the extra `record3d`; its one channel, or the first of Z, R and Y, is float32.
+    """
+    if path.suffix.lower() == '.exr':
+        return _read_exr(path)
     try:
         data = np.fromfile(path, np.uint8)
         return cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) else None
     except (OSError, cv2.error):
         return None
+
+
+def _read_exr(path: Path) -> np.ndarray | None:
+    # Built without it is the OpenCV that is on PyPI.
+    try:
+        import OpenEXR
+        channels = OpenEXR.File(str(path), separate_channels=True).channels()
+    except (ImportError, RuntimeError, ValueError):
+        return None
+    name = next((name for name in ('Z', 'R', 'Y', *channels) if name in channels), None)
+    return None if name is None else channels[name].pixels.astype(np.float32)
 
 
 def nearest(numbers: np.ndarray, width: int, height: int) -> np.ndarray:

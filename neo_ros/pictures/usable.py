@@ -41,6 +41,22 @@ def write_usable(path: Path, usable: np.ndarray) -> None:
     write_bytes(path, cv2.imencode('.png', usable.astype(np.uint8) * 255)[1].tobytes())
 
 
+def draw_usable(random: np.random.Generator, count: int, shape: tuple[int, ...],
+                usable: np.ndarray | None) -> tuple[np.ndarray, ...]:
+    """
+    Draw photo, row and column (count,) of pixels that show the scene.
+
+    shape: number of photos, their height and width; usable: bool of this shape, None: all are.
+    """
+    drawn = tuple(random.integers(size, size=count) for size in shape)
+    if usable is not None:
+        # Another one each for those that are left out.
+        while len(left_out := np.flatnonzero(~usable[drawn])):
+            for numbers, size in zip(drawn, shape):
+                numbers[left_out] = random.integers(size, size=len(left_out))
+    return drawn
+
+
 def _any_channel(numbers: np.ndarray) -> np.ndarray:
     """Return where a picture is not black; an alpha channel says nothing of that."""
     colours = numbers[..., :3] if numbers.ndim == 3 else numbers

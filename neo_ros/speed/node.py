@@ -98,7 +98,8 @@ def measure_graph(model: Path, machine: Machine, effort: Effort) -> Record:
         'model': model.name, 'wanted_rate_hz': RATE_HZ, 'mean_rate_hz': record.rate_hz,
         'sent': result['sent'], 'missed': result['sent'] - len(times),
         'jitter_ms': float(intervals.std()), 'cpu_percent': result['cpu_percent'],
-        'idle_cpu_percent': result['idle_cpu_percent'], 'rss_mb': result['rss_mb'],
+        'idle_cpu_percent': result['idle_cpu_percent'],
+        'unwatched_cpu_percent': result['unwatched_cpu_percent'], 'rss_mb': result['rss_mb'],
         'stages_ms': stages, 'outside_inference_ms': median['total'] - median['infer'],
         # Without the wait for the network to be done with the frame before.
         'decode_check_publish_ms': sum(median[stage] for stage in ('decode', 'check', 'publish')),
@@ -111,8 +112,12 @@ def measure_graph(model: Path, machine: Machine, effort: Effort) -> Record:
 
 
 def run_graph(model: Path, images: np.ndarray, seconds: float,
-              rate: float = RATE_HZ) -> dict[str, Any]:
-    """Run node and camera probe for a while; return what the probe prints."""
+              rate: float = RATE_HZ, everything: bool = False) -> dict[str, Any]:
+    """
+    Run node and camera probe for a while; return what the probe prints.
+
+    everything: all outputs are subscribed, all inputs are fed, see `CameraProbe`.
+    """
     environment = _environment()
     with tempfile.TemporaryFile('w+') as log, tempfile.TemporaryDirectory() as folder:
         np.save(Path(folder) / 'images.npy', images)
@@ -123,7 +128,8 @@ def run_graph(model: Path, images: np.ndarray, seconds: float,
             probe = subprocess.run(
                 [sys.executable, '-m', 'neo_ros.node.camera_probe',
                  '--images', str(Path(folder) / 'images.npy'), '--rate', str(rate),
-                 '--seconds', str(seconds), '--pid', str(node.pid)],
+                 '--seconds', str(seconds), '--pid', str(node.pid),
+                 *(['--everything'] if everything else [])],
                 env=environment, stdout=subprocess.PIPE, stderr=log, text=True,
                 timeout=seconds + 90, check=False)
             ended = node.poll()

@@ -25,6 +25,8 @@ def soak(model: Path, seconds: float, hogs: int = 0, rate: float = RATE_HZ) -> d
     """
     Send images to the node for so many seconds, with `hogs` processes that burn a core each.
 
+    All outputs are subscribed, and all inputs fed: odometry, priors, requests to search anew.
+
     Returns for JSON: seconds, hogs, wanted_rate_hz, mean_rate_hz, sent, missed; latency_ms from
     stamp to receipt (mean, median, p95, p99, max) of the whole run and of its first and last
     sixth; jitter_ms (standard deviation of the intervals), cpu_percent (100 = one core); rss_mb
@@ -34,7 +36,8 @@ def soak(model: Path, seconds: float, hogs: int = 0, rate: float = RATE_HZ) -> d
     within 10 % of the first. Raises NeoError where nothing comes back.
     """
     with _busy_processes(hogs):
-        result = run_graph(model, camera_images(model, FRAMES), seconds, rate)
+        result = run_graph(model, camera_images(model, FRAMES), seconds, rate,
+                           everything=True)
     stamps, times = np.array(result['arrivals'], np.int64).reshape(-1, 2).T
     beats, memory = np.array(result['beats']).reshape(-1, 2).T
     if len(times) < 2 or len(beats) < 2:

@@ -237,17 +237,28 @@ def test_a_baked_keyframe_has_the_colours_of_the_photos(baked: SceneMemory) -> N
 
 
 def test_what_a_mask_leaves_out_colours_nothing(tmp_path: Path) -> None:
-    off = []
+    off, glances_off = [], []
     for masked in (False, True):
         memory = bake_with_post(tmp_path / str(masked), person=True, masked=masked)
         texture = memory.keyframe(0).texture
         rays = memory.band.rays(*texture.shape[:2])
         level = np.abs(rays[..., 2]) < 0.3
         off.append((texture - cast_with_post(POSITION, rays)[0])[level])
+        photos = zip(memory.glances.pictures[24:], memory.glances.T_world_cam[24:])
+        glances_off.append(np.mean([np.abs(picture - photo_glance(T)) for picture, T in photos]))
     # Somebody in white shifts the photos' exposure and the room's colours.
     assert np.abs(off[0]).mean() > 35 and abs(off[0].mean()) > 10
     # The field's own colours are left there, off by 20 to both sides, and photos elsewhere.
     assert np.abs(off[1]).mean() < 18 and abs(off[1].mean()) < 1
+    # A small picture of a photo shows the field there, in the photo's light.
+    assert glances_off[0] > 40 and glances_off[1] < 5
+
+
+def photo_glance(T_world_cam: np.ndarray, gain: float = PHOTO_GAIN) -> np.ndarray:
+    """Return the small picture, float (16, 16), that the empty room gives."""
+    seen = (gain * look(T_world_cam, SOURCE)).astype(np.uint8)
+    return cv2.resize(cv2.cvtColor(seen, cv2.COLOR_RGB2GRAY), (16, 16),
+                      interpolation=cv2.INTER_AREA).astype(float)
 
 
 def test_baked_glances_show_what_is_seen_from_their_poses(baked: SceneMemory) -> None:
@@ -255,10 +266,7 @@ def test_baked_glances_show_what_is_seen_from_their_poses(baked: SceneMemory) ->
     assert len(glances.pictures) == 24 + 8
     for picture, T, gain in zip(glances.pictures, glances.T_world_cam,
                                 [1.0] * 24 + [PHOTO_GAIN] * 8):
-        seen = (gain * look(T, SOURCE)).astype(np.uint8)
-        truth = cv2.resize(cv2.cvtColor(seen, cv2.COLOR_RGB2GRAY), (16, 16),
-                           interpolation=cv2.INTER_AREA)
-        assert np.abs(picture.astype(int) - truth).mean() < (6 if gain == 1 else 0.1)
+        assert np.abs(picture - photo_glance(T, gain)).mean() < (6 if gain == 1 else 0.1)
     yaws = np.sort([CameraPose(T).yaw for T in glances.T_world_cam[:24]])
     assert np.degrees(np.diff(yaws)) == pytest.approx(15)
 

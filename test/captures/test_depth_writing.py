@@ -7,12 +7,16 @@ from typing import Any
 
 from capture_files import CAMERA, demo_photos, write_image
 from depth_files import (
-    true_depth, write_polycam_depth, write_replica_depth, write_scaled_depth, write_scannet_depth,
-    write_seven_scenes_depth, write_transforms_depth, write_tum_depth)
+    true_depth, write_polycam_depth, write_r3d_depth, write_record3d_depth, write_replica_depth,
+    write_scaled_depth, write_scannet_depth, write_seven_scenes_depth, write_transforms_depth,
+    write_tum_depth, write_unpacked_r3d_depth)
+from neo_ros.captures import record3d_depth
 from neo_ros.captures.capture import Capture, DepthSource
-from neo_ros.captures.formats import CaptureFormat, FOLDER_READERS
+from neo_ros.captures.formats import CaptureFormat, detect_format, FOLDER_READERS
 from neo_ros.captures.importing import import_capture, ImportOptions
 from neo_ros.captures.nerfstudio import read_transforms_capture
+from neo_ros.captures.record3d import read_record3d
+from neo_ros.captures.record3d_depth import decode_depth
 from neo_ros.captures.scene_copying import import_transforms
 from neo_ros.captures.scene_writing import write_capture
 from neo_ros.errors import ConfigError, SceneError
@@ -28,6 +32,9 @@ FORMATS: dict[str, tuple[Callable[..., Path], CaptureFormat, int]] = {
     '7scenes': (write_seven_scenes_depth, CaptureFormat.SEVEN_SCENES, 1),
     'scannet': (write_scannet_depth, CaptureFormat.SCANNET, 2),
     'polycam': (write_polycam_depth, CaptureFormat.POLYCAM, 2),
+    'record3d, exr': (write_record3d_depth, CaptureFormat.RECORD3D, 2),
+    'r3d': (write_r3d_depth, CaptureFormat.RECORD3D, 2),
+    'r3d, unpacked': (write_unpacked_r3d_depth, CaptureFormat.RECORD3D, 2),
     'nerfstudio': (write_transforms_depth, CaptureFormat.TRANSFORMS, 1),
     'replica': (write_replica_depth, CaptureFormat.TRAJECTORY, 1),
     'scale of the camera file': (write_scaled_depth, CaptureFormat.TRAJECTORY, 1),
@@ -43,7 +50,11 @@ def depths_of(scene: Path) -> np.ndarray:
 @pytest.mark.parametrize('write, format_, each', FORMATS.values(), ids=FORMATS.keys())
 def test_every_format_gives_the_same_depth(tmp_path: Path, write: Callable[..., Path],
                                            format_: CaptureFormat, each: int) -> None:
+    if format_ == CaptureFormat.RECORD3D:
+        for package in ('OpenEXR', 'lzfse'):
+            pytest.importorskip(package, reason=f'needs {package} (the record3d extra)')
     source = write(tmp_path / 'source', demo_photos())
+    assert detect_format(source) == format_
     options = ({'camera_info': write_camera_info(tmp_path / 'camera.yaml')}
                if format_ == CaptureFormat.TUM else {})
     notes = write_capture(FOLDER_READERS[format_](source, **options), tmp_path / 'scene')
@@ -52,6 +63,35 @@ def test_every_format_gives_the_same_depth(tmp_path: Path, write: Callable[..., 
     known = (expected > 0).mean()
     note, = [note for note in notes if 'have a depth map' in note]
     assert f'5 of 5 photos have a depth map, which covers {known:.0%} of the picture' in note
+
+
+@pytest.mark.parametrize('package, write', [
+    ('OpenEXR', write_record3d_depth), ('lzfse', write_r3d_depth)])
+def test_depth_whose_package_is_missing_says_what_to_install(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch, package: str,
+        write: Callable[..., Path]) -> None:
+    pytest.importorskip(package, reason=f'needs {package} (the record3d extra)')
+    source = write(tmp_path / 'source', demo_photos())
+    monkeypatch.setattr(record3d_depth, 'find_spec', lambda name: None)
+    notes = write_capture(read_record3d(source), tmp_path / 'scene')
+    assert "depth maps are not read; they need: pip install 'neo_ros[record3d]'" in notes
+    assert read_scene(tmp_path / 'scene').train.read_depths() is None
+
+
+def test_depth_of_record3d_that_is_damaged_is_named(tmp_path: Path) -> None:
+    lzfse = pytest.importorskip('lzfse', reason='needs lzfse (the record3d extra)')
+    pytest.importorskip('OpenEXR', reason='needs OpenEXR (the record3d extra)')
+    whole = lzfse.compress(np.ones(32 * 24, np.float32).tobytes())
+    trust = lzfse.compress(np.array([0, 1, 2] * 256, np.uint8).tobytes())
+    trusted = decode_depth(whole, trust, (64, 48))
+    assert trusted is not None and trusted.mean() == pytest.approx(2 / 3)
+    for depth, confidence in ((whole[:20], None), (b'', trust), (None, None), (whole, trust[:9]),
+                              (lzfse.compress(bytes(28)), None)):
+        assert decode_depth(depth, confidence, (64, 48)) is None
+    source = write_record3d_depth(tmp_path / 'source', demo_photos())
+    (source / 'depth/3.exr').write_bytes(b'no exr')
+    notes = write_capture(read_record3d(source), tmp_path / 'scene')
+    assert f'1 depth maps cannot be read and are left out: {source}/depth/3.exr' in notes
 
 
 def test_depth_is_straightened_as_its_photo_is(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 from capture_files import write_image
 from neo_ros.captures.capture import Capture
+from neo_ros.captures.masks import find_masks
 from neo_ros.captures.photos import read_photos
 from neo_ros.captures.scene_writing import write_capture
 from neo_ros.captures.sfm_stages import is_plausible, photo_pairs
@@ -242,3 +243,34 @@ def test_photos_are_compared_with_their_neighbours_and_no_pair_twice(count: int)
     assert len(pairs) <= max(count * (count - 1) // 2 if count <= 100 else 20 * count, 1) + 1770
     if count > 100:
         assert (names[0], names[-1]) in pairs  # a loop can close
+
+
+def test_what_a_mask_leaves_out_has_no_features(tmp_path: Path) -> None:
+    """A sticker on the lens is the same in every photo: it alone would say that nothing moves."""
+    needs_pycolmap()
+    import pycolmap
+    poses = arc(6)
+    sticker = np.random.default_rng(0).integers(0, 256, (90, 240, 3)).astype(np.uint8)
+    usable = np.full((180, 240), 255, np.uint8)
+    usable[90:] = 0
+    for index, image in enumerate(render_demo_views(CAMERA, poses, workers=1)):
+        image[90:] = sticker
+        write_image(tmp_path / f'photos/images/{index}.png', image)
+        if index != 2:
+            write_image(tmp_path / f'photos/masks/{index}.png', usable)
+    photos = find_masks(read_photos(tmp_path / 'photos'), tmp_path / 'photos')
+    lens = Lens(CAMERA)
+    photos = replace(photos, frames=tuple(replace(frame, lens=lens) for frame in photos.frames))
+    _, verdict = reconstruct(photos, tmp_path / 'sfm')
+    with pycolmap.Database.open(tmp_path / 'sfm/database.db') as database:
+        lowest = {image.name: database.read_keypoints(image.image_id)[:, 1].max()
+                  for image in database.read_all_images()}
+    assert lowest.pop('images/2.png') > 170  # It has no mask.
+    assert len(lowest) == 5 and max(lowest.values()) < 91
+    assert verdict.registered >= 5
+    # Another mask: features are looked for anew.
+    write_image(tmp_path / 'photos/masks/0.png', np.full((180, 240), 255, np.uint8))
+    reconstruct(photos, tmp_path / 'sfm')
+    with pycolmap.Database.open(tmp_path / 'sfm/database.db') as database:
+        first = next(image for image in database.read_all_images() if image.name == 'images/0.png')
+        assert database.read_keypoints(first.image_id)[:, 1].max() > 170

@@ -2,13 +2,14 @@
 from functools import lru_cache
 import json
 from pathlib import Path
+import zipfile
 
 from capture_files import (
     CAMERA, demo_photos, Photos, write_image, write_matrix, write_scannet, write_seven_scenes,
     write_trajectory, write_transforms_capture)
 from neo_ros.flat.demo_flat import build_demo_flat
 import numpy as np
-from phone_files import stamp, write_polycam, write_tum
+from phone_files import stamp, write_polycam, write_r3d, write_record3d, write_tum
 
 
 @lru_cache(maxsize=None)
@@ -65,6 +66,37 @@ def write_polycam_depth(folder: Path, photos: Photos) -> Path:
         write_image(folder / f'keyframes/confidence/{100 + index}.png',
                     np.where(small > 0, 127, 0).astype(np.uint8))
     return folder
+
+
+def write_record3d_depth(folder: Path, photos: Photos) -> Path:
+    """Write depth of half the size as EXR, metres in its red channel, not a number = unknown."""
+    import OpenEXR
+    write_record3d(folder, photos)
+    (folder / 'depth').mkdir()
+    for index, depth in enumerate(true_depth()):
+        metres = np.where(depth > 0, depth, np.nan).astype(np.float32)[::2, ::2].copy()
+        OpenEXR.File({'compression': OpenEXR.ZIP_COMPRESSION, 'type': OpenEXR.scanlineimage},
+                     {'R': metres}).write(str(folder / f'depth/{index}.exr'))
+    return folder
+
+
+def write_r3d_depth(folder: Path, photos: Photos) -> Path:
+    """Write depth of half the size that is everywhere, of no confidence where it is unknown."""
+    import lzfse
+    source = write_r3d(folder, photos)
+    with zipfile.ZipFile(source, 'a') as archive:
+        for index, depth in enumerate(true_depth().astype(np.float32)[:, ::2, ::2]):
+            trust = 2 * (depth > 0).astype(np.uint8)
+            archive.writestr(f'rgbd/{index}.depth', lzfse.compress(
+                np.maximum(depth, 0.05).tobytes()))
+            archive.writestr(f'rgbd/{index}.conf', lzfse.compress(trust.tobytes()))
+    return source
+
+
+def write_unpacked_r3d_depth(folder: Path, photos: Photos) -> Path:
+    with zipfile.ZipFile(write_r3d_depth(folder, photos)) as archive:
+        archive.extractall(folder / 'walk')
+    return folder / 'walk'
 
 
 def write_transforms_depth(folder: Path, photos: Photos, **camera: object) -> Path:

@@ -1,7 +1,7 @@
 """
 Throw broken camera messages at the message layer and at a live node.
 
-python test/message_fuzzer.py --layer 100000 --live 5000 --seed 1    what `make fuzz` runs
+python test/helpers/message_fuzzer.py --layer 100000 --live 5000 --seed 1    what `make fuzz` runs
 """
 import argparse
 from array import array
@@ -254,6 +254,30 @@ def main() -> None:
                   f'{time.monotonic() - started:.0f} s')
             node.stop()
             node.destroy_node()
+    if options.live:
+        _fuzz_guided(options.live // 2, options.seed)
+
+
+def _fuzz_guided(count: int, seed: int) -> None:
+    from box_room import write_box_model
+    from neo_ros.node.extrapolator_node import ExtrapolatorNode
+    from pathlib import Path
+    from pose_fuzzer import fuzz_poses
+    from rclpy.parameter import Parameter
+    from ros_graph import ros_graph
+    import tempfile
+    started = time.monotonic()
+    with ros_graph() as graph, tempfile.TemporaryDirectory() as folder:
+        node = ExtrapolatorNode(context=graph.context, parameter_overrides=[
+            Parameter('model', value=str(write_box_model(Path(folder)))),
+            Parameter('reliable', value=True), Parameter('panorama_width', value=64),
+            Parameter('panorama_fps', value=30.0)])
+        node.autostart()
+        ways = fuzz_poses(graph, node, count, seed)
+        print('live node, priors and odometry:', dict(ways.most_common()),
+              f'{time.monotonic() - started:.0f} s')
+        node.stop()
+        node.destroy_node()
 
 
 if __name__ == '__main__':

@@ -95,7 +95,6 @@ def write_r3d(folder: Path, photos: Photos) -> Path:
         archive.writestr('metadata', json.dumps(record3d_metadata(photos)))
         for index, image in enumerate(photos.images):
             archive.write(write_image(folder / 'one.png', image), f'rgbd/{index}.png')
-            archive.writestr(f'rgbd/{index}.depth', b'depth')
     return folder / 'walk.r3d'
 
 

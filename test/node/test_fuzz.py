@@ -1,6 +1,8 @@
 """Broken messages end in a refusal under a known reason; `make fuzz` sends many more."""
+from box_room import write_box_model
 from message_fuzzer import fuzz_layer, fuzz_node, REASONS
 from neo_ros.node.extrapolator_node import ExtrapolatorNode
+from pose_fuzzer import fuzz_poses
 import pytest
 from rclpy.parameter import Parameter
 from ros_graph import ros_graph
@@ -26,3 +28,16 @@ def test_live_node_counts_every_broken_message_and_widens_the_good_ones(tmp_path
         node.stop()
         node.destroy_node()
     assert sum(ways.values()) == 150 and 15 <= ways['widened'] < 100 and len(ways) > 4
+
+
+def test_no_prior_and_no_odometry_makes_a_guided_node_say_what_is_not_true(tmp_path):
+    with ros_graph() as graph:
+        node = ExtrapolatorNode(context=graph.context, parameter_overrides=[
+            Parameter('model', value=str(write_box_model(tmp_path))),
+            Parameter('reliable', value=True), Parameter('panorama_width', value=64),
+            Parameter('panorama_fps', value=30.0)])
+        node.autostart()
+        ways = fuzz_poses(graph, node, 120, seed=0)
+        node.stop()
+        node.destroy_node()
+    assert ways['guided'] > 100 and ways['wide/pose'] == ways['guided']

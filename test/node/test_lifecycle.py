@@ -2,7 +2,8 @@
 import ctypes
 import gc
 import os
-from types import SimpleNamespace
+import sys
+from types import ModuleType, SimpleNamespace
 
 from box_room import box_walk, EXPANSION, view, write_box_model
 from camera_messages import noise_image
@@ -13,6 +14,7 @@ from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.messages import image_fields
 from neo_ros.node.extrapolator_node import ExtrapolatorNode
 from neo_ros.runtime import FovExtrapolator
+import pytest
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import Image
@@ -21,9 +23,9 @@ from tiny_model import TINY_EXPANSION
 CYCLES = 20
 
 
-def node_of(graph, model, **options):
+def node_of(graph, model, autostart=False, **options):
     return ExtrapolatorNode(context=graph.context, **options, parameter_overrides=[
-        Parameter('model', value=str(model)), Parameter('autostart', value=False)])
+        Parameter('model', value=str(model)), Parameter('autostart', value=autostart)])
 
 
 class MallocInformation(ctypes.Structure):
@@ -101,7 +103,7 @@ def test_cycles_over_the_graph_end_where_they_began(graph, model):
             assert change_state(graph, transition)
         camera.wait_for_node()
         camera.widen(noise_image(TINY_EXPANSION.source, number), number)
-    assert end(process)[0] == 0
+    assert end(process) == 0
 
 
 def test_diagnostics_go_on_while_a_model_loads(graph, model):
@@ -121,4 +123,69 @@ def test_diagnostics_go_on_while_a_model_loads(graph, model):
     words = [message.status[0].message for message in messages]
     assert words.count('configuring: the model is being loaded') >= 3
     assert words.count('inactive: the model is being loaded') >= 3
+    node.destroy_node()
+
+
+class BondOfBondpy:
+    """What bondpy 4.1 has: `Bond(node, topic, bond_id)`, whose thread publishes until the end."""
+
+    made: list['BondOfBondpy'] = []
+
+    def __init__(self, node, topic, bond_id, on_broken=None, on_formed=None):
+        self.node, self.names, self.calls = node, (topic, bond_id), []
+        self.heartbeat_period, self.heartbeat_timeout = 1.0, 4.0
+        self.made.append(self)
+
+    def start(self):
+        self.calls.append('start')
+
+    def shutdown(self):
+        self.calls.append('shutdown')
+
+    def _publish(self, active):
+        raise RuntimeError('cannot publish')
+
+
+@pytest.fixture
+def bonds(monkeypatch):
+    module = ModuleType('bondpy.bondpy')
+    setattr(module, 'Bond', BondOfBondpy)
+    monkeypatch.setitem(sys.modules, 'bondpy', ModuleType('bondpy'))
+    monkeypatch.setitem(sys.modules, 'bondpy.bondpy', module)
+    monkeypatch.setattr(BondOfBondpy, 'made', [])
+    return BondOfBondpy.made
+
+
+def test_a_manager_has_a_bond_with_the_node_while_it_is_active(graph, model, bonds):
+    node = node_of(graph, model)
+    for number in range(2):
+        node.trigger_configure()
+        assert len(bonds) == number
+        node.trigger_activate()
+        bond = bonds[number]
+        assert bond.names == ('bond', 'fov_extrapolator') and bond.calls == ['start']
+        # Loading a model, in which nothing is heard, must not end it.
+        assert bond.heartbeat_period == 0.1 and bond.heartbeat_timeout > 3600
+        node.trigger_deactivate()
+        assert bond.calls == ['start', 'shutdown']
+        node.trigger_cleanup()
+    with pytest.raises(RuntimeError):
+        bond._publish(True)
+    node.destroy_node()
+    graph.context.shutdown()
+    bond._publish(True)  # Its thread ends after the context.
+
+
+def test_without_a_manager_or_bondpy_there_is_no_bond(graph, model, bonds, monkeypatch):
+    node = node_of(graph, model, autostart=True)
+    node.autostart()
+    assert node.state_label == 'active' and not bonds
+    node.stop()
+    node.destroy_node()
+    monkeypatch.setitem(sys.modules, 'bondpy', None)
+    monkeypatch.setitem(sys.modules, 'bondpy.bondpy', None)
+    node = node_of(graph, model)
+    node.trigger_configure()
+    assert node.trigger_activate() == TransitionCallbackReturn.SUCCESS and not bonds
+    node.trigger_deactivate()
     node.destroy_node()

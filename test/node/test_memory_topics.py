@@ -1,11 +1,14 @@
 """What the memory knows, on a real graph: pose, depth, points, status, panorama; priors."""
+from array import array
+
 from box_room import apart, box_walk, EXPANSION, planar, view, write_box_model
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped
-from live_node import Camera, NODE
+from live_node import Camera, NODE, node_beside
 from nav_msgs.msg import Odometry
 from neo_ros.geometry import CameraPose
 from neo_ros.geometry.camera_pose import quaternion_from_rotation, T_BODY_OPTICAL
+from neo_ros.messages import image_fields
 from neo_ros.messages.hints import read_pose
 from neo_ros.node.extrapolator_node import ExtrapolatorNode
 from neo_ros.node.robot_frames import moved_covariance
@@ -85,6 +88,27 @@ def test_prior_odometry_and_relocalize_reach_the_memory(tmp_path, graph):
     camera.widen(view(pose, EXPANSION.source)[0], 3)
     graph.spin_until(lambda: status[-1].header.stamp.nanosec == 3)
     assert 'searched' in status[-1].status[0].message
+
+
+def test_a_camera_that_was_carried_while_nobody_listened_is_searched_for(tmp_path, graph):
+    images = graph.node.create_publisher(Image, '/robot/image', 10)
+    with node_beside(graph, write_box_model(tmp_path)):
+        for number, pose in enumerate([planar(3.0, 2.4, 200), planar(2.1, 1.6, 40)]):
+            kept: dict[str, list] = {'pose': [], 'status': []}
+            listeners = [graph.node.create_subscription(
+                KINDS[name], f'/robot/wide/{name}', kept[name].append, 10) for name in kept]
+            graph.spin_until(images.get_subscription_count)
+            graph.spin_for(0.3)
+            message = Image(**image_fields(view(pose, EXPANSION.source)[0]))
+            message.data = array('B', bytes(message.data))
+            message.header.stamp.nanosec = number
+            images.publish(message)
+            graph.spin_until(lambda: all(kept.values()))
+            assert 'searched' in kept['status'][0].status[0].message
+            assert apart(read_pose(kept['pose'][0].pose.pose), pose)[0] < 0.02
+            for listener in listeners:
+                graph.node.destroy_subscription(listener)
+            graph.spin_until(lambda: not images.get_subscription_count())
 
 
 def test_a_base_frame_without_tf_says_what_is_missing(tmp_path, graph):

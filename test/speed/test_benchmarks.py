@@ -229,6 +229,8 @@ def test_the_node_is_measured_on_a_real_graph(model):
     assert record.median_ms is not None
     assert 0 < record.median_ms < 1000 and details['jitter_ms'] > 0
     assert 0 <= details['idle_cpu_percent'] < details['cpu_percent'] < 250
+    # Unwatched, it does not hear the camera.
+    assert details['unwatched_cpu_percent'] < details['cpu_percent'] / 2
     assert 20 < details['rss_mb'] < 2000
     stages = details['stages_ms']
     assert 0 < stages['infer']['median'] < stages['total']['median']

@@ -41,7 +41,7 @@ def recorded(growth=0.0, slower=0.0, silent_s=0.0, lost=0, seen=(0, 61), heard=(
         'silent for good', 'silent at first', 'no more images', 'no image at first', 'hangs'])
 def test_trouble_is_found(tmp_path, monkeypatch, trouble, steady):
     recording = recorded(**trouble)
-    monkeypatch.setattr(soak_module, 'run_graph', lambda *_: recording)
+    monkeypatch.setattr(soak_module, 'run_graph', lambda *_, **__: recording)
     result = soak(write_tiny_model(tmp_path / 'tiny.onnx'), SECONDS)
     assert result['steady'] is steady
     assert result['missed'] == recording['sent'] - len(recording['arrivals'])
@@ -56,7 +56,7 @@ def test_trouble_is_found(tmp_path, monkeypatch, trouble, steady):
 
 def test_the_result_of_a_node_that_hangs_is_kept(tmp_path, monkeypatch):
     recording = recorded(seen=(0, 45), heard=(0, 45))
-    monkeypatch.setattr(soak_module, 'run_graph', lambda *_: recording)
+    monkeypatch.setattr(soak_module, 'run_graph', lambda *_, **__: recording)
     out = tmp_path / 'soak.json'
     result = CliRunner().invoke(APP, [
         '--minutes', '1', '--out', str(out), '--model',

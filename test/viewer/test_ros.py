@@ -97,10 +97,11 @@ def test_behind_the_real_node(graph, tmp_path):
                 '-p', f'model:={model}')
     camera = graph.node.create_publisher(Image, '/robot/image', 10)
     process, url = start_viewer(graph)
-    graph.spin_until(lambda: camera.get_subscription_count())
+    graph.spin_until(lambda: graph.node.count_publishers('/robot/wide/image'))
     graph.spin_for(0.5)
-    # Nobody watches yet: the node has no reason to widen for the viewer.
+    # Nobody watches yet: the node has no reason to take images.
     assert graph.node.count_subscribers('/robot/wide/image') == 0
+    assert camera.get_subscription_count() == 0
 
     fields = image_fields(noise_image(SOURCE, 0))
     fields['data'] = array('B', fields['data'].tobytes())

@@ -1,0 +1,86 @@
+"""The base's pose, the transform for tf, odometry of the base: with a stand-in for tf2_ros."""
+from array import array
+
+from box_room import apart, EXPANSION, planar, view, write_box_model
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from live_node import node_beside
+from neo_ros.geometry import CameraPose
+from neo_ros.geometry.camera_pose import T_BODY_OPTICAL
+from neo_ros.messages import image_fields
+from neo_ros.messages.hints import read_pose
+import numpy as np
+import pytest
+from rclpy.lifecycle import TransitionCallbackReturn
+from sensor_msgs.msg import Image
+import tf2_stand_in
+from tf2_stand_in import Buffer, TransformBroadcaster, TransformListener
+
+# The camera 0.2 m before the base and 1.1 m above it, looking ahead.
+T_BASE_CAMERA = T_BODY_OPTICAL.copy()
+T_BASE_CAMERA[:3, 3] = [0.2, 0.0, 1.1]
+STAMP_S = 1_700_000_000
+
+
+@pytest.fixture
+def tf2(monkeypatch):
+    tf2_stand_in.install(monkeypatch)
+
+
+def send(publisher, pose):
+    fields = image_fields(view(pose, EXPANSION.source)[0])
+    message = Image(**(fields | {'data': array('B', bytes(fields['data']))}))
+    message.header.frame_id, message.header.stamp.sec = 'camera_optical', STAMP_S
+    publisher.publish(message)
+
+
+def test_the_base_is_where_the_camera_says(tmp_path, graph, tf2):
+    images = graph.node.create_publisher(Image, '/robot/image', 10)
+    poses = graph.collect(PoseWithCovarianceStamped, '/robot/wide/base_pose')
+    with node_beside(graph, write_box_model(tmp_path), '-p', 'base_frame:=base_link'):
+        graph.spin_until(images.get_subscription_count)
+        graph.spin_for(0.3)
+        send(images, planar(2.1, 1.6, 40))
+        graph.spin_for(1.0)
+        assert not poses  # Nobody has said where the camera is.
+        Buffer.known['base_link', 'camera_optical'] = T_BASE_CAMERA
+        send(images, planar(2.1, 1.6, 40))
+        graph.spin_until(lambda: poses)
+        base = CameraPose.nearest(
+            planar(2.1, 1.6, 40).T_world_cam @ np.linalg.inv(T_BASE_CAMERA))
+        assert apart(read_pose(poses[0].pose.pose), base)[0] < 0.03
+        assert poses[0].header.frame_id == 'map' and poses[0].header.stamp.sec == STAMP_S
+        assert not TransformBroadcaster.sent
+
+
+def test_tf_hears_where_odom_is_in_the_map_though_nobody_subscribes(tmp_path, graph, tf2):
+    T_odom_base = CameraPose.from_planar(0.7, -0.3, 0.0, 0.4).T_world_cam @ np.linalg.inv(
+        T_BODY_OPTICAL)
+    Buffer.known['base_link', 'camera_optical'] = T_BASE_CAMERA
+    images = graph.node.create_publisher(Image, '/robot/image', 10)
+    with node_beside(graph, write_box_model(tmp_path), '-p', 'base_frame:=base_link',
+                     '-p', 'publish_tf:=true') as node:
+        graph.spin_until(images.get_subscription_count)
+        graph.spin_for(0.3)
+        send(images, planar(2.1, 1.6, 40))
+        graph.spin_for(1.0)
+        assert not TransformBroadcaster.sent  # The odometry is silent.
+        Buffer.known['odom', 'base_link'] = T_odom_base
+        send(images, planar(2.1, 1.6, 40))
+        sent = graph.spin_until(lambda: TransformBroadcaster.sent and TransformBroadcaster.sent[0])
+        assert (sent.header.frame_id, sent.child_frame_id) == ('map', 'odom')
+        # Dated ahead: who asks for now finds it.
+        assert (sent.header.stamp.sec, sent.header.stamp.nanosec) == (STAMP_S, 500_000_000)
+        at, turn = sent.transform.translation, sent.transform.rotation
+        T_map_odom = CameraPose.from_quaternion(
+            np.array([at.x, at.y, at.z]),
+            np.array([turn.x, turn.y, turn.z, turn.w])).T_world_cam
+        camera = CameraPose.nearest(T_map_odom @ T_odom_base @ T_BASE_CAMERA)
+        assert apart(camera, planar(2.1, 1.6, 40))[0] < 0.02
+        asked = node._frames._buffer.asked
+        assert ('odom', 'base_link', STAMP_S * 10**9) in asked  # At the image's time.
+        assert ('base_link', 'camera_optical', 0) in asked      # The newest one.
+        assert TransformListener.listening == 1 and graph.node.count_publishers('/tf') == 1
+        for transition in (node.trigger_deactivate, node.trigger_cleanup):
+            assert transition() == TransitionCallbackReturn.SUCCESS
+        assert TransformListener.listening == 0
+        graph.spin_until(lambda: not graph.node.count_publishers('/tf'))
