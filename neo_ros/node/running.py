@@ -38,10 +38,6 @@ class _Stop:
 def run(arguments: Sequence[str] | None = None) -> None:
     """Run the node until SIGINT, SIGTERM or a shutdown of its context."""
     use_large_image_profile()
-    # Threads of numba's loops wait for one another asleep: while they spin, nobody else has their
-    # core, and where other programs want it, too, a frame took six times as long. OpenMP reads it
-    # with the first scene memory.
-    os.environ.setdefault('OMP_WAIT_POLICY', 'PASSIVE')
     arguments = list(sys.argv if arguments is None else arguments)
     if not _can_log():
         print('fov_extrapolator: the folder of the log files cannot be written; logging to the '
