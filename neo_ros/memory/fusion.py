@@ -7,9 +7,10 @@ from neo_ros.memory import colour_kernels as kernels
 from neo_ros.memory.sight import Guide
 import numpy as np
 
-# Gaps are filled from their surroundings, over squares of these sides, pixels: the smallest first,
-# the largest for the gaps in the largest view that a model may have.
-GAPS = (9, 33, 129, 513, 2049)
+# Gaps are filled from their surroundings in a picture so many times smaller, over squares of these
+# sides in its pixels: the smallest first, the largest for the gaps in the largest view that a model
+# may have.
+SHRUNK, GAPS = 4, (3, 9, 33, 129, 513)
 
 
 @dataclass(frozen=True)
@@ -22,9 +23,11 @@ class FusionThresholds:
     rooms and a kitchen that the memory was not made of.
     """
 
-    # The difference between image and guide is smoothed over blocks of so many pixels, and carried
-    # over the seam as far as this share of the image's width.
+    # The difference between image and guide is smoothed over blocks of so many pixels at least, at
+    # most so many blocks across the wide view, and carried over the seam as far as this share of
+    # the width.
     block: int = 8
+    blocks: int = 64
     reach: float = 0.12
     # Grey levels of difference that are healed at most: beyond, somebody stands in the image.
     most_healed: float = 24.0
@@ -91,7 +94,8 @@ def _carried_outward(image: np.ndarray, guide: Guide, expansion: ViewExpansion,
     differences let expect, float32 (H, W), which does not fade.
     """
     rows, columns = expansion.observed
-    target, block = expansion.target, thresholds.block
+    target = expansion.target
+    block = max(thresholds.block, target.width // thresholds.blocks)
     coarse = np.empty((-(-target.height // block), -(-target.width // block), 5), np.float32)
     kernels.average_differences(image, guide.image, guide.known, (rows.start, columns.start),
                                 block, np.float32(thresholds.most_healed), coarse)
@@ -126,8 +130,13 @@ def _slope(image: np.ndarray) -> np.ndarray:
 
 def _filled(image: np.ndarray, known: np.ndarray) -> np.ndarray:
     """Fill what is not known, bool (H, W), with the mean of the known colours around it."""
-    result, weight = image.astype(np.float32), known.astype(np.float32)
-    result *= weight[..., None]
+    height, width = known.shape
+    small = (-(-width // SHRUNK), -(-height // SHRUNK))
+    seen = cv2.bitwise_and(image, image, mask=known.view(np.uint8)).astype(np.float32)
+    result = cv2.resize(seen, small, interpolation=cv2.INTER_AREA)
+    weight = cv2.resize(known.astype(np.float32), small, interpolation=cv2.INTER_AREA)
+    result /= np.maximum(weight, 1e-6)[..., None]
+    weight = (weight > 0).astype(np.float32)
     for side in GAPS:
         if weight.all():
             break
@@ -136,4 +145,6 @@ def _filled(image: np.ndarray, known: np.ndarray) -> np.ndarray:
         colours = cv2.blur(result, (side, side))
         result[gap] = colours[gap] / around[gap][:, None]
         weight[gap] = 1
-    return np.clip(result + 0.5, 0, 255).astype(np.uint8)
+    filled, unknown = image.copy(), ~known
+    filled[unknown] = cv2.resize(result, (width, height))[unknown] + 0.5
+    return filled
