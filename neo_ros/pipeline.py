@@ -33,7 +33,7 @@ from neo_ros.training.checks import check_training
 from neo_ros.training.folder import claim, drop_made_of_a_field, take_field
 from neo_ros.training.memory import memory_step, name_memory
 from neo_ros.training.report import Scoring, write_training_report
-from neo_ros.training.run import LEAST_PHOTOS, TrainingRun
+from neo_ros.training.run import TrainingRun
 from neo_ros.training.time_plan import (
     plan_training, read_plan, share_network_minutes, TimeLeft)
 from neo_ros.training.views import (
@@ -185,7 +185,7 @@ def export_step(run: TrainingRun, network: nn.Module,
         factor = calibration_factor(network, run.expansion, held_out)
     else:
         run.progress('without calibration', 0, 1, 'no photo is held out of fewer than '
-                     f'{LEAST_PHOTOS}: how true the confidence is, nobody measured')
+                     f'{run.hold_out.least_photos}: how true the confidence is, nobody measured')
     function = export_onnx(network, run.expansion, path, factor)
     # Until it is measured, the card says the worst of the export.
     card = ModelCard(

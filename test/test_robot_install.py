@@ -34,7 +34,8 @@ ROOMS = ('machine', 'pictures', 'geometry', 'memory', 'runtime', 'messages', 'ba
 # own name. All are keys of Ubuntu 24.04 in rosdep/base.yaml and python.yaml of ros/rosdistro, or
 # packages of Jazzy (looked up in August 2026). None: no key, and only some robots need it.
 KEYS = {
-    'aiohttp': 'python3-aiohttp', 'av': None, 'cv2': 'python3-opencv', 'jinja2': 'python3-jinja2',
+    'OpenEXR': None, 'aiohttp': 'python3-aiohttp', 'av': None, 'cv2': 'python3-opencv',
+    'jinja2': 'python3-jinja2',
     'lz4': 'mcap-ros2-support', 'matplotlib': 'python3-matplotlib', 'mcap': 'mcap-ros2-support',
     'mcap_protobuf': None, 'numba': 'python3-numba', 'numpy': 'python3-numpy', 'onnx': None,
     'onnxruntime': 'python3-onnxruntime-pip', 'pillow_heif': None, 'rich': 'python3-rich',

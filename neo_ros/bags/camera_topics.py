@@ -76,12 +76,15 @@ def find_camera(reader: BagReader, source: Intrinsics, name: str | None,
     fitting = [topic for topic, size in sizes.items() if size == wanted or name is not None]
     fitting = fitting or [topic for topic in sizes if find_info_topic(reader, topic) is not None]
     fitting = without_copies(fitting)
+    if not sizes:
+        raise BagError(f'{reader.path}: expected camera images, got '
+                       f'{describe_unread(reader.topics) or describe_topics(reader.topics)}')
     if len(fitting) != 1:
         found = ', '.join(f'{topic.name} ({size[0]}x{size[1]})' if size else topic.name
                           for topic, size in sizes.items())
         raise BagError(
             f'{reader.path}: expected one image topic of {source.width}x{source.height} pixels '
-            f'as the model takes, got {found or describe_topics(reader.topics)}; name one with '
+            f'as the model takes, got {found}; name one with '
             '--image-topic')
     image, = fitting
     info = find_info_topic(reader, image, info_name)

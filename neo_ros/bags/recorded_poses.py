@@ -24,6 +24,9 @@ SPARE_TYPES = (PATH, POSE_ARRAY)
 BASE = 'base_link'
 # What --pose-topic says for structure from motion; no topic has this name.
 NO_POSES = 'none'
+_STOOD_STILL = (
+    '%s: %s never moves in %s, and there is no other pose: the bag is taken for one without '
+    'poses; if the camera stood still all the time, --pose-topic %s')
 
 
 @dataclass(frozen=True)
@@ -167,18 +170,13 @@ def find_pose_source(path: Path, recorded: RecordedPoses, camera: str, wanted: s
         return None
     recorded.finish()
     tree, tf = recorded.tree, topics.tf
-    poses = [topic for topic in topics.poses if not recorded.crowded[topic.name]]
-    notes += [f'{topic.name} is not read: expected one pose a message, got arrays of others'
-              for topic in topics.poses if recorded.crowded[topic.name]]
+    poses = _readable(topics.poses, recorded, notes)
     by_tf = wanted in (TF, tf)
     if T_base_camera is not None:
         _mount(path, recorded, camera, T_base_camera, poses, by_tf or wanted is None, notes)
     chain, fault = tree.ancestors(camera)
     if fault and (by_tf or wanted is None and tree.moving):
         raise BagError(f'{path}: {tf}: {fault}{_choice(poses)}')
-    lost = tree.invalid + recorded.invalid
-    if lost:
-        notes.append(f'{lost} poses are not finite or no rotation and are left out')
     on_tf = any(frame in tree.moving for frame in chain)
     bodies = {topic.name: _body(recorded, topic.name, chain, fault) for topic in poses}
     # What moves below the body, as a pan joint does, does not say where the body is.
@@ -190,10 +188,7 @@ def find_pose_source(path: Path, recorded: RecordedPoses, camera: str, wanted: s
     if by_tf or not poses:
         _refuse_lost_transforms(path, tree, camera, chain, topics, by_tf, poses)
         if on_tf:
-            logger.warning(
-                '%s: %s never moves in %s, and there is no other pose: the bag is taken for one '
-                'without poses; if the camera stood still all the time, --pose-topic %s',
-                path, camera, tf, tf)
+            logger.warning(_STOOD_STILL, path, camera, tf, tf)
         notes.append('the bag has no poses: structure from motion')
         return None
     if len(poses) > 1:
@@ -206,9 +201,24 @@ def find_pose_source(path: Path, recorded: RecordedPoses, camera: str, wanted: s
             f'transform with --base-to-camera')
         raise BagError(f'{path}: {lack}{_choice([])}')
     notes.append(f'poses from {name}, taken as poses of {body or "the camera"}')
+    return PoseChoice(name, _mounted_on(name, body, recorded, chain))
+
+
+def _readable(poses: list[BagTopic], recorded: RecordedPoses, notes: list[str]) -> list[BagTopic]:
+    """Return the topics of one pose a message; note which are not, and what was no pose."""
+    notes += [f'{topic.name} is not read: expected one pose a message, got arrays of others'
+              for topic in poses if recorded.crowded[topic.name]]
+    lost = recorded.tree.invalid + recorded.invalid
+    if lost:
+        notes.append(f'{lost} poses are not finite or no rotation and are left out')
+    return [topic for topic in poses if not recorded.crowded[topic.name]]
+
+
+def _mounted_on(name: str, body: str, recorded: RecordedPoses, chain: list[str]) -> PoseSource:
+    """Lead from the camera up its chain to a body, and from there by the body's poses."""
     below = chain[:chain.index(body) + 1]
-    return PoseChoice(name, PoseSource(
-        [*tree.steps(below), (name, recorded.tracks.get(name, PoseTrack()))]))
+    return PoseSource(
+        [*recorded.tree.steps(below), (name, recorded.tracks.get(name, PoseTrack()))])
 
 
 def _is_static(name: str) -> bool:

@@ -18,7 +18,7 @@ from neo_ros.bags.topic import BagTopic
 from neo_ros.bags.writing import BagWriter
 from neo_ros.errors import BagError, ImageRejected
 from neo_ros.geometry import ViewExpansion
-from neo_ros.machine.progress import Progress
+from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.messages import camera_info_of, FrameProcessor, image_fields, read_image
 from neo_ros.messages.image_reader import ImageReader
 from neo_ros.messages.memory_messages import MEMORY_OUTPUTS, MemorySettings
@@ -63,8 +63,7 @@ class _Decoded(NamedTuple):
 def replay(bag: Path | str, extrapolator: FovExtrapolator, out: Path | str,
            image_topic: str | None = None, truth_topic: str | None = None, copy: bool = True,
            section: Section = Section(), rectify: bool = False, on_frame: OnImages | None = None,
-           on_pair: OnImages | None = None,
-           on_progress: Progress | None = None,
+           on_pair: OnImages | None = None, on_progress: Progress = no_progress,
            outputs: Collection[str] = DEFAULT_OUTPUTS,
            info_topic: str | None = None) -> ReplayResult:
     """
@@ -99,31 +98,28 @@ def replay(bag: Path | str, extrapolator: FovExtrapolator, out: Path | str,
                           extrapolator.expansion, camera, truth, result)
             run.write_memory(outputs, extrapolator.card)
             run.every, run.on_frame, run.on_pair = section.every, on_frame, on_pair
-            copied = [topic for topic in reader.topics if topic.name not in run.outputs]
-            for topic in copied if copy else ():
-                writer.copy_topic(topic)
             if copy:
-                _copy_beside(reader, writer)
+                _copy_all_but_messages(reader, writer, run.outputs)
             total = round(reader.message_count * share)
             messages = _messages(reader, camera, truth, start_ns, stop_ns)
             for done, entry in enumerate(read_ahead(messages), 1):
-                message = entry.message
-                late = message.stamp_ns >= start_ns
-                if copy and not run.replaces(message) and (
-                        late or message.topic.latched):
-                    behind.submit(writer.copy, message, max(message.stamp_ns, start_ns))
+                if copy:
+                    run.copy(entry.message, start_ns)
                 run.take(entry)
-                if on_progress is not None:
-                    on_progress(done if section.is_all else min(done, total - 1), total)
-            if on_progress is not None and not section.is_all:
+                on_progress(done if section.is_all else min(done, total - 1), total)
+            if not section.is_all:
                 on_progress(total, total)
         result.damages = reader.damages
     result.wall_seconds = time.perf_counter() - started
     return result
 
 
-def _copy_beside(reader: BagReader, writer: BagWriter) -> None:
-    """Copy what lies beside the messages of MCAP files."""
+def _copy_all_but_messages(reader: BagReader, writer: BagWriter, replaced: Collection[str]
+                           ) -> None:
+    """Copy the topics that are not replaced, and what lies beside messages in MCAP files."""
+    for topic in reader.topics:
+        if topic.name not in replaced:
+            writer.copy_topic(topic)
     for attachment in reader.attachments():
         writer.add_attachment(attachment)
     for record in reader.metadata():
@@ -199,7 +195,13 @@ class _Replay:
         self._memory = ReplayOutputs(bag_maker(self._types), names, settings, self._submit,
                                      card.memory is not None)
 
-    def replaces(self, message: BagMessage) -> bool:
+    def copy(self, message: BagMessage, start_ns: int) -> None:
+        """Copy a message, unless it is replaced; from before the section the latched ones."""
+        if not self._replaces(message) and (
+                message.stamp_ns >= start_ns or message.topic.latched):
+            self._behind.submit(self._writer.copy, message, max(message.stamp_ns, start_ns))
+
+    def _replaces(self, message: BagMessage) -> bool:
         """Tell whether a message says what this replay says anew."""
         if message.topic.name == DIAGNOSTICS:
             return self._diagnosed in bytes(message.cdr)

@@ -19,12 +19,17 @@ from neo_ros.geometry import CameraPose
 from neo_ros.runtime import FovExtrapolator
 import numpy as np
 
-CHANGED = 25.0      # grey levels, mean of the channels: more is another thing, not another shade
-NEAR_SEAM = 0.125   # of the camera's width: how far from the seam the ring is looked at
-LEAST_PIXELS = 8    # that a change has at either side of the seam
-NEAREST = 0.8       # metres that the camera keeps off a moved chair
-# Of the walks: others than the test walks (0), on which settings of the memory were looked at.
-WALK_SEED = 1
+
+@dataclass(frozen=True)
+class ChangeRules:
+    """What counts as a change, and where it is looked at."""
+
+    changed: float = 25.0      # grey levels, mean of the channels: more is another thing
+    near_seam: float = 0.125   # of the camera's width: how far from the seam the ring counts
+    least_pixels: int = 8      # that a change has at either side of the seam
+    nearest: float = 0.8       # metres that the camera keeps off a moved chair
+    # Of the walks: others than the test walks (0), on which settings of the memory were looked at.
+    walk_seed: int = 1
 
 
 @dataclass(frozen=True)
@@ -47,26 +52,28 @@ class ChangeScores:
     auroc: float
 
 
-def score_change(extrapolator: FovExtrapolator, walks: list[list[CameraPose]]) -> ChangeScores:
+def score_change(extrapolator: FovExtrapolator, walks: list[list[CameraPose]],
+                 rules: ChangeRules = ChangeRules()) -> ChangeScores:
     """Widen the walks before and after the chairs are moved; ValueError where none is crossed."""
     before = build_demo_flat()
     after = with_chairs_moved(before)
-    pairs = list(zip(_walk(extrapolator, before, walks), _walk(extrapolator, after, walks)))
+    pairs = list(zip(*(_walk(extrapolator, flat, walks, rules.nearest)
+                       for flat in (before, after))))
     expansion = extrapolator.expansion
     ring = expansion.extrapolated_mask
-    near = _near_seam(expansion.observed, ring.shape, NEAR_SEAM * expansion.source.width)
+    near = _near_seam(expansion.observed, ring.shape, rules.near_seam * expansion.source.width)
     rows, shares, confidence, ranked = [], [], [], []
     for (truth, wide, sure, _), (new_truth, new_wide, new_sure, guided) in pairs:
-        changed = np.abs(new_truth.astype(float) - truth).mean(-1) > CHANGED
+        changed = np.abs(new_truth.astype(float) - truth).mean(-1) > rules.changed
         sides = (changed & near & ring, changed & near & ~ring)
-        if min(side.sum() for side in sides) < LEAST_PIXELS:
+        if min(side.sum() for side in sides) < rules.least_pixels:
             continue
         same, outside = ring & ~changed, ring & changed
         rows.append((guided, psnr(truth[same], wide[same]), psnr(new_truth[same], new_wide[same]),
                      psnr(new_truth[outside], new_wide[outside])))
-        wrong = sides[0] & (np.abs(new_wide.astype(float) - new_truth).mean(-1) > CHANGED)
+        wrong = sides[0] & (np.abs(new_wide.astype(float) - new_truth).mean(-1) > rules.changed)
         shares.append(wrong.sum() / sides[0].sum())
-        if wrong.sum() < LEAST_PIXELS:
+        if wrong.sum() < rules.least_pixels:
             continue
         confidence.append((sure[wrong].mean(), new_sure[wrong].mean()))
         ranked.append(auroc(255.0 - new_sure[wrong], 255.0 - new_sure[near & same]))
@@ -80,15 +87,15 @@ def score_change(extrapolator: FovExtrapolator, walks: list[list[CameraPose]]) -
                         float(np.mean(ranked or np.nan)))
 
 
-def _walk(extrapolator: FovExtrapolator, flat: DemoFlat, walks: list[list[CameraPose]]
-          ) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, bool]]:
+def _walk(extrapolator: FovExtrapolator, flat: DemoFlat, walks: list[list[CameraPose]],
+          nearest: float) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, bool]]:
     """Return truth, wide image, confidence and whether it was guided, of all frames in order."""
     moved = np.array([np.add(place, by) for place, _, by in MOVED_CHAIRS])
     frames = []
     for walk in walks:
         extrapolator.reset()
         for pose in walk:
-            if np.linalg.norm(moved - pose.position[:2], axis=1).min() < NEAREST:
+            if np.linalg.norm(moved - pose.position[:2], axis=1).min() < nearest:
                 continue
             truth = flat.render(extrapolator.expansion.target, pose)[0]
             wide = extrapolator.expand(np.ascontiguousarray(extrapolator.expansion.crop(truth)))
@@ -110,7 +117,8 @@ def main() -> None:
     if len(sys.argv) != 2:
         sys.exit('usage: python -m neo_ros.benchmark.changed_scene MODEL.onnx')
     extrapolator = FovExtrapolator.load(Path(sys.argv[1]))
-    scores = score_change(extrapolator, walking_paths(build_demo_flat(), 8, 25, WALK_SEED))
+    walks = walking_paths(build_demo_flat(), 8, 25, ChangeRules().walk_seed)
+    scores = score_change(extrapolator, walks)
     print(json.dumps(asdict(scores), indent=1))
 
 

@@ -5,7 +5,7 @@ It learns from the original photos, resized to the wide frame, with their own mi
 At the square protocol the photos' field of view is not the wide one: that mismatch is B1's
 nature (paper, section 4.2).
 """
-from dataclasses import replace
+from dataclasses import dataclass, replace
 import time
 from typing import Any
 
@@ -15,20 +15,26 @@ from neo_ros.outpaint.fitting import OutpaintTrainer
 from neo_ros.pipeline import export_step
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.training.checkpoint import train_with_checkpoints
-from neo_ros.training.run import LEAST_PHOTOS, TrainingRun
+from neo_ros.training.run import TrainingRun
 import numpy as np
 import torch
 
-ZOOM = 0.85      # photos are cut to between this share of their size and all of it
-VALIDATIONS = 40
-PATIENCE = 10    # validations without a better score until the training ends
+
+@dataclass(frozen=True)
+class NaiveRules:
+    """How B1 learns from photos alone; chosen by measuring."""
+
+    zoom: float = 0.85      # photos are cut to between this share of their size and all of it
+    validations: int = 40   # twice NEO's: the best of them is exported
+    patience: int = 10      # validations without a better score until the training ends
 
 
 class ResizedPhotos:
     """An endless, seeded stream of photos as wide views: RGBA uint8, everything seen."""
 
-    def __init__(self, photos: PosedImages, width: int, height: int, seed: int) -> None:
-        self.size, self.seed = (width, height), seed
+    def __init__(self, photos: PosedImages, width: int, height: int, seed: int,
+                 rules: NaiveRules = NaiveRules()) -> None:
+        self.size, self.seed, self.zoom = (width, height), seed, rules.zoom
         self.images = [as_wide(photos, index, width, height) for index in range(len(photos))]
 
     def batch(self, step: int, size: int) -> torch.Tensor:
@@ -40,14 +46,14 @@ class ResizedPhotos:
 
     def _cut(self, image: np.ndarray, random: np.random.Generator) -> np.ndarray:
         width, height = self.size
-        share = random.uniform(ZOOM, 1)
+        share = random.uniform(self.zoom, 1)
         w, h = max(round(share * width), 1), max(round(share * height), 1)
         x, y = random.integers(width - w + 1), random.integers(height - h + 1)
         cut = cv2.resize(image[y:y + h, x:x + w], self.size, interpolation=cv2.INTER_LINEAR)
         return opaque(cut)
 
 
-def train_naive(run: TrainingRun) -> None:
+def train_naive(run: TrainingRun, rules: NaiveRules = NaiveRules()) -> None:
     """
     Train B1 into `run.out` and export it as the run's model file.
 
@@ -55,26 +61,27 @@ def train_naive(run: TrainingRun) -> None:
     are exported; the training ends early where it only overfits. A broken-off run goes on.
     """
     if run.held_out is None:
-        raise ConfigError(f'naive: expected at least {LEAST_PHOTOS} photos, so that one is held '
-                          f'out, {run.scene.name} has {len(run.scene.train)}; leave naive out '
-                          'of --methods')
+        raise ConfigError(f'naive: expected at least {run.hold_out.least_photos} photos, so that '
+                          f'one is held out, {run.scene.name} has {len(run.scene.train)}; leave '
+                          'naive out of --methods')
     target, experiment = run.network_expansion.target, run.experiment
     held_out = np.stack([opaque(as_wide(run.held_out, index, target.width, target.height))
                          for index in range(len(run.held_out))])
     started = time.monotonic()
     trainer = OutpaintTrainer(
         run.network_expansion, experiment.network,
-        replace(experiment.outpaint, validations=VALIDATIONS, real_centre=0.0),
+        replace(experiment.outpaint, validations=rules.validations, real_centre=0.0),
         experiment.seed, held_out)
     # The trainer's clock runs: what comes before the first step is part of its time, as NEO's is.
-    stream = ResizedPhotos(run.fitted, target.width, target.height, experiment.seed)
+    stream = ResizedPhotos(run.fitted, target.width, target.height, experiment.seed,
+                           rules)
     run.seconds += time.monotonic() - started
     kept: dict[str, Any] = {'best': {
         'psnr': -np.inf, 'at': 0, 'weights': trainer.averaged.state_dict()}}
 
     def done() -> tuple[int, int]:
         step, total = trainer.done
-        overfits = len(trainer.validation) - kept['best']['at'] >= PATIENCE
+        overfits = len(trainer.validation) - kept['best']['at'] >= rules.patience
         return step, step if overfits else total
 
     def learn() -> None:

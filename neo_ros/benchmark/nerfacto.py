@@ -19,6 +19,7 @@ nerfstudio asks for hundreds of packages; these are what its nerfacto needs besi
         typeguard torchmetrics lightning-utilities gsplat viser splines msgspec websockets
 """
 from collections.abc import Callable
+from dataclasses import dataclass
 import time
 from typing import Any
 
@@ -37,22 +38,29 @@ import numpy as np
 import torch
 from torch import nn
 
-# nerfstudio's default is 4096 rays a step, for a GPU; on two cores a minute would be 10 steps.
-RAYS = 1024
-NEAR, FAR = 0.05, 1000.0     # in units of the scene, whose cameras lie within [-1, 1]
-PROPOSALS = ({'max_res': 128}, {'max_res': 256})
-LEARNING_RATE, LAST_RATE = 1e-2, 1e-4
-DISTORTION = 0.002
-ANNEAL_STEPS = 1000          # as nerfacto does it, or half of a training that has fewer
-SLOPE = 10.0
-EVAL_RAYS = 8192
+
+@dataclass(frozen=True)
+class NerfactoRules:
+    """How nerfacto is trained; nerfstudio's defaults, but for the rays of a step."""
+
+    rays: int = 1024             # 4096 are for a GPU: on two cores a minute would be 10 steps
+    near: float = 0.05           # in units of the scene, whose cameras lie within [-1, 1]
+    far: float = 1000.0
+    proposals: tuple[int, int] = (128, 256)  # their finest grids
+    learning_rate: float = 1e-2
+    last_rate: float = 1e-4
+    distortion: float = 0.002
+    anneal_steps: int = 1000     # or half of a training that has fewer
+    slope: float = 10.0          # of the annealing
+    eval_rays: int = 8192        # at a time, which bounds the memory
 
 
 class Nerfacto(nn.Module):
     """Field, proposal networks and sampler; poses are scaled as nerfstudio scales them."""
 
-    def __init__(self, T_world_cam: np.ndarray) -> None:
+    def __init__(self, T_world_cam: np.ndarray, rules: NerfactoRules = NerfactoRules()) -> None:
         super().__init__()
+        self.rules = rules
         positions = T_world_cam[:, :3, 3]
         self.middle = positions.mean(0)
         self.scale = 1 / float(np.abs(positions - self.middle).max())
@@ -63,7 +71,7 @@ class Nerfacto(nn.Module):
             spatial_distortion=contraction, implementation='torch')
         self.proposals = nn.ModuleList(HashMLPDensityField(
             box, spatial_distortion=contraction, hidden_dim=16, log2_hashmap_size=17,
-            num_levels=5, implementation='torch', **sizes) for sizes in PROPOSALS)
+            num_levels=5, implementation='torch', max_res=size) for size in rules.proposals)
         self.sampler = ProposalNetworkSampler(
             num_nerf_samples_per_ray=48, num_proposal_samples_per_ray=(256, 96),
             num_proposal_network_iterations=2, single_jitter=True,
@@ -77,7 +85,8 @@ class Nerfacto(nn.Module):
             origins=torch.from_numpy((origins - self.middle) * self.scale).float(),
             directions=torch.from_numpy(directions).float(),
             pixel_area=torch.ones(count, 1), camera_indices=torch.zeros(count, 1).long(),
-            nears=torch.full((count, 1), NEAR), fars=torch.full((count, 1), FAR))
+            nears=torch.full((count, 1), self.rules.near),
+            fars=torch.full((count, 1), self.rules.far))
         samples, weights, levels = self.sampler(
             rays, density_fns=[network.density_fn for network in self.proposals])
         shown = self.field.forward(samples)
@@ -87,27 +96,28 @@ class Nerfacto(nn.Module):
 
 
 def fit_nerfacto(run: TrainingRun, seconds: float, stage: str,
+                 rules: NerfactoRules = NerfactoRules(),
                  ) -> tuple[Callable[[Intrinsics, CameraPose], np.ndarray], dict[str, Any]]:
     """Train for so many seconds; returns what renders it, with its steps and minutes."""
     torch.manual_seed(run.experiment.seed)
     scale = run.experiment.scale
     images, usable = run.fitted.read_images(scale), run.fitted.read_all_usable(scale)
     camera, poses = run.fitted.intrinsics.scaled(scale), run.fitted.T_world_cam
-    model = Nerfacto(poses)
-    optimiser = torch.optim.Adam(model.parameters(), LEARNING_RATE, eps=1e-15)
+    model = Nerfacto(poses, rules)
+    optimiser = torch.optim.Adam(model.parameters(), rules.learning_rate, eps=1e-15)
     random = np.random.default_rng(run.experiment.seed)
     started, step, share = time.monotonic(), 0, 0.0
     while share < 1:
         for group in optimiser.param_groups:
-            group['lr'] = LEARNING_RATE * (LAST_RATE / LEARNING_RATE) ** share
+            group['lr'] = rules.learning_rate * (rules.last_rate / rules.learning_rate) ** share
         # Mip-NeRF 360, equation 18: the proposals' weights are sharpened slowly.
-        part = min(step / ANNEAL_STEPS, 2 * share, 1.0)
-        model.sampler.set_anneal(SLOPE * part / ((SLOPE - 1) * part + 1))
-        target, origins, directions = _draw(images, usable, camera, poses, random)
+        part = min(step / rules.anneal_steps, 2 * share, 1.0)
+        model.sampler.set_anneal(rules.slope * part / ((rules.slope - 1) * part + 1))
+        target, origins, directions = _draw(images, usable, camera, poses, random, rules.rays)
         shown = model(origins, directions)
         error = ((shown['rgb'] - target) ** 2).mean()
         loss = (error + interlevel_loss(shown['weights'], shown['levels'])
-                + DISTORTION * distortion_loss(shown['weights'], shown['levels']))
+                + rules.distortion * distortion_loss(shown['weights'], shown['levels']))
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
@@ -122,10 +132,10 @@ def fit_nerfacto(run: TrainingRun, seconds: float, stage: str,
 
 
 def _draw(images: np.ndarray, usable: np.ndarray | None, camera: Intrinsics,
-          T_world_cam: np.ndarray, random: np.random.Generator
+          T_world_cam: np.ndarray, random: np.random.Generator, rays: int,
           ) -> tuple[torch.Tensor, np.ndarray, np.ndarray]:
     """Draw pixels that show the scene: colours (N, 3) in [0, 1], origins, directions (N, 3)."""
-    photo, row, column = draw_usable(random, RAYS, images.shape[:3], usable)
+    photo, row, column = draw_usable(random, rays, images.shape[:3], usable)
     directions = camera.pixel_rays()[row, column]
     directions = np.einsum('nij,nj->ni', T_world_cam[photo, :3, :3], directions)
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
@@ -138,5 +148,5 @@ def _render(model: Nerfacto, view: Intrinsics, pose: CameraPose) -> np.ndarray:
     directions = view.pixel_rays().reshape(-1, 3) @ pose.T_world_cam[:3, :3].T
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
     parts = [model(np.broadcast_to(pose.position, part.shape), part)['rgb'].numpy()
-             for part in np.array_split(directions, -(-len(directions) // EVAL_RAYS))]
+             for part in np.array_split(directions, -(-len(directions) // model.rules.eval_rays))]
     return np.concatenate(parts).reshape(view.height, view.width, 3)

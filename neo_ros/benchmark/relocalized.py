@@ -25,10 +25,7 @@ class RelocalizationRules:
     ratio: float = 0.9        # of the best to the second distance of descriptors
     pnp_pixels: float = 2.0   # from the projection of its point, for a match to be an inlier
     least_inliers: int = 8    # with fewer, the pose counts as not found
-
-
-# Of a pixel, that some photo saw.
-LEAST_COVERAGE = 0.5
+    least_coverage: float = 0.5  # of a pixel, by what photos saw; else B1 paints it
 
 
 class Localization(NamedTuple):
@@ -148,7 +145,8 @@ class RelocalizedNeo(Relocalized):
         if self.last.failed:
             return made_up
         shown, coverage = self.view.show(narrow_image, self.last.pose)
-        unseen = (coverage < LEAST_COVERAGE) & self.expansion.extrapolated_mask
+        least = self.relocalizer.rules.least_coverage
+        unseen = (coverage < least) & self.expansion.extrapolated_mask
         shown[unseen] = made_up[unseen]
         return shown
 

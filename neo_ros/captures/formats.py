@@ -1,6 +1,7 @@
 """Tell the format of a capture by the files that are there."""
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from enum import Enum
+from itertools import islice
 from pathlib import Path
 
 from neo_ros.captures.capture import Capture
@@ -17,6 +18,7 @@ from neo_ros.captures.tum import is_tum, read_tum
 from neo_ros.captures.unread import find_unread
 from neo_ros.captures.video import VIDEO_SUFFIXES
 from neo_ros.errors import SceneError
+from neo_ros.machine.names import listed
 from neo_ros.pictures.photo import PHOTO_SUFFIXES
 
 
@@ -59,6 +61,8 @@ FOLDER_OPTIONS = {
     'camera_info': (CaptureFormat.TUM, CaptureFormat.EUROC, CaptureFormat.TRAJECTORY,
                     CaptureFormat.BAG, CaptureFormat.PHOTOS, CaptureFormat.VIDEO),
 }
+# Folders below one without a capture that are looked at.
+SEARCHED = 500
 _BAG_SUFFIXES = ('.mcap', '.db3', '.mcap.zstd', '.db3.zstd')
 
 
@@ -89,7 +93,39 @@ def detect_format(source: Path) -> CaptureFormat:
                          f'({", ".join(VIDEO_SUFFIXES)})')
     if not source.is_dir():
         raise SceneError(f'{source}: no such file or folder (and not the word "demo")')
-    for found, format_ in (
+    format_ = _recognised(source)
+    if format_ is not None:
+        return format_
+    unread, photos = find_unread(source), find_photos(source)
+    if unread:
+        raise SceneError(f'{source}: no poses that can be read, but files that look like some: '
+                         f'{unread}. To compute others instead: --format photos')
+    if photos:
+        return CaptureFormat.PHOTOS
+    if not any(source.iterdir()):
+        raise SceneError(f'{source}: the folder is empty')
+    below = [f'{folder} ({format_.value})' for folder in islice(_folders_below(source), SEARCHED)
+             if (format_ := _recognised(folder))]
+    if below:
+        raise SceneError(f'{source}: no capture here, but below; expected one of these as '
+                         f'SOURCE: {listed(below)}')
+    raise SceneError(
+        f'{source}: no capture found; looked for transforms_train.json, transforms.json, a COLMAP '
+        'model (cameras.bin or .txt), color/ with pose/ (ScanNet), frame-*.color.png '
+        '(7-Scenes), groundtruth.txt (TUM RGB-D), mav0/ (EuRoC), metadata.json (Record3D), '
+        'keyframes/ (Polycam), traj.txt, a bag (.mcap, .db3) and photos ('
+        f'{", ".join(PHOTO_SUFFIXES)})')
+
+
+def _folders_below(source: Path) -> Iterator[Path]:
+    """Yield the folders that one may have meant: an archive often holds one more."""
+    for depth in range(1, 4):
+        yield from (path for path in sorted(source.glob('/'.join('*' * depth))) if path.is_dir())
+
+
+def _recognised(source: Path) -> CaptureFormat | None:
+    """Return the format that the files of a folder tell, but for photos without poses."""
+    return next((format_ for found, format_ in (
             ((source / 'transforms_train.json').is_file(), CaptureFormat.SCENE),
             ((source / TRANSFORMS_FILE).is_file(), CaptureFormat.TRANSFORMS),
             (find_model(source) is not None, CaptureFormat.COLMAP),
@@ -101,20 +137,4 @@ def detect_format(source: Path) -> CaptureFormat:
             (find_keyframes(source) is not None, CaptureFormat.POLYCAM),
             ((source / TRAJECTORY_FILE).is_file(), CaptureFormat.TRAJECTORY),
             (any(next(source.glob(f'*{suffix}'), None) for suffix in _BAG_SUFFIXES),
-             CaptureFormat.BAG)):
-        if found:
-            return format_
-    unread, photos = find_unread(source), find_photos(source)
-    if unread:
-        raise SceneError(f'{source}: no poses that can be read, but files that look like some: '
-                         f'{unread}. To compute others instead: --format photos')
-    if photos:
-        return CaptureFormat.PHOTOS
-    if not any(source.iterdir()):
-        raise SceneError(f'{source}: the folder is empty')
-    raise SceneError(
-        f'{source}: no capture found; looked for transforms_train.json, transforms.json, a COLMAP '
-        'model (cameras.bin or .txt), color/ with pose/ (ScanNet), frame-*.color.png '
-        '(7-Scenes), groundtruth.txt (TUM RGB-D), mav0/ (EuRoC), metadata.json (Record3D), '
-        'keyframes/ (Polycam), traj.txt, a bag (.mcap, .db3) and photos ('
-        f'{", ".join(PHOTO_SUFFIXES)})')
+             CaptureFormat.BAG)) if found), None)

@@ -107,6 +107,12 @@ MINUTES = (
     Column('SSIM', 'ring_ssim', RATIO), Column('network alone, dB', 'network_ring_psnr', DB),
     Column('oracle, dB', 'oracle_ring_psnr', DB), Column('memory, MB', 'memory_mb', '{:.1f}'),
     Column('model, MB', 'model_mb', '{:.1f}'), Column('resident, GB', 'resident_gb', '{:.1f}'))
+IMPORTS = (
+    Column('capture', 'capture'), Column('images', 'frames', '{:,}'),
+    Column('photos in the scene', 'photos', '{:,}'),
+    Column('peak memory, MB', 'peak_mb', '{:.0f}'),
+    Column('minutes of the processor', 'cpu_minutes', '{:.1f}'),
+    Column('minutes', 'minutes', '{:.1f}'))
 BUILDING = (
     Column('rooms', 'layout'), Column('search', 'search'), Column('searches', 'searches'),
     Column('wrong place believed', 'wrong_places'), Column('ambiguous', 'ambiguous'),
@@ -127,7 +133,8 @@ TABLES: dict[str, Rows] = {
     'geometry_pose': Rows('geometry', GEOMETRY_POSE),
     'geometry_depth': Rows('geometry', GEOMETRY_DEPTH,
                            lambda row: row['depth_error_median'] is not None),
-    'building': Rows('building', BUILDING), 'minutes': Rows('minutes', MINUTES),
+    'imports': Rows('imports', IMPORTS), 'building': Rows('building', BUILDING),
+    'minutes': Rows('minutes', MINUTES),
     'hard_times': Rows('hard_times', HARD), 'out_of_scene': Rows('out_of_scene', OUTSIDE),
 }
 # Over all scenes of a suite: the key of a row, its format and a factor.

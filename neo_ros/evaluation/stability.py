@@ -5,6 +5,7 @@ Warping error as in Lai et al. (ECCV 2018): the last wide image is brought to th
 the true motion; what then differs was not steady. Depth and poses are the truth's, not a flow.
 """
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from zipfile import BadZipFile
 
@@ -16,11 +17,19 @@ from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.pictures.filling import sample_pixels
 import numpy as np
 
-# A point counts as hidden in the last frame if something is nearer there by this share.
-HIDDEN = 0.05
-NOISE = 2.0     # standard deviation of the sensor noise, grey levels
-STANDING = 8    # frames of a camera that stands still
 DepthOf = Callable[[int], np.ndarray]
+
+
+@dataclass(frozen=True)
+class StabilityRules:
+    """What counts as steady; figures of one table have the same."""
+
+    # A point is hidden in the last frame where something is nearer there by this share: half
+    # precision and the slant of a pixel stay below.
+    hidden: float = 0.05
+    least_counted: float = 0.01  # of the pixels; of fewer an error says nothing
+    noise: float = 2.0           # standard deviation of the sensor noise, grey levels
+    standing: int = 8            # frames of a camera that stands still
 
 
 class WarpingError:
@@ -54,7 +63,8 @@ class WarpingError:
 
 
 def follow_points(camera: Intrinsics, depth: np.ndarray, last_depth: np.ndarray,
-                  T_last_now: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+                  T_last_now: np.ndarray, rules: StabilityRules = StabilityRules(),
+                  ) -> tuple[np.ndarray, np.ndarray]:
     """
     Find where the points that are seen now were seen in the last frame.
 
@@ -67,31 +77,33 @@ def follow_points(camera: Intrinsics, depth: np.ndarray, last_depth: np.ndarray,
     inside = ((where > 0.5) & (where < np.array([camera.width, camera.height]) - 0.5)).all(-1)
     seen = sample_pixels(last_depth.astype(np.float32), where)
     # Of a point whose depth in either frame is not known, nobody can tell.
-    visible = before[..., 2] <= seen * (1 + HIDDEN)
+    visible = before[..., 2] <= seen * (1 + rules.hidden)
     return where, inside & visible & np.isfinite(depth)
 
 
 def warping_error(wide_image: np.ndarray, last_image: np.ndarray, where: np.ndarray,
-                  counted: np.ndarray) -> float | None:
+                  counted: np.ndarray, rules: StabilityRules = StabilityRules(),
+                  ) -> float | None:
     """
     Return the mean squared difference to the last image brought here; colours in 0 ... 1.
 
     Images RGB uint8 (H, W, 3), where (H, W, 2) as of `follow_points`. None if too little is
     counted to say anything.
     """
-    if counted.mean() < 0.01:
+    if counted.mean() < rules.least_counted:
         return None
     brought = sample_pixels(last_image, where)
     difference = (wide_image[counted].astype(np.float64) - brought[counted]) / 255
     return float((difference ** 2).mean())
 
 
-def flicker(method: Method, frames: TruthFrames) -> float:
+def flicker(method: Method, frames: TruthFrames,
+            rules: StabilityRules = StabilityRules()) -> float:
     """
     Return how much the ring flickers while the camera stands, grey levels.
 
-    The first view of every walk is shown STANDING times with new sensor noise; the result is
-    the mean over ring pixels, channels and walks of the standard deviation over time.
+    The first view of every walk is shown several times with new sensor noise; the result is the
+    mean over ring pixels, channels and walks of the standard deviation over time.
     """
     ring = frames.expansion.extrapolated_mask
     starts = [index for index, path_id in enumerate(frames.images.path_ids)
@@ -103,8 +115,8 @@ def flicker(method: Method, frames: TruthFrames) -> float:
             method.reset()
         narrow_image = frames.read(index)[0]
         shown = []
-        for _ in range(STANDING):
-            noise = random.normal(0, NOISE, narrow_image.shape)
+        for _ in range(rules.standing):
+            noise = random.normal(0, rules.noise, narrow_image.shape)
             noisy = np.clip(narrow_image + noise + 0.5, 0, 255).astype(np.uint8)
             shown.append(run_method(method, frames, index, noisy)[ring])
         deviations.append(np.std(np.stack(shown).astype(np.float32), axis=0).mean())

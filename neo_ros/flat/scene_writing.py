@@ -5,6 +5,7 @@ import itertools
 import json
 import os
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 from neo_ros.errors import SceneError
@@ -14,6 +15,7 @@ from neo_ros.flat.building_routes import door_walks, mapping_poses
 from neo_ros.flat.demo_flat import build_demo_flat, DemoFlat, sample_training_poses, walking_paths
 from neo_ros.flat.depth_sensor import DepthSensor
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
+from neo_ros.machine.files import write_bytes
 from neo_ros.machine.processes import map_in_processes
 from neo_ros.machine.progress import no_progress, of_stage, Progress, StageProgress
 from neo_ros.pictures.depth import to_millimetres, write_depth
@@ -25,8 +27,23 @@ import numpy as np
 
 # A building by its plan and the file with its light, or the flat.
 Site = tuple[BuildingPlan, Path] | None
-Job = tuple[str, Intrinsics, np.ndarray, Site]
 BUILDING_LIGHT = 'building_light.npz'
+
+
+class View(NamedTuple):
+    """A view to render, and where what a depth camera reads there goes, if anywhere."""
+
+    path: Path
+    camera: Intrinsics
+    T_world_cam: np.ndarray
+    site: Site
+    depth_path: Path | None = None
+    noise_seed: tuple[int, ...] = ()  # of the depth camera
+
+    @property
+    def is_there(self) -> bool:
+        """Whether a run before has written it."""
+        return self.path.exists() and (self.depth_path is None or self.depth_path.exists())
 
 
 def write_demo_scene(folder: Path, *, image_size: int = 128, camera: Intrinsics | None = None,
@@ -108,17 +125,18 @@ def _write_views(folder: Path, site: Site, narrow: Intrinsics, train: Sequence[C
     test = [(f'test/p{path_id}_{index:02d}.png', pose, path_id)
             for path_id, walk in enumerate(walks) for index, pose in enumerate(walk)]
     names = [f'train/{index:04d}.png' for index in range(len(train))]
-    jobs: list[Job] = [(str(folder / name), narrow, pose.T_world_cam, site)
-                       for name, pose in zip(names, train)]
-    jobs += [(str(folder / name), expansion.target, pose.T_world_cam, site)
-             for name, pose, _ in test]
-    missing = [job for job in jobs if not os.path.exists(job[0])]
-    progress(len(jobs) - len(missing), len(jobs))
+    depths = tuple(folder / 'depth' / Path(name).name for name in names) if depth else ()
+    views = [View(folder / name, narrow, pose.T_world_cam, site,
+                  depths[index] if depth else None, (seed, 7, index))
+             for index, (name, pose) in enumerate(zip(names, train))]
+    views += [View(folder / name, expansion.target, pose.T_world_cam, site)
+              for name, pose, _ in test]
+    missing = [view for view in views if not view.is_there]
+    progress(len(views) - len(missing), len(views))
     written = map_in_processes(_render_to_file, missing,
                                workers or len(os.sched_getaffinity(0)))
     for done, _ in enumerate(written, start=1):
-        progress(len(jobs) - len(missing) + done, len(jobs))
-    depths = _write_depths(folder, site, names, narrow, train, seed) if depth else ()
+        progress(len(views) - len(missing) + done, len(views))
     if train:
         write_transforms(folder / 'transforms_train.json', PosedImages(
             narrow, tuple(folder / name for name in names), tuple(train), (0,) * len(train),
@@ -132,20 +150,6 @@ def _write_views(folder: Path, site: Site, narrow: Intrinsics, train: Sequence[C
 def open_site(site: Site) -> DemoFlat | Building:
     """Return what is looked at; a process builds it once."""
     return build_demo_flat() if site is None else open_building(*site)
-
-
-def _write_depths(folder: Path, site: Site, names: Sequence[str], camera: Intrinsics,
-                  poses: Sequence[CameraPose], seed: int) -> tuple[Path, ...]:
-    """Write what a depth camera reads at each pose, where it is not there yet."""
-    sensor, paths = DepthSensor(), list[Path]()
-    for index, (name, pose) in enumerate(zip(names, poses)):
-        path = folder / 'depth' / Path(name).name
-        if not path.exists():
-            read = sensor.reading(open_site(site).depth(camera, pose),
-                                  np.random.default_rng([seed, 7, index]))
-            write_depth(path, to_millimetres(read))
-        paths.append(path)
-    return tuple(paths)
 
 
 def _claim(folder: Path, settings: Mapping[str, int | str]) -> None:
@@ -198,15 +202,12 @@ def _render(job: tuple[Intrinsics, np.ndarray]) -> np.ndarray:
     return build_demo_flat().render(intrinsics, CameraPose(T_world_cam))[0]
 
 
-def _render_to_file(job: Job) -> None:
-    path, intrinsics, T_world_cam, site = job
-    image, _ = open_site(site).render(intrinsics, CameraPose(T_world_cam))
+def _render_to_file(view: View) -> None:
+    image, depth = open_site(view.site).render(view.camera, CameraPose(view.T_world_cam))
     encoded, data = cv2.imencode('.png', image[..., ::-1])
     if not encoded:
-        raise SceneError(f'{path}: OpenCV could not encode the image as PNG')
-    partial = f'{path}.{os.getpid()}.partial'
-    try:
-        Path(partial).write_bytes(data.tobytes())
-        os.replace(partial, path)
-    except OSError as error:
-        raise SceneError(f'{path}: cannot write: {error}') from error
+        raise SceneError(f'{view.path}: OpenCV could not encode the image as PNG')
+    write_bytes(view.path, data.tobytes())
+    if view.depth_path is not None:
+        read = DepthSensor().reading(depth, np.random.default_rng(view.noise_seed))
+        write_depth(view.depth_path, to_millimetres(read))

@@ -13,7 +13,7 @@ from neo_ros.geometry.camera_pose import rotation_from_vector
 from neo_ros.memory import alignment_kernels as kernels
 from neo_ros.memory.alignment_kernels import GuideLevel, PhotoLevel, Warp
 from neo_ros.memory.kernels import Pinhole
-from neo_ros.memory.rendering import GuideView, MemoryRenderer
+from neo_ros.memory.rendering import MemoryRenderer
 from neo_ros.pictures.exposure import exposure_gain, ExposureThresholds
 import numpy as np
 
@@ -45,6 +45,19 @@ class AlignmentThresholds:
     exposure: ExposureThresholds = ExposureThresholds()
 
 
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """
+    What the memory shows the camera from a pose: grey float32 (h, w) in [0, 1].
+
+    depth float32 (h, w), z in metres, 0 = unknown.
+    """
+
+    pose: CameraPose
+    grey: np.ndarray
+    depth: np.ndarray
+
+
 class Aligner:
     """Aligns images of one camera with one memory."""
 
@@ -59,54 +72,57 @@ class Aligner:
 
     def photo(self, image: np.ndarray) -> list[PhotoLevel]:
         """Prepare a camera image, RGB uint8 (h, w, 3), for `align` and `agreement`."""
+        whole = grey_of(image)
+        greys = [cv2.resize(whole, (level.width, level.height), interpolation=cv2.INTER_AREA)
+                 for level in self.levels]
         return [PhotoLevel(grey, np.gradient(grey, axis=1).astype(np.float32),
-                           np.gradient(grey, axis=0).astype(np.float32))
-                for grey in self._pyramid(image)]
-
-    def _pyramid(self, image: np.ndarray) -> list[np.ndarray]:
-        """Return grey float32 in [0, 1] of an RGB uint8 or 0 ... 255 float image, by level."""
-        grey = cv2.cvtColor(image.astype(np.float32) / 255, cv2.COLOR_RGB2GRAY)
-        return [cv2.resize(grey, (level.width, level.height), interpolation=cv2.INTER_AREA)
-                for level in self.levels]
+                           np.gradient(grey, axis=0).astype(np.float32)) for grey in greys]
 
     def align(self, photo: list[PhotoLevel], start: CameraPose, rounds: int,
-              near: bool = False) -> CameraPose:
+              near: bool = False, drawn: Drawn | None = None) -> CameraPose:
         """
         Improve a pose until image and memory agree; `photo` is what `self.photo` gave.
 
-        Every round draws the memory anew from the pose that the round before has found. `near`:
-        the start is a few centimetres and degrees off; then occluders do little harm.
+        Every round draws the memory anew from the pose that the round before has found; the first
+        one takes what is `drawn` already. `near`: the start is a few centimetres and degrees off;
+        then occluders do little harm.
         """
         pose, coarsest = start, len(self.levels) - 1
         for _ in range(rounds):
-            guide = self.renderer.render(pose, self.levels[0], self.thresholds.aligned_with)
-            greys = self._pyramid(guide.image)
-            warp = Warp(np.eye(4), self._first_gain(photo[-1], greys[-1], guide), 0.0)
+            guide, drawn = drawn or self._draw(pose), None
+            levels = self._levels(guide)
+            warp = Warp(pose.inverse() @ guide.pose.T_world_cam,
+                        self._first_gain(photo[-1], levels[-1]), 0.0)
             for level in range(coarsest, -1, -1):
-                shown = GuideLevel(greys[level], self._depth(guide, level), self.rays[level])
-                warp = self._align_level(level, photo[level], shown, warp, near)
-            pose = CameraPose.nearest(pose.T_world_cam @ np.linalg.inv(warp.T))
+                warp = self._align_level(level, photo[level], levels[level], warp, near)
+            pose = CameraPose.nearest(guide.pose.T_world_cam @ np.linalg.inv(warp.T))
             coarsest = min(coarsest, 1)
         return pose
+
+    def _draw(self, pose: CameraPose) -> Drawn:
+        view = self.renderer.render(pose, self.levels[0], self.thresholds.aligned_with)
+        return Drawn(pose, grey_of(view.image), view.depth)
+
+    def _levels(self, drawn: Drawn) -> list[GuideLevel]:
+        return [GuideLevel(cv2.resize(drawn.grey, size, interpolation=cv2.INTER_AREA),
+                           cv2.resize(drawn.depth, size, interpolation=cv2.INTER_NEAREST), rays)
+                for rays in self.rays for size in [rays.shape[1::-1]]]
 
     def agreement(self, photo: list[PhotoLevel], pose: CameraPose) -> float:
         """Return the correlation of image and memory at a pose, in [-1, 1]."""
         level = min(1, len(self.levels) - 1)
         guide = self.renderer.render(pose, self.levels[level], self.thresholds.aligned_with)
-        grey = cv2.cvtColor(guide.image / 255, cv2.COLOR_RGB2GRAY)
-        return agreement(photo[level].grey, grey, guide.depth > 0, self.thresholds)[0]
+        return agreement(photo[level].grey, grey_of(guide.image), guide.depth > 0,
+                         self.thresholds)[0]
 
-    def _first_gain(self, photo: PhotoLevel, guide: np.ndarray, view: GuideView) -> float:
+    def _first_gain(self, photo: PhotoLevel, guide: GuideLevel) -> float:
         """Return what takes the photo to the guide's exposure, if they show the same."""
-        known = self._depth(view, -1) > 0
+        known = guide.depth > 0
         if not known.any():
             return 1.0
-        return 1 / float(exposure_gain(255 * guide[known, None], 255 * photo.grey[known, None],
-                                       self.thresholds.exposure)[0])
-
-    def _depth(self, guide: GuideView, level: int) -> np.ndarray:
-        size = (self.levels[level].width, self.levels[level].height)
-        return cv2.resize(guide.depth, size, interpolation=cv2.INTER_NEAREST)
+        return 1 / float(exposure_gain(
+            255 * guide.grey[known, None], 255 * photo.grey[known, None],
+            self.thresholds.exposure)[0])
 
     def _align_level(self, level: int, photo: PhotoLevel, guide: GuideLevel, warp: Warp,
                      near: bool) -> Warp:
@@ -137,6 +153,11 @@ class Aligner:
             if moved < limits.still:
                 break
         return warp
+
+
+def grey_of(image: np.ndarray) -> np.ndarray:
+    """Return grey float32 (h, w) in [0, 1] of an RGB image (h, w, 3) in 0 ... 255."""
+    return cv2.cvtColor(image.astype(np.float32, copy=False) / 255, cv2.COLOR_RGB2GRAY)
 
 
 def agreement(image: np.ndarray, guide: np.ndarray, known: np.ndarray,

@@ -3,6 +3,7 @@ from dataclasses import dataclass
 
 import cv2
 from neo_ros.geometry import ViewExpansion
+from neo_ros.memory import colour_kernels as kernels
 from neo_ros.memory.sight import Guide
 import numpy as np
 
@@ -60,49 +61,40 @@ def fuse(image: np.ndarray, guide: Guide, network_image: np.ndarray | None,
     the guide's edges; it is NaN where the network's picture is.
     """
     rows, columns = expansion.observed
-    inside = guide.known[rows, columns]
-    difference = cv2.subtract(image, guide.image[rows, columns], dtype=cv2.CV_32F)
-    correction, error = _carried_outward(difference, inside, expansion, thresholds)
-    if guide.seen_before is not None:
-        seen, weight = guide.seen_before
-        rest = 1 - weight
-        correction = cv2.multiply(correction, cv2.merge([rest] * 3))
-        cv2.add(correction, seen, dst=correction)
-        magnitude = cv2.transform(
-            np.abs(seen), np.full((1, 3), thresholds.seen_before / 3, np.float32))
-        error = cv2.scaleAdd(weight, thresholds.least_error,
-                             cv2.add(cv2.multiply(error, rest), magnitude))
-    wide = cv2.add(guide.image, correction, dtype=cv2.CV_8U)
+    correction, error = _carried_outward(image, guide, expansion, thresholds)
+    wide = np.empty(guide.image.shape, np.uint8)
+    difference, weight = guide.seen_before or (
+        np.zeros(guide.image.shape, np.float32), np.zeros(guide.known.shape, np.float32))
+    kernels.bend_colours(guide.image, correction, difference, weight,
+                         np.float32(thresholds.seen_before), np.float32(thresholds.least_error),
+                         wide, error)
     unknown = ~guide.known
     if network_image is not None:
         wide[unknown] = network_image[unknown]
     elif unknown.any():
         wide = _filled(wide, guide.known)
-    error = np.maximum(cv2.scaleAdd(_slope(wide), thresholds.slope, error),
-                       np.float32(thresholds.least_error))
-    error[guide.stretched] += thresholds.stretched
-    error[unknown] = np.nan if network_image is not None else thresholds.gap_error
-    error /= 255
+    kernels.add_slope(_slope(wide), np.float32(thresholds.slope), guide.stretched,
+                      np.float32(thresholds.stretched), np.float32(thresholds.least_error), error)
+    error[unknown] = np.nan if network_image is not None else thresholds.gap_error / 255
     wide[rows, columns] = image
     error[rows, columns] = 0
     return wide, error
 
 
-def _carried_outward(difference: np.ndarray, inside: np.ndarray, expansion: ViewExpansion,
+def _carried_outward(image: np.ndarray, guide: Guide, expansion: ViewExpansion,
                      thresholds: FusionThresholds) -> tuple[np.ndarray, np.ndarray]:
     """
-    Spread the differences float32 (h, w, 3) of the observed window smoothly over the wide view.
+    Spread the differences of image and guide in the observed window over the wide view.
 
-    Only those `inside`, bool (h, w), count; the others are set to 0. Returns what is to be added
-    to the guide, float32 (H, W, 3): the mean of the nearest differences, fading with the distance
-    from the seam; and the error that the nearest absolute differences let expect, float32 (H, W),
-    which does not fade.
+    Returns what is to be added to the guide, float32 (H, W, 3): the mean of the nearest
+    differences, fading with the distance from the seam; and the error that the nearest absolute
+    differences let expect, float32 (H, W), which does not fade.
     """
-    difference[~inside] = 0
-    magnitude = cv2.transform(np.abs(difference), np.full((1, 3), 1 / 3, np.float32))
-    healed = np.clip(difference, -thresholds.most_healed, thresholds.most_healed)
-    coarse = np.dstack([_on_blocks(layer, expansion, thresholds.block)
-                        for layer in (healed, magnitude, inside.astype(np.float32))])
+    rows, columns = expansion.observed
+    target, block = expansion.target, thresholds.block
+    coarse = np.empty((-(-target.height // block), -(-target.width // block), 5), np.float32)
+    kernels.average_differences(image, guide.image, guide.known, (rows.start, columns.start),
+                                block, np.float32(thresholds.most_healed), coarse)
     small = coarse.shape[1::-1]
     spread = cv2.GaussianBlur(coarse, (0, 0), thresholds.reach * small[0] / 2)
     # A second, wide blur gives a value even where the first one gives none.
@@ -114,27 +106,12 @@ def _carried_outward(difference: np.ndarray, inside: np.ndarray, expansion: View
     seam = mean[..., 3]
     expected = thresholds.seam * seam + thresholds.contradicted * np.maximum(
         seam - thresholds.contradiction, 0)
-    return (_from_blocks(mean[..., :3], expansion, thresholds.block),
-            _from_blocks(expected, expansion, thresholds.block))
-
-
-def _on_blocks(window: np.ndarray, expansion: ViewExpansion, block: int) -> np.ndarray:
-    """Average float32 (h, w[, 3]) of the observed window over the wide view's blocks; else 0."""
-    rows, columns = expansion.observed
-    target, channels = expansion.target, window.shape[2:]
-    coarse = np.zeros((-(-target.height // block), -(-target.width // block), *channels),
-                      np.float32)
-    # The window need not begin and end where blocks do.
-    padded = cv2.copyMakeBorder(window, rows.start % block, -rows.stop % block,
-                                columns.start % block, -columns.stop % block, cv2.BORDER_CONSTANT)
-    part = coarse[rows.start // block:-(-rows.stop // block),
-                  columns.start // block:-(-columns.stop // block)]
-    part[:] = cv2.resize(padded, part.shape[1::-1], interpolation=cv2.INTER_AREA)
-    return coarse
+    return (_from_blocks(mean[..., :3], expansion, block),
+            _from_blocks(expected, expansion, block))
 
 
 def _from_blocks(coarse: np.ndarray, expansion: ViewExpansion, block: int) -> np.ndarray:
-    """Interpolate what `_on_blocks` is like in the wide view."""
+    """Interpolate between the middles of the blocks of the wide view."""
     size = (coarse.shape[1] * block, coarse.shape[0] * block)
     fine = cv2.resize(coarse, size, interpolation=cv2.INTER_LINEAR)
     return fine[:expansion.target.height, :expansion.target.width]

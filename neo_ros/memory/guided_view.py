@@ -43,7 +43,8 @@ class GuidedView:
     def fuse(self, image: np.ndarray, guide: Guide, network_image: np.ndarray | None
              ) -> tuple[np.ndarray, np.ndarray]:
         """Return wide image and expected error: see `fusion.fuse`."""
-        return fuse(image, guide, network_image, self._guide.expansion, self._thresholds)
+        with self._guide.loops():
+            return fuse(image, guide, network_image, self._guide.expansion, self._thresholds)
 
     def reset(self) -> None:
         """Forget the frames so far."""

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import cv2
 from neo_ros.geometry import CameraPose, ViewExpansion
-from neo_ros.memory.alignment import agreement, Aligner
+from neo_ros.memory.alignment import agreement, Aligner, Drawn, grey_of
 from neo_ros.memory.coarse_memory import CoarseMemory
 from neo_ros.memory.rendering import GuideView, MemoryRenderer
 from neo_ros.memory.scene_memory import SceneMemory
@@ -30,22 +30,23 @@ class Looker:
         """Draw the wide view from a pose and compare the image with its part of it."""
         limits, photo = self.thresholds, image.photo
         view = self.renderer.render(pose, self.expansion.target, limits.shown)
-        grey, depth = self.observed(view)
-        whole, part = agreement(photo[0].grey, grey, depth > 0, limits.alignment)
+        drawn = Drawn(pose, *self.observed(view))
+        whole, part = agreement(photo[0].grey, drawn.grey, drawn.depth > 0, limits.alignment)
         there = expected is not None and (
             np.linalg.norm(pose.position - expected.position) < limits.expected_metres
             and pose.forward @ expected.forward > limits.expected_cosine)
         believed = whole >= limits.least_agreement and (
             not searched or whole >= limits.least_found or part >= limits.least_found_partial)
         believed = believed or bool(there and part >= limits.least_partial)
-        return Sight(pose, view, whole, believed, found='searched' if searched else 'tracked')
+        return Sight(pose, view, drawn, whole, believed,
+                     found='searched' if searched else 'tracked')
 
     def observed(self, view: GuideView) -> tuple[np.ndarray, np.ndarray]:
         """Return grey in [0, 1] and depth of what the camera sees of a view, float32 (h, w)."""
         rows, columns = self.expansion.observed
         finest = self.aligner.levels[0]
         size = (finest.width, finest.height)
-        grey = cv2.cvtColor(view.image[rows, columns] / 255, cv2.COLOR_RGB2GRAY)
+        grey = grey_of(view.image[rows, columns])
         depth = view.depth[rows, columns]
         if size != grey.shape[::-1]:
             grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)

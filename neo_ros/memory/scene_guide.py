@@ -1,10 +1,12 @@
 """Where is the camera, and what does the memory show around its image: frame after frame."""
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from functools import partial
 
 from neo_ros.geometry import CameraPose, ViewExpansion
 from neo_ros.machine.compiled import ALL_THREADS
 from neo_ros.memory.alignment_kernels import GuideLevel, PhotoLevel
+from neo_ros.memory.colour_kernels import apply_gain
 from neo_ros.memory.doubt import Doubt
 from neo_ros.memory.glancing import GlanceFinder
 from neo_ros.memory.landmarks import Location, Locator
@@ -42,6 +44,10 @@ class SceneGuide:
         self._doubt = Doubt(self._looker, self._glances)
         self.reset()
 
+    def loops(self) -> AbstractContextManager[None]:
+        """Let this thread alone run parallel loops."""
+        return parallel_loops(self._threads)
+
     @property
     def ambiguous(self) -> bool:
         """Whether the camera of the last image may be at several places that look alike."""
@@ -51,7 +57,7 @@ class SceneGuide:
         """Forget the frames so far."""
         self._recent.forget()
         self._doubt.forget()
-        self._last: CameraPose | None = None
+        self._last: Sight | None = None
         self._motion = np.eye(4)
         self._since_search = self.thresholds.search_every
         self._since_landmarks = self.thresholds.landmarks_every
@@ -68,7 +74,7 @@ class SceneGuide:
         pose in the axes of the image before, as odometry measures it. Both only say where to look
         first: without the image's agreement they are dropped.
         """
-        with parallel_loops(self._threads):
+        with self.loops():
             return self._guide(self._camera_image(image), prior, motion)
 
     def _camera_image(self, pixels: np.ndarray) -> CameraImage:
@@ -81,10 +87,11 @@ class SceneGuide:
     def _guide(self, image: CameraImage, prior: CameraPose | None, motion: np.ndarray | None
                ) -> Guide | None:
         # Whatever goes wrong with this image, the next one starts anew.
-        last, self._last = self._last, None
+        before, self._last = self._last, None
+        last = before.pose if before is not None else None
         if motion is not None:
             self._motion = motion
-        best = followed = self._follow(image, last) if last is not None else None
+        best = followed = self._follow(image, before) if before is not None else None
         told = self._try(image, prior) if prior is not None else None
         if told is not None and told.believed and not (
                 followed is not None and followed.believed
@@ -106,7 +113,7 @@ class SceneGuide:
         # What was searched for has not moved there: it was taken there.
         self._motion = (last.inverse() @ best.pose.T_world_cam
                         if last is not None and best is followed else np.eye(4))
-        self._last = best.pose
+        self._last = best
         view, known = best.view, best.view.depth > 0
         gain = self._expose(view.image, known, image.pixels)
         solid = np.where(view.stretched, 0, view.depth)
@@ -132,7 +139,7 @@ class SceneGuide:
         A camera's first image must not take longer than those after it.
         """
         pose = CameraPose(self._glances.poses[0])
-        with parallel_loops(self._threads):
+        with self.loops():
             view = self.renderer.render(pose, self.expansion.source, self.thresholds.shown)
             image = self._camera_image(view.image.astype(np.uint8))
             self._doubt.settle(image, None, self._search(image))
@@ -142,8 +149,9 @@ class SceneGuide:
             self._recent.bring(*shown)
         self.reset()
 
-    def _follow(self, image: CameraImage, last: CameraPose) -> Sight:
+    def _follow(self, image: CameraImage, before: Sight) -> Sight:
         """Track a camera; where landmarks contradict what is found so, they lead for a while."""
+        last = before.pose
         expected = CameraPose(last.T_world_cam @ self._motion)
         if self._led > 0:
             self._led -= 1
@@ -152,7 +160,7 @@ class SceneGuide:
                 led = self._looker.look(image, location.pose, location.pose)
                 return self._located(led, location, 'landmarks')
         # A camera in steady motion would be there now.
-        tracked = self._looker.look(
+        tracked = self._tracked_as_drawn(image, before, expected) or self._looker.look(
             image, self.aligner.align(image.photo, expected, 1, near=True), expected)
         self._since_landmarks += 1
         if (self._since_landmarks >= self.thresholds.landmarks_every
@@ -168,6 +176,22 @@ class SceneGuide:
         # It may have stopped while somebody stands in the image.
         again = self._looker.look(image, self.aligner.align(image.photo, last, 3, near=True), last)
         return max(tracked, again, key=Sight.rank)
+
+    def _tracked_as_drawn(self, image: CameraImage, before: Sight, expected: CameraPose
+                          ) -> Sight | None:
+        """
+        Track a camera with what was drawn for the image before.
+
+        None where it moves too fast for that, or something stands before it, which would drag the
+        pose along.
+        """
+        limits = self.thresholds
+        if before.agreement < limits.sure or not self._is_near(
+                expected, before.pose, limits.redrawn_metres, limits.redrawn_cosine):
+            return None
+        sight = self._looker.look(image, self.aligner.align(
+            image.photo, expected, 1, near=True, drawn=before.drawn), expected)
+        return sight if sight.agreement >= limits.sure else None
 
     def _locate(self, image: CameraImage, around: CameraPose | None) -> Location | None:
         return self._locator.locate(image.features, around) if self._locator else None
@@ -200,7 +224,7 @@ class SceneGuide:
 
     def _panorama(self, pose: CameraPose, gain: np.ndarray, wide_image: np.ndarray, width: int
                   ) -> Panorama:
-        with parallel_loops(self._threads):
+        with self.loops():
             return draw_panorama(self.renderer, pose, gain, wide_image, self.expansion, width)
 
     def _search(self, image: CameraImage) -> Sight | None:
@@ -240,8 +264,5 @@ class SceneGuide:
         seen = known[rows, columns][some]
         gain = exposure_gain(guide[rows, columns][some][seen], image[some][seen],
                              self.thresholds.alignment.exposure)
-        # In place, and a row at a time: three colours alone are too few for a quick loop.
-        line = guide.reshape(len(guide), -1)
-        line *= np.tile(gain, guide.shape[1])
-        np.minimum(line, 255, out=line)
+        apply_gain(guide, gain)
         return gain

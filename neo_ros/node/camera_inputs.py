@@ -11,7 +11,8 @@ from neo_ros.node.interface import CAMERA_INFO, Endpoint
 from neo_ros.node.stamp_watch import StampWatch
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, qos_policy_name_from_kind, QoSProfile, ReliabilityPolicy
+from rclpy.qos import (
+    DurabilityPolicy, qos_policy_name_from_kind, QoSPolicyKind, QoSProfile, ReliabilityPolicy)
 from rclpy.subscription import Subscription
 
 
@@ -62,12 +63,16 @@ class CameraInputs:
     @property
     def remedy(self) -> str:
         """What to do about images that get lost on their way, in words."""
-        if self._reliable:
+        if self._is_reliable():
             return 'this computer or the network is too slow for them'
         if any(publisher.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
                for publisher in self._topics.publishers(*self._wanted()[0])):
             return ('let the camera driver publish reliably, or give it the Fast DDS profile of '
                     'this package')
+        overrides = self._topics.qos_overrides(self.topic)
+        if overrides is not None and QoSPolicyKind.RELIABILITY in overrides.policy_kinds:
+            return (f'set the parameter qos_overrides.{self.topic}.subscription.reliability to '
+                    'reliable')
         return 'set the parameter reliable to true'
 
     @property
@@ -120,6 +125,12 @@ class CameraInputs:
         return [(self.topic, ENDPOINTS[self._transport]),
                 (self._topics.camera_info(), CAMERA_INFO)]
 
+    def _is_reliable(self) -> bool:
+        """Say what holds for the images: the parameter, unless a QoS override says otherwise."""
+        if not self._subscriptions:
+            return self._reliable
+        return self._subscriptions[0].qos_profile.reliability == ReliabilityPolicy.RELIABLE
+
     def _has_camera_info(self) -> bool:
         return bool(self._topics.publishers(self._topics.camera_info(), CAMERA_INFO))
 
@@ -155,5 +166,5 @@ class CameraInputs:
         policy = qos_policy_name_from_kind(event.last_policy_kind)
         self._node.get_logger().warning(
             f'the publisher of {topic} offers another {policy} than this node asks for '
-            f'({"reliable" if self._reliable else "best effort"}): change its QoS or the '
+            f'({"reliable" if self._is_reliable() else "best effort"}): change its QoS or the '
             'parameter reliable')

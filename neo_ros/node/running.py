@@ -1,4 +1,5 @@
 """Run the node from its arguments to its end."""
+import _thread
 from collections.abc import Sequence
 import gc
 import os
@@ -29,7 +30,9 @@ class _Stop:
 
     def _on_signal(self, *_: Any) -> None:
         self.asked = True
-        rclpy.try_shutdown()
+        # In a thread: it takes a lock that the code below this handler may hold, as rclpy.ok does.
+        # Thread.start has a lock of the same kind.
+        _thread.start_new_thread(rclpy.try_shutdown, ())
 
 
 def run(arguments: Sequence[str] | None = None) -> None:

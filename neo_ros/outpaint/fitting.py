@@ -10,6 +10,7 @@ from neo_ros.errors import ConfigError
 from neo_ros.geometry import ViewExpansion
 from neo_ros.outpaint.augmentation import augment_inputs, expose_views
 from neo_ros.outpaint.distributed import from_first, processes, shared_gradients
+from neo_ros.outpaint.loss import outpaint_loss
 from neo_ros.outpaint.network import NetworkConfig
 from neo_ros.outpaint.networks import build_network
 from neo_ros.outpaint.perceptual import PerceptualDistance
@@ -19,9 +20,6 @@ import torch
 
 # Of the processes that torchrun started on this machine, each has its share of the cores.
 THREADS = max(len(os.sched_getaffinity(0)) // int(os.environ.get('LOCAL_WORLD_SIZE', '1')), 1)
-# Below half a grey level the likelihood has nothing to learn, and its gradient explodes: what is
-# there is drawn back, gently.
-LEAST_LOG_SCALE = -6.0
 
 
 @dataclass(frozen=True)
@@ -81,21 +79,6 @@ class OutpaintConfig:
         if self.minutes is None:
             return step, self.steps
         return int(seconds), math.ceil(60 * self.minutes)
-
-
-def outpaint_loss(colour: torch.Tensor, log_scale: torch.Tensor, truth: torch.Tensor,
-                  weight: torch.Tensor) -> torch.Tensor:
-    """
-    Mean L1 over the ring plus the Laplace likelihood of its error.
-
-    colour, truth (B, 3, H, W) and log_scale (B, 1, H, W) as in Outpainter; weight (B, 1, H, W)
-    is 0 where the camera sees or nobody saw. The likelihood trains the scale alone: its
-    gradient does not reach the colour.
-    """
-    error = (colour - truth).abs().mean(1, keepdim=True)
-    kept = log_scale.clamp(min=LEAST_LOG_SCALE)
-    likelihood = error.detach() * torch.exp(-kept) + kept + (kept - log_scale)
-    return ((error + 0.05 * likelihood) * weight).sum() / weight.sum().clamp(min=1)
 
 
 class OutpaintTrainer:

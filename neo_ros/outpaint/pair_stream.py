@@ -1,4 +1,6 @@
 """Narrow/wide training pairs, rendered on the fly."""
+from dataclasses import dataclass
+
 from neo_ros.field.panorama import panorama_size
 from neo_ros.field.radiance_field import RadianceField
 from neo_ros.geometry import Intrinsics, ViewExpansion
@@ -9,13 +11,16 @@ from neo_ros.scenes.pose_sampling import PoseSampler
 import numpy as np
 import torch
 
-# Panoramas there must be before the first batch, so that its views do not repeat.
-FIRST = 32
-# Photos that are there at the first batch.
-FIRST_PHOTOS = 16
-# Steps until there is one photo more. Rendering at every step would take as long as learning.
-STEPS_PER_PHOTO = 4
-LEAST_STEPS_PER_PANORAMA = 4
+
+@dataclass(frozen=True)
+class StreamRules:
+    """How fast the stream grows; chosen by measuring."""
+
+    first: int = 32                    # panoramas of the first batch: its views do not repeat
+    first_photos: int = 16
+    # Steps until there is one more: rendering at every step would take as long as learning.
+    steps_per_photo: int = 4
+    least_steps_per_panorama: int = 4
 
 
 class PairStream:
@@ -31,15 +36,16 @@ class PairStream:
 
     def __init__(self, field: RadianceField, sampler: PoseSampler, view: Intrinsics,
                  positions: int, seed: int, real: RealCentres | None = None,
-                 real_share: float = 0.0, cache: PanoramaCache | None = None) -> None:
-        self.seed = seed
+                 real_share: float = 0.0, cache: PanoramaCache | None = None,
+                 rules: StreamRules = StreamRules()) -> None:
+        self.seed, self.rules = seed, rules
         self.pool = PanoramaPool(field, sampler, view, positions, seed, cache)
         self.real, self.real_share = real, real_share
         # As many as wide views have a panorama's rays: 3 on a level floor, 30 for a narrow camera
         # that is held in the hand.
         height, width = panorama_size(view, self.pool.band)
         self.steps_per_panorama = max(round(height * width / (view.width * view.height)),
-                                      LEAST_STEPS_PER_PANORAMA)
+                                      rules.least_steps_per_panorama)
         self.real_order = np.random.default_rng([seed, 5]).permutation(len(real) if real else 0)
 
     def batch(self, step: int, size: int) -> torch.Tensor:
@@ -50,7 +56,8 @@ class PairStream:
         """
         ready = self.render_for(step)
         random = np.random.default_rng([self.seed, 2, step])
-        photos = self.real_order[:FIRST_PHOTOS + step // STEPS_PER_PHOTO]
+        rules = self.rules
+        photos = self.real_order[:rules.first_photos + step // rules.steps_per_photo]
         views = []
         for shows_photo in random.random(size) < self.real_share:
             if shows_photo and self.real is not None:
@@ -62,7 +69,7 @@ class PairStream:
 
     def render_for(self, step: int) -> int:
         """Render the panoramas that batch `step` draws from; returns how many they are."""
-        return self.pool.fill(FIRST + step // self.steps_per_panorama)
+        return self.pool.fill(self.rules.first + step // self.steps_per_panorama)
 
 
 def source_view_enlarged(expansion: ViewExpansion) -> Intrinsics:

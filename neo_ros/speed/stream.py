@@ -11,7 +11,7 @@ from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
 from neo_ros.machine.host import Machine
 from neo_ros.outpaint.fitting import OutpaintConfig, OutpaintTrainer
 from neo_ros.outpaint.networks import NetworkConfig
-from neo_ros.outpaint.pair_stream import FIRST, PairStream
+from neo_ros.outpaint.pair_stream import PairStream
 from neo_ros.scenes.pose_sampling import PoseSampler
 from neo_ros.speed.record import Effort, Record, time_calls, Work
 import numpy as np
@@ -33,7 +33,7 @@ def measure_stream(field: RadianceField, poses: list[CameraPose], wide: Intrinsi
     sampler = PoseSampler(np.stack([pose.position[:2] for pose in poses]),
                           (-math.pi, 2 * math.pi), LEVEL, (float(poses[0].position[2]), 0.0), 72)
     stream = PairStream(field, sampler, wide, 10_000, seed=0)
-    stream.pool.fill(FIRST)
+    stream.pool.fill(stream.rules.first)
     steps = itertools.count(1)
     image = stream.pool.panoramas[0].image
     rays = image.shape[0] * image.shape[1]

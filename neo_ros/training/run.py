@@ -14,10 +14,21 @@ from neo_ros.scenes.scene import Scene
 from neo_ros.training.time_plan import TimePlan
 import numpy as np
 
-# One photo in so many is kept from the field's fit, to see how well it shows new views.
-HELD_OUT_EVERY = 25
-# With fewer photos none is.
-LEAST_PHOTOS = HELD_OUT_EVERY // 2 + 1
+
+@dataclass(frozen=True)
+class HoldOutRules:
+    """Which photos are kept from the field's fit, to see how well it shows new views."""
+
+    every: int = 25  # one photo in so many: of 250 ten, enough for a mean
+
+    @property
+    def least_photos(self) -> int:
+        """With fewer photos none is held out."""
+        return self.every // 2 + 1
+
+    def chosen(self, photos: int) -> range:
+        """Return which of so many photos are held out."""
+        return range(self.every // 2, photos, self.every)
 
 
 @dataclass
@@ -37,13 +48,14 @@ class TrainingRun:
     samples: int = 0              # wide views that the outpainter saw
     outpaint_seconds: float = 0.0
     plan: TimePlan | None = None  # where the user gave minutes for all of it
+    hold_out: HoldOutRules = HoldOutRules()
 
     def __post_init__(self) -> None:
         if not self.cache_gb >= 0:  # nan is neither, and would be no limit.
             raise ConfigError(f'--cache-gb: expected GB, 0 or more, got {self.cache_gb}')
         camera = self.scene.train.intrinsics
         self.expansion: ViewExpansion = self.experiment.expansion(camera, self.scene.expansion)
-        held_out = set(range(HELD_OUT_EVERY // 2, len(self.scene.train), HELD_OUT_EVERY))
+        held_out = set(self.hold_out.chosen(len(self.scene.train)))
         self.fitted = self.scene.train.subset(
             [i for i in range(len(self.scene.train)) if i not in held_out])
         self.held_out: PosedImages | None = (

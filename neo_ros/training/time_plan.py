@@ -38,6 +38,9 @@ class PlanRules:
     # Steps of a fit that voxels of these numbers need; with fewer the next coarser are taken.
     voxels: tuple[tuple[int, int], ...] = ((6000, 8_000_000), (2500, 4_000_000), (0, 1_500_000))
     measured_seconds: float = 4.0  # of a fit, to see how fast the machine is
+    measured_photos: int = 24      # in it, so wide and of so many voxels: they are read at once
+    measured_width: int = 128
+    measured_voxels: int = 500_000
     # A fit is so many times slower than its first seconds, which have coarse voxels.
     slower: float = 2.0
 
@@ -199,9 +202,12 @@ def _network_shrink(experiment: Experiment, scene: Scene, rules: PlanRules) -> i
 
 def _fitting_rate(photos: PosedImages, base: Experiment, rules: PlanRules) -> float:
     """Fit some photos for some seconds; return pixels a second. The first step compiles."""
-    chosen = photos.subset(np.unique(np.linspace(0, len(photos) - 1, 24).astype(int)).tolist())
-    scale = base.scale * min(1.0, 128 / (base.scale * photos.intrinsics.width))
-    config = replace(base.field, minutes=rules.measured_seconds / 60, voxels=500_000)
+    chosen = photos.subset(np.unique(
+        np.linspace(0, len(photos) - 1, rules.measured_photos).astype(int)).tolist())
+    scale = base.scale * min(
+        1.0, rules.measured_width / (base.scale * photos.intrinsics.width))
+    config = replace(base.field, minutes=rules.measured_seconds / 60,
+                     voxels=rules.measured_voxels)
     trainer = field_trainer(chosen.read_images(scale), photos.intrinsics.scaled(scale),
                             chosen.T_world_cam, config, base.seed)
     trainer.train_step()

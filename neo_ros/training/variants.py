@@ -17,13 +17,18 @@ from neo_ros.runtime import FovExtrapolator, read_model_card, write_model_card
 from neo_ros.runtime.model_card import Parity
 from neo_ros.training.checkpoint import checkpoint_errors, read_checkpoint
 from neo_ros.training.folder import claim
-from neo_ros.training.run import LEAST_PHOTOS, TrainingRun
+from neo_ros.training.run import TrainingRun
 from neo_ros.training.views import held_out_wide_views, real_frames
 import numpy as np
 
-# Camera images from which int8 takes its ranges, and those on which torch is compared.
-RANGE_FRAMES, PARITY_FRAMES = 64, 8
-ROUNDS = 30
+
+@dataclass(frozen=True)
+class VariantRules:
+    """On how much a file of another number format is made and measured."""
+
+    range_frames: int = 64   # camera images from which int8 takes the ranges of its values
+    parity_frames: int = 8   # on which torch is compared, which is slow
+    rounds: int = 30         # of timing: enough for a median beside other work
 
 
 @dataclass(frozen=True)
@@ -38,7 +43,7 @@ class Variant:
 
 
 def export_variants(run: TrainingRun, formats: Sequence[Format] = FORMATS,
-                    threads: int = 0) -> list[Variant]:
+                    threads: int = 0, rules: VariantRules = VariantRules()) -> list[Variant]:
     """
     Write a finished run's model as SCENE.<format>.onnx beside it, and measure all of them.
 
@@ -66,7 +71,8 @@ def export_variants(run: TrainingRun, formats: Sequence[Format] = FORMATS,
         VoxelField.load(run.out / 'field.npz'), chosen_device(run.experiment.field.device)))
     if views is None:
         raise ConfigError(f'{run.out}: expected photos held out of the training to measure on, '
-                          f'got none of {len(run.scene.train)}; import at least {LEAST_PHOTOS}')
+                          f'got none of {len(run.scene.train)}; import at least '
+                          f'{run.hold_out.least_photos}')
     factor = calibration_factor(network, run.expansion, views)
     function = ExportedFunction(network, run.expansion, factor).eval()
     # What is measured here is of other frames than the scores of a card.
@@ -75,16 +81,16 @@ def export_variants(run: TrainingRun, formats: Sequence[Format] = FORMATS,
     for number_format in formats:
         path = run.model_path.with_suffix(f'.{number_format}.onnx')
         export_variant(network, run.expansion, path, number_format,
-                       real_frames(run, RANGE_FRAMES, run.fitted), factor)
+                       real_frames(run, rules.range_frames, run.fitted), factor)
         write_model_card(path, card)
         model = FovExtrapolator.load(path, threads, guided=False)
-        worst, share = check_parity(function, model.expand, real_frames(run, PARITY_FRAMES))
+        worst, share = check_parity(function, model.expand, real_frames(run, rules.parity_frames))
         if number_format == 'fp32':  # The others round on purpose.
             require_parity(path, worst, share)
         write_model_card(path, replace(
             card, parity=Parity(max_abs_error=worst, share_within_1=share)))
         models[number_format] = path
-    variants = _measured(models, run, views, threads)
+    variants = _measured(models, run, views, threads, rules)
     best = max(variant.ring_psnr for variant in variants)
     for variant in variants[1:]:
         write_model_card(variant.path, replace(read_model_card(variant.path), scores={
@@ -94,7 +100,7 @@ def export_variants(run: TrainingRun, formats: Sequence[Format] = FORMATS,
 
 
 def _measured(models: dict[str, Path], run: TrainingRun, views: np.ndarray,
-              threads: int) -> list[Variant]:
+              threads: int, rules: VariantRules) -> list[Variant]:
     loaded = {name: FovExtrapolator.load(path, threads, guided=False)
               for name, path in models.items()}
     scores: dict[str, list[float]] = {name: [] for name in models}
@@ -107,7 +113,7 @@ def _measured(models: dict[str, Path], run: TrainingRun, views: np.ndarray,
                 wide_image = model.expand(narrow).wide_image
                 scores[name].append(psnr(view[..., :3][seen], wide_image[seen]))
     # In turns, so that what else the machine does meets all of them.
-    for _ in range(ROUNDS):
+    for _ in range(rules.rounds):
         for name, model in loaded.items():
             started = time.perf_counter()
             model.expand(narrow)

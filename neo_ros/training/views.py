@@ -1,4 +1,6 @@
 """Step 2 of the paper: the wide views that a run trains its outpainter on, and validates it on."""
+from dataclasses import dataclass
+
 from neo_ros.errors import ConfigError
 from neo_ros.field.free_space import find_free_floor
 from neo_ros.field.radiance_field import RadianceField
@@ -12,15 +14,20 @@ from neo_ros.training.pose_map import COUNTS_FILE, draw_poses, write_poses
 from neo_ros.training.run import TrainingRun
 import numpy as np
 
-# Of the held-out photos, so many are looked at while the outpainter is trained; fewer at the
-# camera's size where that is larger, as the field renders them slowly.
-VALIDATION_VIEWS, LARGE_VIEWS = 32, 8
+
+@dataclass(frozen=True)
+class ValidationRules:
+    """How many of the held-out photos a training looks at."""
+
+    views: int = 32        # at the network's size: what the field renders in some seconds
+    large_views: int = 8   # at the camera's, where that is larger and the field slow
 
 
-def held_out_views(run: TrainingRun, field: RadianceField) -> np.ndarray | None:
+def held_out_views(run: TrainingRun, field: RadianceField,
+                   rules: ValidationRules = ValidationRules()) -> np.ndarray | None:
     """Return the views of `held_out_wide_views` at the network's size, and more of them."""
     return _held_out(run, field, run.network_expansion, run.experiment.network_scale,
-                     VALIDATION_VIEWS)
+                     rules.views)
 
 
 def held_out_wide_views(run: TrainingRun, field: RadianceField) -> np.ndarray | None:
@@ -39,8 +46,8 @@ def held_out_poses(run: TrainingRun) -> list[CameraPose]:
     return [run.held_out.poses[index] for index in _shown(run.held_out, _wide_views(run))]
 
 
-def _wide_views(run: TrainingRun) -> int:
-    return VALIDATION_VIEWS if run.experiment.network.shrink == 1 else LARGE_VIEWS
+def _wide_views(run: TrainingRun, rules: ValidationRules = ValidationRules()) -> int:
+    return rules.views if run.experiment.network.shrink == 1 else rules.large_views
 
 
 def _held_out(run: TrainingRun, field: RadianceField, expansion: ViewExpansion, scale: float,

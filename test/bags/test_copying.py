@@ -12,6 +12,7 @@ from neo_ros.bags import BagReader, replay
 from neo_ros.bags.bag_info import read_bag_info
 from neo_ros.bags.replay_outputs import DIAGNOSTICS
 from neo_ros.cli.main import app
+from neo_ros.errors import BagError
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.runtime import FovExtrapolator
 import pytest
@@ -145,3 +146,16 @@ def test_names_of_types_are_read_however_they_are_written(tmp_path: Path) -> Non
     with BagReader(path) as bag:
         texts = [message.read().data for message in bag.messages(['/text'])]
     assert texts == [str(number) for number in range(len(texts))] and len(texts) > 9
+
+
+def test_images_of_ros_1_are_named_where_a_camera_is_wanted(tmp_path, extrapolator) -> None:
+    with (tmp_path / 'old.mcap').open('wb') as file:
+        writer = McapWriter(file)
+        writer.start(profile='ros1')
+        channel = writer.register_channel('/eye', 'ros1', writer.register_schema(
+            'sensor_msgs/CompressedImage', 'ros1msg', b''))
+        writer.add_message(channel, START_NS, b'', START_NS)
+        writer.finish()
+    with pytest.raises(BagError, match='expected camera images, got /eye .*ros1 messages are not '
+                                       'read: convert .* with rosbags-convert'):
+        replay(tmp_path / 'old.mcap', extrapolator, tmp_path / 'out')

@@ -6,7 +6,7 @@ from neo_ros.baking.photo_bank import read_photo_bank
 from neo_ros.baking.sparse_model import epipolar_distance, read_sparse_model
 from neo_ros.benchmark.field_view import FieldView, Oracle
 from neo_ros.benchmark.relocalized import (
-    Localization, pose_error, Relocalized, RelocalizedNeo, Relocalizer)
+    Localization, pose_error, RelocalizationRules, Relocalized, RelocalizedNeo, Relocalizer)
 from neo_ros.benchmark.warping import (
     covering, near_matches, on_plane, smooth_warp, WarpedPhoto, Warping)
 from neo_ros.errors import SceneError
@@ -93,6 +93,7 @@ def test_b3_and_neo_fill_in_for_each_other():
             return EXPANSION.paste(narrow_image, np.full((192, 192, 3), 90, np.uint8))
 
     class Finder:
+        rules = RelocalizationRules()
 
         def locate(self, narrow_image):
             return Localization(standing(), 0, failed=not narrow_image.any())

@@ -3,13 +3,14 @@ from types import SimpleNamespace
 from typing import Any
 
 from neo_ros.benchmark import naive
-from neo_ros.benchmark.naive import as_wide, PATIENCE, ResizedPhotos, train_naive, ZOOM
+from neo_ros.benchmark.naive import as_wide, NaiveRules, ResizedPhotos, train_naive
 from neo_ros.errors import ConfigError, NeoError
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.outpaint.fitting import OutpaintConfig
 from neo_ros.outpaint.network import NetworkConfig
 from neo_ros.training import checkpoint
 from neo_ros.training.checkpoint import read_checkpoint, write_checkpoint
+from neo_ros.training.run import HoldOutRules
 import numpy as np
 import pytest
 import torch
@@ -72,7 +73,8 @@ def run(tmp_path, monkeypatch):
     monkeypatch.setattr(naive, 'OutpaintTrainer', Trainer)
     result = SimpleNamespace(
         held_out=Photos(2), fitted=Photos(5), scene=SimpleNamespace(name='room', train=Photos(7)),
-        network_expansion=EXPANSION, out=tmp_path, seconds=0.0, log={}, exported=[],
+        network_expansion=EXPANSION, out=tmp_path, hold_out=HoldOutRules(), seconds=0.0, log={},
+        exported=[],
         progress=lambda *told: None,
         experiment=SimpleNamespace(network=NetworkConfig(), outpaint=OutpaintConfig(), seed=0))
     monkeypatch.setattr(naive, 'export_step', lambda run, network: result.exported.append(
@@ -80,7 +82,8 @@ def run(tmp_path, monkeypatch):
     return result
 
 
-RISES, FALLS = [10.0, 12, 14], [13.0] * (PATIENCE + 5)
+RULES = NaiveRules()
+RISES, FALLS = [10.0, 12, 14], [13.0] * (RULES.patience + 5)
 
 
 def test_the_best_weights_are_exported_soon_after_them(run, monkeypatch):
@@ -88,7 +91,7 @@ def test_the_best_weights_are_exported_soon_after_them(run, monkeypatch):
     steps = []
     run.progress = lambda stage, done, total, note: steps.append(done)
     train_naive(run)
-    assert run.exported == [3.0] and steps[-1] == 3 + PATIENCE
+    assert run.exported == [3.0] and steps[-1] == 3 + RULES.patience
 
 
 def test_a_training_that_still_gets_better_goes_on_to_its_end(run, monkeypatch):
@@ -117,7 +120,7 @@ def test_a_broken_training_remembers_its_best(run, monkeypatch, log):
     steps = []
     run.progress = lambda stage, done, total, note: steps.append(done)
     train_naive(run)
-    assert run.exported == [3.0] and steps == list(range(5, 3 + PATIENCE + 1))
+    assert run.exported == [3.0] and steps == list(range(5, 3 + RULES.patience + 1))
 
 
 def test_a_checkpoint_of_something_else_is_named(run):
@@ -151,4 +154,4 @@ def test_the_stream_is_the_same_again_and_cuts_a_little():
     assert np.array_equal(batch, stream.batch(5, 8)) and (batch[..., 3] == 255).all()
     assert not np.array_equal(batch, stream.batch(6, 8))
     shown = np.ptp(batch[:, 0, :, 0].astype(int), axis=1) / 255
-    assert ZOOM - 0.03 < shown.min() < shown.max() <= 1
+    assert RULES.zoom - 0.03 < shown.min() < shown.max() <= 1

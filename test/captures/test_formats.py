@@ -510,6 +510,14 @@ def test_folders_without_a_capture_are_refused(tmp_path: Path, files: list[str],
         detect_format(tmp_path)
 
 
+def test_a_capture_in_a_folder_below_is_named(tmp_path: Path) -> None:
+    write_colmap_text(tmp_path / 'outputs/room/sfm', demo_photos(2))
+    write_transforms_capture(tmp_path / 'walk', demo_photos(2))
+    with pytest.raises(SceneError, match=r'expected one of these as SOURCE: .*/walk '
+                                         r'\(transforms\), .*/outputs/room/sfm \(colmap\)$'):
+        detect_format(tmp_path)
+
+
 def test_a_bag_of_ros_1_is_told_how_to_convert_it(tmp_path: Path) -> None:
     (tmp_path / 'old.bag').write_bytes(b'#ROSBAG V2.0\n')
     with pytest.raises(SceneError, match='ROS 1; convert it: rosbags-convert --src .*--dst old'):

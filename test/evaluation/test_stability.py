@@ -2,7 +2,7 @@
 from neo_ros.benchmark.true_depth import demo_depth, field_depth, is_demo_flat
 from neo_ros.evaluation.evaluate import score_frames, TruthFrames
 from neo_ros.evaluation.stability import (
-    flicker, follow_points, NOISE, stored_depths, warping_error, WarpingError)
+    flicker, follow_points, StabilityRules, stored_depths, warping_error, WarpingError)
 from neo_ros.flat.scene_writing import write_demo_scene
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
 from neo_ros.scenes.posed_images import PosedImages
@@ -106,7 +106,8 @@ def test_the_standing_camera_is_noisy(frames):
             return super().expand(narrow_image)
 
     flicker(Watching(frames, [frames.read(0)[1]]), frames)
-    assert np.std(seen[0] - seen[1]) == pytest.approx(NOISE * np.sqrt(2), rel=0.25)
+    expected = StabilityRules().noise * np.sqrt(2)
+    assert np.std(seen[0] - seen[1]) == pytest.approx(expected, rel=0.25)
 
 
 def test_depths_are_rendered_once(frames, tmp_path):

@@ -13,6 +13,7 @@ from neo_ros.messages.scene_outputs import WIDENING
 from neo_ros.node.extrapolator_node import ExtrapolatorNode
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
+from ros_graph import WAIT_S
 from sensor_msgs.msg import CameraInfo, Image
 from tiny_model import TINY_EXPANSION
 
@@ -126,10 +127,9 @@ def state_of(graph):
 
 
 def end(process, number=signal.SIGTERM):
-    """Send a signal; return the exit code and the seconds that it took."""
-    started = time.monotonic()
+    """Send a signal; return the exit code."""
     process.send_signal(number)
-    return process.wait(20), time.monotonic() - started
+    return process.wait(WAIT_S)
 
 
 def set_parameter(graph, name, value):

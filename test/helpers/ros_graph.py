@@ -4,6 +4,7 @@ from contextlib import contextmanager
 import gc
 import os
 from pathlib import Path
+import signal
 import subprocess
 import sys
 import time
@@ -18,6 +19,9 @@ from rclpy.executors import SingleThreadedExecutor
 
 # How long a test waits for what never comes; a stall of the machine is shorter.
 WAIT_S = 60.0
+# A shell starts what it runs in the background deaf to SIGINT, and that is inherited.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 # Two pytest processes at a time must not hear one another.
 DOMAIN = own_domain()
 ENVIRONMENT = {

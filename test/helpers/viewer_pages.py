@@ -12,6 +12,8 @@ from typing import Any
 import neo_ros
 
 HELPERS = Path(__file__).parent
+# How long a test waits for what never comes; a stall of the machine is shorter.
+WAIT_S = 60.0
 CONTRAST = (HELPERS / 'contrast.js').read_text()
 PYTHONPATH = {'PYTHONPATH': str(Path(neo_ros.__file__).parents[1])}
 
@@ -40,7 +42,7 @@ class ServerProcess:
     def stop(self) -> None:
         """End it as a person would."""
         self.process.terminate()
-        assert self.process.wait(20) == 0
+        assert self.process.wait(WAIT_S) == 0
 
 
 @contextmanager
@@ -56,7 +58,7 @@ def opened_page(browser: Any, allowed: str | None = None, **options: Any) -> Ite
     assert [line for line in problems if allowed is None or allowed not in line] == []
 
 
-def wait_for(page: Any, condition: Callable[[], bool], timeout: float = 30.0) -> None:
+def wait_for(page: Any, condition: Callable[[], bool], timeout: float = WAIT_S) -> None:
     """Wait until a condition holds."""
     deadline = time.monotonic() + timeout
     while not condition():

@@ -9,7 +9,7 @@ from neo_ros.geometry.camera_pose import rotation_from_vector
 from neo_ros.machine.compiled import ALL_THREADS
 from neo_ros.machine.files import share_dir
 from neo_ros.memory import looking
-from neo_ros.memory.alignment import agreement, Aligner, AlignmentThresholds
+from neo_ros.memory.alignment import agreement, Aligner, AlignmentThresholds, Drawn
 from neo_ros.memory.alignment_kernels import GuideLevel, Warp
 from neo_ros.memory.rendering import GuideView, MemoryRenderer
 from neo_ros.memory.scene_guide import SceneGuide
@@ -129,10 +129,33 @@ def test_a_kidnapped_camera_is_found_again() -> None:
     ids=['believed', 'landmarks', 'agrees more', 'agrees more without landmarks'])
 def test_the_better_of_two_poses(one: tuple[bool, bool, float], other: tuple[bool, bool, float]
                                  ) -> None:
-    sights = [Sight(TRUE_POSE, MemoryRenderer(MEMORY).render(TRUE_POSE, SOURCE), agrees, believed,
-                    located) for believed, located, agrees in (one, other)]
+    view = MemoryRenderer(MEMORY).render(TRUE_POSE, SOURCE)
+    drawn = Drawn(TRUE_POSE, view.image[..., 0], view.depth)
+    sights = [Sight(TRUE_POSE, view, drawn, agrees, believed, located)
+              for believed, located, agrees in (one, other)]
     assert better(*sights) is better(*sights[::-1]) is sights[0]
     assert better(None, sights[1]) is sights[1] and better(sights[1], None) is sights[1]
+
+
+@pytest.mark.parametrize('degrees, drawings', [(1, 1), (6, 2)], ids=['slow', 'fast'])
+def test_a_slow_camera_is_aligned_with_what_was_drawn_before(
+        monkeypatch: pytest.MonkeyPatch, degrees: float, drawings: int) -> None:
+    guide = SceneGuide(MEMORY, EXPANSION)
+    walk = [planar(1.9 + 0.02 * step, 1.7, 35 + degrees * step) for step in range(5)]
+    for pose in walk[:-1]:
+        assert guide.guide(photo_at(pose)) is not None
+    drawn: list[CameraPose] = []
+    render = guide.renderer.render
+
+    def watched(pose: CameraPose, *arguments: Any) -> GuideView:
+        drawn.append(pose)
+        return render(pose, *arguments)
+    monkeypatch.setattr(guide.renderer, 'render', watched)
+    found = guide.guide(photo_at(walk[-1]))
+    assert len(drawn) == drawings
+    assert found is not None
+    metres, angle = apart(found.pose, walk[-1])
+    assert metres < 0.02 and angle < 0.5
 
 
 def test_a_jump_is_no_motion(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -196,7 +219,8 @@ def test_a_pose_that_was_searched_for_has_to_agree_more(monkeypatch: pytest.Monk
         monkeypatch.setattr(looking, 'agreement', lambda *images: (whole, partial))
         guide.reset()
         assert (guide.guide(photo_at(TRUE_POSE)) is not None) == searched
-        guide._last = TRUE_POSE
+        image = guide._camera_image(photo_at(TRUE_POSE))
+        guide._last = guide._looker.look(image, TRUE_POSE)
         assert (guide.guide(photo_at(TRUE_POSE)) is not None) == (max(whole, partial) > 0.85)
 
 

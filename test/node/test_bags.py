@@ -10,7 +10,9 @@ from neo_ros.node import bag_recorder
 from neo_ros.node.bag_player import BagPlayer
 from neo_ros.node.bag_recorder import BagRecorder
 from neo_ros.node.message_types import find_message_class
+import numpy as np
 import pytest
+from ros_graph import WAIT_S
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image
 from tiny_model import TINY_EXPANSION
@@ -52,12 +54,13 @@ def test_what_is_played_is_what_is_recorded(graph, bag, tmp_path):
     images = graph.collect(Image, IMAGE)
     graph.spin_until(lambda: player.poll() is not None)
     assert player.returncode == 0, player.stdout.read()
-    assert recorder.wait(10) == 0, recorder.stdout.read()
+    assert recorder.wait(WAIT_S) == 0, recorder.stdout.read()
     played, recorded = (messages_of(path, [IMAGE, CAMERA_INFO]) for path in (bag, out))
     assert by_topic(recorded) == by_topic(played)
     stamps = [stamp for topic, stamp, _ in recorded if topic == IMAGE]
     assert abs(stamps[0] / 1e9 - time.time()) < 60  # The time of arrival, not of the bag.
-    assert (stamps[-1] - stamps[0]) / 1e9 == pytest.approx((FRAMES - 1) * 0.1 / 2, abs=0.15)
+    # Of 0.1 s; a stall delays one or two.
+    assert np.median(np.diff(stamps)) / 1e9 == pytest.approx(0.1 / 2, abs=0.03)
     times = [message.clock.sec * 10**9 + message.clock.nanosec for message in clocks]
     assert times == sorted(times) and times[-1] == played[-1][1]
     assert images and images[-1].header.frame_id == 'camera_optical_frame'
@@ -74,7 +77,7 @@ def test_signal_leaves_a_complete_bag(graph, tmp_path, number):
     publisher.wait_for_all_acked()
     graph.spin_for(0.3)
     recorder.send_signal(number)
-    assert recorder.wait(5) == 0, recorder.stdout.read()
+    assert recorder.wait(WAIT_S) == 0, recorder.stdout.read()
     with BagReader(out) as reader:
         assert reader.recovered == ''
         assert [message.read().height for message in reader.messages()] == list(range(5))
@@ -87,7 +90,7 @@ def test_looping_player_ends_on_a_signal(graph, bag):
     graph.spin_until(lambda: len(images) > FRAMES + 1)
     assert graph.node.count_publishers('/clock') == 0
     player.send_signal(signal.SIGINT)
-    assert player.wait(5) == 0
+    assert player.wait(WAIT_S) == 0
     assert player.stdout.read().count('played') >= 2
 
 
@@ -112,9 +115,16 @@ def test_recorder_stops_when_nothing_comes_any_more(graph, tmp_path):
     graph.executor.remove_node(graph.node)
     with BagWriter(tmp_path / 'out') as writer:
         recorder = BagRecorder(graph.node, writer, [IMAGE])
-        threading.Timer(1.0, lambda: publisher.publish(Image())).start()
+
+        def publish_when_heard():
+            time.sleep(1.0)
+            while not publisher.get_subscription_count():
+                time.sleep(0.05)
+            publisher.publish(Image())
+
+        threading.Thread(target=publish_when_heard, daemon=True).start()
         started = time.monotonic()
-        recorder.record(threading.Event(), seconds=20, idle_timeout=0.3)
+        recorder.record(threading.Event(), seconds=WAIT_S, idle_timeout=0.3)
         assert recorder.counts == {IMAGE: 1}
         assert time.monotonic() - started > 1.2
         recorder.record(threading.Event(), seconds=0.2)

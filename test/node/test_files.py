@@ -173,7 +173,7 @@ def test_launch_file_starts_the_node(tmp_path):
             '-c', LAUNCHER, str(LAUNCH), 'namespace:=robot', f'model:={model}')
         camera.wait_for_node()
         camera.widen(noise_image(SOURCE, 0), 1)
-        assert end(process, signal.SIGINT)[0] == 0
+        assert end(process, signal.SIGINT) == 0
 
 
 @pytest.mark.usefixtures('installed')

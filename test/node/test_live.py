@@ -48,8 +48,7 @@ def test_frames_come_back_wide_with_their_header(graph, model):
             assert np.array_equal(getattr(wide['camera_info'], name), value), name
     status = camera.wait_for_diagnosis(DiagnosticStatus.OK, 'widening')
     assert status['model scene'] == 'tiny' and status['image topic'] == '/robot/image'
-    code, seconds = end(process)
-    assert code == 0 and seconds < 1, process.stdout.read()
+    assert end(process) == 0, process.stdout.read()
 
 
 def test_a_guided_walk_gives_the_bytes_of_its_replay(graph, tmp_path):
@@ -142,7 +141,7 @@ def test_lifecycle_and_enable(graph, model):
     camera.widen(image, 9)
     assert change_state(graph, Transition.TRANSITION_ACTIVE_SHUTDOWN)
     assert state_of(graph) == 'finalized'
-    assert end(process, signal.SIGINT)[0] == 0
+    assert end(process, signal.SIGINT) == 0
 
 
 def test_impossible_transition_does_not_end_the_node(graph, model):
@@ -240,7 +239,7 @@ fast = FovExtrapolator.expand
 def slow(self, image):
     if image.max() == 0:
         print('in the middle', flush=True)
-        time.sleep(30)
+        time.sleep(600)  # Longer than a test waits.
     return fast(self, image)
 FovExtrapolator.expand = slow
 from neo_ros.node.main import main
@@ -257,14 +256,13 @@ def test_signal_in_the_middle_of_inference_ends_it(graph, model, number):
     camera.widen(noise_image(SOURCE, 0), 1)
     camera.publish(np.zeros((SOURCE.height, SOURCE.width, 3), np.uint8), 2)
     assert 'in the middle\n' in iter(process.stdout.readline, ''), 'the node ended before'
-    code, seconds = end(process, number)
-    assert code == 0 and seconds < 5, process.stdout.read()
+    assert end(process, number) == 0, process.stdout.read()
 
 
 SLOW_LOAD = """
 import time
 from neo_ros.runtime import FovExtrapolator
-FovExtrapolator.load = lambda *arguments: print('loading', flush=True) or time.sleep(60)
+FovExtrapolator.load = lambda *arguments: print('loading', flush=True) or time.sleep(600)
 from neo_ros.node.main import main
 main()
 """
@@ -274,8 +272,7 @@ main()
 def test_signal_while_a_model_loads_ends_it(graph, model, number):
     process = graph.start('-c', SLOW_LOAD, '--ros-args', '-p', f'model:={model}')
     assert process.stdout.readline() == 'loading\n'
-    code, seconds = end(process, number)
-    assert code == 0 and seconds < 1.5, process.stdout.read()
+    assert end(process, number) == 0, process.stdout.read()
 
 
 def test_qos_conflict_is_told(graph, model):

@@ -9,7 +9,7 @@ import pytest
 from ros_graph import WAIT_S
 
 REPOSITORY = Path(neo_ros.__file__).parent.parent
-# Seconds after the first line of the shell: interpreter, imports, rclpy, the model, spinning.
+# Seconds after the signals are blocked: interpreter, imports, rclpy, the model, spinning.
 MOMENTS = (0, 0.01, 0.03, 0.06, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1, 1.3, 1.6, 2, 2.5, 3.5)
 
 
@@ -29,11 +29,14 @@ def executable(tmp_path):
 
 
 def wait_for_the_shell(process):
-    """Wait until the first line has run: SIGTERM is caught or blocked."""
+    """Wait until the shell has handed over: before, a signal ends it as it ends any program."""
     def is_taken():
         lines = Path(f'/proc/{process.pid}/status').read_text().splitlines()
-        masks = [int(line.split()[1], 16) for line in lines if line[:6] in ('SigBlk', 'SigCgt')]
-        return any(mask & 1 << signal.SIGTERM - 1 for mask in masks)
+        masks = {line[:6]: int(line.split()[1], 16) for line in lines if line[:3] == 'Sig'
+                 and line[:4] != 'SigQ'}
+        taken = {name for name, mask in masks.items() if mask & 1 << signal.SIGTERM - 1}
+        runs = Path(f'/proc/{process.pid}/exe').resolve().name
+        return 'SigBlk' in taken or 'SigCgt' in taken and runs.startswith('python')
 
     deadline = time.monotonic() + WAIT_S
     while not is_taken():
@@ -54,10 +57,32 @@ def test_a_signal_at_any_moment_ends_it_quietly(graph, executable, model, number
     assert {moment: end for moment, end in ends.items() if end[:2] != (0, False)} == {}
 
 
+HOLDING = """
+import os, signal, time
+from neo_ros.node.running import _Stop
+import rclpy
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import get_default_context
+stop = _Stop()
+rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+with get_default_context()._lock:  # As rclpy.ok and others hold it.
+    os.kill(os.getpid(), signal.SIGINT)
+while rclpy.ok():
+    time.sleep(0.01)
+"""
+
+
+def test_a_signal_that_meets_a_lock_of_rclpy_ends_it(graph):
+    assert graph.start('-c', HOLDING).wait(WAIT_S) == 0
+
+
 def test_signals_that_come_in_a_row_do_no_harm(graph, executable, model):
     process = graph.start_program(executable, '--ros-args', '-p', f'model:={model}')
+    wait_for_the_shell(process)
     time.sleep(2.5)
+    deadline = time.monotonic() + WAIT_S
     while process.poll() is None:
+        assert time.monotonic() < deadline
         process.send_signal(signal.SIGINT)
         time.sleep(0.01)
     assert process.returncode == 0 and 'Traceback' not in process.stdout.read()

@@ -7,7 +7,8 @@ from hypothesis import given, settings, strategies as st
 from neo_ros.errors import ConfigError
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.outpaint import fitting
-from neo_ros.outpaint.fitting import outpaint_loss, OutpaintConfig, OutpaintTrainer
+from neo_ros.outpaint.fitting import OutpaintConfig, OutpaintTrainer
+from neo_ros.outpaint.loss import outpaint_loss
 from neo_ros.outpaint.network import NetworkConfig
 import numpy as np
 import pytest

@@ -5,7 +5,7 @@ from neo_ros.field.device import on_device
 from neo_ros.field.rendering import render_view, to_uint8
 from neo_ros.field.voxel_field import VoxelField
 from neo_ros.geometry import CameraPose, Intrinsics
-from neo_ros.outpaint.pair_stream import FIRST, PairStream
+from neo_ros.outpaint.pair_stream import PairStream, StreamRules
 from neo_ros.outpaint.panorama_pool import covered
 from neo_ros.scenes.pose_sampling import PoseSampler
 import numpy as np
@@ -14,6 +14,7 @@ import pytest
 
 VIEW = Intrinsics.from_hfov(16, 16, 1.6)
 LEVEL = ((0.0, 0.0), (0.0, 0.0))
+FIRST = StreamRules().first
 
 
 @pytest.fixture(scope='module')
