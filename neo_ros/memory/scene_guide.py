@@ -9,6 +9,7 @@ from neo_ros.memory.alignment_kernels import GuideLevel, PhotoLevel
 from neo_ros.memory.colour_kernels import apply_gain
 from neo_ros.memory.doubt import Doubt
 from neo_ros.memory.glancing import GlanceFinder
+from neo_ros.memory.landmark_watch import LandmarkWatch
 from neo_ros.memory.landmarks import Location, Locator
 from neo_ros.memory.local_features import Features
 from neo_ros.memory.looking import Looker
@@ -41,6 +42,8 @@ class SceneGuide:
         self._locator = (None if memory.landmarks is None
                          else Locator(memory.landmarks, expansion.source, thresholds.landmarks))
         self._glances = GlanceFinder(memory.glances, thresholds)
+        self._watch = LandmarkWatch(self._locate, thresholds.landmarks_every,
+                                    thresholds.landmarks_later, self._threads)
         self._doubt = Doubt(self._looker, self._glances)
         self.reset()
 
@@ -60,7 +63,7 @@ class SceneGuide:
         self._last: Sight | None = None
         self._motion = np.eye(4)
         self._since_search = self.thresholds.search_every
-        self._since_landmarks = self.thresholds.landmarks_every
+        self._watch.forget()
         self._led = 0  # Images for which landmarks alone still say where the camera is.
 
     def guide(self, image: np.ndarray, prior: CameraPose | None = None,
@@ -162,20 +165,28 @@ class SceneGuide:
         # A camera in steady motion would be there now.
         tracked = self._tracked_as_drawn(image, before, expected) or self._looker.look(
             image, self.aligner.align(image.photo, expected, 1, near=True), expected)
-        self._since_landmarks += 1
-        if (self._since_landmarks >= self.thresholds.landmarks_every
-                or tracked.agreement < self.thresholds.sure):
-            self._since_landmarks = 0
-            location = self._locate(image, tracked.pose)
-            if location is not None:
-                tracked = (self._located(tracked, location, 'tracked')
-                           if location.allows(tracked.pose)
-                           else self._look_from(location, image))
+        tracked = self._checked(image, tracked)
         if tracked.believed:
             return tracked
         # It may have stopped while somebody stands in the image.
         again = self._looker.look(image, self.aligner.align(image.photo, last, 3, near=True), last)
         return max(tracked, again, key=Sight.rank)
+
+    def _checked(self, image: CameraImage, tracked: Sight) -> Sight:
+        """Ask landmarks about a pose: now if image and memory disagree, else beside the images."""
+        if tracked.agreement >= self.thresholds.sure:
+            told = self._watch.follow(image, tracked.pose)
+            if told is None:
+                return tracked
+            location, there = told
+            if location.allows(there):
+                return self._located(tracked, location, 'tracked')
+        self._watch.forget()
+        now = self._locate(image, tracked.pose)
+        if now is None:
+            return tracked
+        return (self._located(tracked, now, 'tracked') if now.allows(tracked.pose)
+                else self._look_from(now, image))
 
     def _tracked_as_drawn(self, image: CameraImage, before: Sight, expected: CameraPose
                           ) -> Sight | None:
@@ -204,8 +215,7 @@ class SceneGuide:
         pose = self.aligner.align(image.photo, location.pose, 1, near=True)
         if not location.allows(pose):
             pose, self._led = location.pose, self.thresholds.landmarks_every
-        # What is tracked next may be off, too.
-        self._since_landmarks = self.thresholds.landmarks_every
+        self._watch.forget()  # What is tracked next may be off, too.
         return self._located(self._looker.look(image, pose, pose), location, 'landmarks')
 
     def _covariance(self, sight: Sight, photo: PhotoLevel) -> np.ndarray:

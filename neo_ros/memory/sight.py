@@ -86,9 +86,11 @@ class GuideThresholds:
     # one whose pose is believed, but not sure, now and then.
     search_every: int = 5
     doubt_every: int = 30
-    # Looking for landmarks takes as long as a frame: now and then, while image and memory agree.
-    # Where they contradict, they lead for as many images.
+    # Looking for landmarks takes as long as a frame: now and then, while image and memory agree,
+    # and beside the next images; what they say counts so many images later. Where they
+    # contradict, they lead for as many images as they are looked for once.
     landmarks_every: int = 10
+    landmarks_later: int = 2
     # A pose that landmarks give is right, even where the memory shows other colours or another
     # depth.
     least_located: float = 0.5

@@ -42,8 +42,11 @@ def export_variant(network: nn.Module, expansion: ViewExpansion, path: Path, num
         quant_pre_process(str(plain), str(prepared), skip_symbolic_shape=True)
         logging.getLogger().disabled, before = True, logging.getLogger().disabled
         try:
+            # Weights of seven bits: processors without VNNI or AVX-512 add products of two in 16
+            # bits, where those of eight overflow (`mat`: 9.9 grey levels off instead of less
+            # than 4).
             quantize_static(
-                str(prepared), str(path), _Frames(frames), per_channel=True,
+                str(prepared), str(path), _Frames(frames), per_channel=True, reduce_range=True,
                 op_types_to_quantize=['Conv', 'MatMul', 'Gemm', 'ConvTranspose'],
                 activation_type=QuantType.QUInt8, weight_type=QuantType.QInt8)
         finally:

@@ -3,8 +3,10 @@ from collections.abc import Iterator
 from contextlib import suppress
 import errno
 import importlib
+import os
 from pathlib import Path
 import shutil
+import subprocess
 import sys
 import threading
 from typing import Any
@@ -147,6 +149,20 @@ def test_an_attribute_that_is_gone_is_not_made_up() -> None:
 
     with pytest.raises(AttributeError, match='_cache'):
         compiled._replace(Elsewhere(), '_cache', None)
+
+
+@pytest.mark.parametrize('told, expected', [({}, 'passive'),
+                                            ({'OMP_WAIT_POLICY': 'active'}, 'active')],
+                         ids=['default', 'told'])
+def test_threads_that_wait_sleep_unless_told_otherwise(
+        told: dict[str, str], expected: str) -> None:
+    environment = {name: value for name, value in os.environ.items()
+                   if name != 'OMP_WAIT_POLICY'}
+    shown = subprocess.run(
+        [sys.executable, '-c', 'import neo_ros, os; '
+         'print(os.environ["OMP_WAIT_POLICY"])'],
+        env=environment | told, capture_output=True, text=True, check=True)
+    assert shown.stdout.strip() == expected
 
 
 def test_without_compilation_there_is_nothing_to_keep(monkeypatch: pytest.MonkeyPatch) -> None:

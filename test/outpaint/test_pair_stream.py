@@ -114,13 +114,15 @@ def test_a_scene_that_no_photo_saw_is_an_error() -> None:
 
 def test_views_are_cut_where_the_field_is() -> None:
     """On a torch device as by OpenCV, in the same order, and left there."""
-    batches = {}
+    batches, cutters = {}, []
     for device in ('cpu', 'torch'):
         field = room_field(30_000)
         field.update_occupancy()
         field.seen[:] = 1
         stream = PairStream(on_device(field, device), sampler(), VIEW, 4, seed=0)
         batches[device] = stream.batch(3, 8)
+        cutters.append(stream.pool.cut_view.__qualname__)
     assert batches['torch'].device == stream.pool.device
-    difference = batches['cpu'].int() - batches['torch'].int()
-    assert difference.abs().float().mean() < 0.5 and difference.any()
+    # OpenCV counts in 32nds of a pixel, on some processors.
+    assert (batches['cpu'].int() - batches['torch'].int()).abs().float().mean() < 0.5
+    assert 'ViewCutter' not in cutters[0] and 'ViewCutter' in cutters[1]
