@@ -135,7 +135,7 @@ class Doubt:
         """Return what is seen from other places that explain an image, each place once."""
         looker, limits, coarse = self._looker, self._limits, self._looker.coarse_aligner
         photo, tried = coarse.photo(image.pixels), list[tuple[float, CameraPose]]()
-        for start in self._glances.find_many(image.pixels, limits):
+        for start in self._glances.find_rivals(image.pixels, found.pose, limits):
             pose = coarse.align(photo, start, rounds=1)
             agrees = coarse.agreement(photo, pose)
             if agrees > limits.least_coarse and is_elsewhere(pose, found.pose, limits):

@@ -31,16 +31,24 @@ class GlanceFinder:
         chosen = self._apart(places[np.isfinite(alike[places])])
         return [CameraPose(self.poses[index]) for index in chosen]
 
-    def find_many(self, image: np.ndarray, limits: AmbiguityThresholds) -> list[CameraPose]:
-        """Return all places that an image may have been taken at, the most alike first."""
+    def find_rivals(self, image: np.ndarray, found: CameraPose, limits: AmbiguityThresholds
+                    ) -> list[CameraPose]:
+        """Return the places elsewhere that an image is nearly as like as where it was found."""
         alike, chosen = self._likeness(image), list[CameraPose]()
-        while len(chosen) < limits.starts and alike.max() > 0:
-            best = self.poses[int(alike.argmax())]
-            chosen.append(CameraPose(best))
-            near = np.linalg.norm(self.poses[:, :3, 3] - best[:3, 3], axis=1)
-            alike[(near <= limits.start_metres)
-                  & (self.poses[:, :3, 2] @ best[:3, 2] >= limits.start_cosine)] = -1
+        here = self._within(found, limits.elsewhere_metres, limits.elsewhere_cosine)
+        least = max(alike[here].max(initial=-1.0) - limits.less_alike, 0.0)
+        alike[here] = -1
+        while len(chosen) < limits.starts and alike.max() > least:
+            best = CameraPose(self.poses[int(alike.argmax())])
+            chosen.append(best)
+            alike[self._within(best, limits.start_metres, limits.start_cosine)] = -1
         return chosen
+
+    def _within(self, pose: CameraPose, metres: float, cosine: float) -> np.ndarray:
+        near: np.ndarray = (
+            np.linalg.norm(self.poses[:, :3, 3] - pose.position, axis=1) <= metres) & (
+                self.poses[:, :3, 2] @ pose.forward >= cosine)
+        return near
 
     def _likeness(self, image: np.ndarray) -> np.ndarray:
         grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import cv2
 from neo_ros.geometry import CameraPose, ViewExpansion
 from neo_ros.memory.alignment import agreement, Aligner, Drawn, grey_of
+from neo_ros.memory.coarse_memory import CoarseMemory
 from neo_ros.memory.rendering import GuideView, MemoryRenderer
 from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.memory.sight import CameraImage, Found, GuideThresholds, Sight
@@ -20,7 +21,8 @@ class Looker:
         self.renderer = MemoryRenderer(memory)
         self.aligner = Aligner(self.renderer, expansion.source, thresholds.alignment)
         width = thresholds.ambiguity.coarse
-        self.coarse_aligner = Aligner(self.renderer, expansion.source, replace(
+        coarse = CoarseMemory(memory, expansion.source.fx * width / expansion.source.width)
+        self.coarse_aligner = Aligner(MemoryRenderer(coarse), expansion.source, replace(
             thresholds.alignment, finest=width, coarsest=width // 2))
 
     def look(self, image: CameraImage, pose: CameraPose, expected: CameraPose | None = None,

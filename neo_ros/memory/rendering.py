@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.memory import kernels
+from neo_ros.memory.coarse_memory import CoarseMemory
 from neo_ros.memory.scene_memory import SceneMemory
 import numpy as np
 
@@ -28,7 +29,7 @@ class GuideView:
 class MemoryRenderer:
     """Draws views of one memory; keeps what all of them need."""
 
-    def __init__(self, memory: SceneMemory) -> None:
+    def __init__(self, memory: SceneMemory | CoarseMemory) -> None:
         self.memory = memory
         self._rays: np.ndarray | None = None
 

@@ -136,12 +136,16 @@ class SceneGuide:
                 and self._since_search >= self.thresholds.doubt_every)
 
     def warm_up(self) -> None:
-        """Compile what is compiled at first use, which takes seconds on a new machine."""
+        """
+        Search once: compiles what is compiled at first use, which takes seconds on a new machine.
+
+        A camera's first image must not take longer than those after it.
+        """
         pose = CameraPose(self._glances.poses[0])
         with self.loops():
             view = self.renderer.render(pose, self.expansion.source, self.thresholds.shown)
-            image = self._camera_image(view.image)
-            self.aligner.align(image.photo, pose, rounds=1)
+            image = self._camera_image(view.image.astype(np.uint8))
+            self._doubt.settle(image, None, self._search(image))
             wide = self._looker.look(image, pose).view
             shown = (wide.depth, pose, np.ones(3, np.float32))
             self._recent.keep(self.expansion.crop(wide.image).astype(np.uint8), wide.image, *shown)

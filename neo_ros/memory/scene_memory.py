@@ -102,6 +102,10 @@ class SceneMemory:
             del decoded[next(iter(decoded))]
         return found
 
+    def compressed(self, index: int) -> tuple[bytes, bytes]:
+        """Return the texture's JPEG and the depth's PNG of keyframe `index`."""
+        return self._textures[index], self._depths[index]
+
     def each(self) -> Iterator[Keyframe]:
         """Yield all keyframes, decoded now and not kept; any thread may do so."""
         for index in range(len(self.positions)):
@@ -110,20 +114,20 @@ class SceneMemory:
     def _reduction(self, focal: float) -> int:
         if not math.isfinite(focal):
             return 1
-        texture, mesh = self._rows
+        texture, mesh = self.rows
         pixels = texture / (self.band.top - self.band.bottom)
         return max(reduced for reduced in REDUCED if reduced == 1 or (
             texture % (mesh * reduced) == 0 and pixels / reduced >= FINER * focal))
 
     @cached_property
-    def _rows(self) -> tuple[int, int]:
+    def rows(self) -> tuple[int, int]:
         """Rows of a texture and of its mesh, which is stored as a PNG."""
         return (compressed_image_size(self._textures[0], MOST_TEXTURE)[1],
                 int.from_bytes(self._depths[0][20:24], 'big'))
 
     def _decode(self, index: int, reduced: int) -> Keyframe:
-        texture = _decode_image(self._textures[index], REDUCED[reduced])
-        coded = _decode_image(self._depths[index], cv2.IMREAD_UNCHANGED)
+        texture = decode_image(self._textures[index], REDUCED[reduced])
+        coded = decode_image(self._depths[index], cv2.IMREAD_UNCHANGED)
         if texture is None or coded is None or coded.dtype != np.uint16 or coded.ndim != 2 \
                 or not _is_finer(texture.shape, coded.shape):
             raise ModelError(f'scene memory: keyframe {index} is damaged; export it again')
@@ -134,8 +138,7 @@ class SceneMemory:
             raise ModelError(
                 f'scene memory: keyframe {index}: expected texture and depth of the shapes '
                 f'{expected} as the others, got {shapes}; export it again')
-        depth = np.where(coded > 0, STEPS * CLOSEST / np.maximum(coded, 1), 0)
-        return Keyframe(self.positions[index], depth.astype(np.float32),
+        return Keyframe(self.positions[index], depth_of(coded),
                         cv2.cvtColor(texture, cv2.COLOR_BGR2RGB, texture))
 
     @classmethod
@@ -300,7 +303,12 @@ def _encode(kind: str, image: np.ndarray, options: list[int]) -> bytes:
     return coded.tobytes()
 
 
-def _decode_image(content: bytes, flags: int) -> np.ndarray | None:
+def depth_of(coded: np.ndarray) -> np.ndarray:
+    """Return the metres, float32, that a depth's PNG means, uint16; 0 = unknown."""
+    return np.where(coded > 0, STEPS * CLOSEST / np.maximum(coded, 1), 0).astype(np.float32)
+
+
+def decode_image(content: bytes, flags: int) -> np.ndarray | None:
     try:
         return cv2.imdecode(np.frombuffer(content, np.uint8), flags)
     except cv2.error:  # Of what is larger than OpenCV takes.

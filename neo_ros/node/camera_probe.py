@@ -118,6 +118,8 @@ class CameraProbe:
         self.sent.append(now)
 
     def _spin_until(self, moment: float) -> None:
+        for _ in self._watching:  # What has come is taken, however late it is.
+            self._executor.spin_once(timeout_sec=0)
         while (left := moment - time.monotonic()) > 0:
             self._executor.spin_once(timeout_sec=left)
 

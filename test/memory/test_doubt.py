@@ -1,4 +1,6 @@
 """Rooms that look alike: no place is believed while another one explains the images as well."""
+from dataclasses import replace
+
 from box_room import (
     apart, AWAY, box_memory, EXPANSION, planar, SOURCE, twin_memory, view, view_with_picture)
 from neo_ros.geometry import CameraPose
@@ -118,3 +120,18 @@ def test_only_what_fits_one_place_and_not_the_other_speaks() -> None:
     # Nor does what one of them does not know.
     blind = misfit(image, changed, np.zeros_like(known), LIMITS)
     assert speaks_against(other, blind, LIMITS) == 0
+
+
+def test_rivals_are_places_elsewhere_that_look_about_as_alike(twins: SceneGuide) -> None:
+    pose = planar(1.9, 1.7, 35)
+    finder, photo = twins._glances, photo_at(pose)
+    likeness = dict(zip(map(bytes, finder.poses), finder._likeness(photo)))
+    most = max(likeness.values())
+    rivals = finder.find_rivals(photo, pose, LIMITS)
+    assert all(is_elsewhere(rival, pose, LIMITS) for rival in rivals)
+    assert not is_elsewhere(rivals[0], _in_twin(pose), LIMITS)
+    assert min(likeness[bytes(rival.T_world_cam)] for rival in rivals) >= most - LIMITS.less_alike
+    strict = replace(LIMITS, less_alike=0.02)
+    assert len(finder.find_rivals(photo, pose, strict)) < len(rivals)
+    assert len(finder.find_rivals(photo, pose, replace(LIMITS, starts=1))) == 1
+    assert not finder.find_rivals(photo, pose, replace(LIMITS, starts=0))
