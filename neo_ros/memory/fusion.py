@@ -7,9 +7,9 @@ from neo_ros.memory import colour_kernels as kernels
 from neo_ros.memory.sight import Guide
 import numpy as np
 
-# Gaps are filled from their surroundings in a picture so many times smaller, over squares of these
-# sides in its pixels: the smallest first, the largest for the gaps in the largest view that a model
-# may have.
+# Gaps are filled from their surroundings in a picture so many times smaller, over squares of
+# these sides in its pixels: the smallest first, the largest for the gaps in the largest view that
+# a model may have.
 SHRUNK, GAPS = 4, (3, 9, 33, 129, 513)
 
 
