@@ -135,7 +135,7 @@ def _filled(image: np.ndarray, known: np.ndarray) -> np.ndarray:
     seen = cv2.bitwise_and(image, image, mask=known.view(np.uint8)).astype(np.float32)
     result = cv2.resize(seen, small, interpolation=cv2.INTER_AREA)
     weight = cv2.resize(known.astype(np.float32), small, interpolation=cv2.INTER_AREA)
-    result /= np.maximum(weight, 1e-6)[..., None]
+    result = result / np.maximum(weight, 1e-6)[..., None]
     weight = (weight > 0).astype(np.float32)
     for side in GAPS:
         if weight.all():
