@@ -4,7 +4,8 @@ import math
 
 import cv2
 from neo_ros.geometry import Band, Intrinsics
-from neo_ros.memory.scene_memory import Glances, Keyframe
+from neo_ros.memory.keyframe import Keyframe
+from neo_ros.memory.scene_memory import Glances
 from neo_ros.scenes.pose_sampling import PoseSampler, rotation_from_angles
 import numpy as np
 

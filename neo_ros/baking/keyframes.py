@@ -22,7 +22,8 @@ from neo_ros.field.rendering import render_rays, to_uint8, world_rays
 from neo_ros.geometry import Band, CameraPose, Intrinsics, ViewExpansion
 from neo_ros.machine.files import whole_file
 from neo_ros.machine.progress import no_stage_progress, of_stage, Progress, StageProgress
-from neo_ros.memory.scene_memory import compress, FINER, Glances, Keyframe, SceneMemory
+from neo_ros.memory.keyframe import compress, FINER, Keyframe
+from neo_ros.memory.scene_memory import Glances, SceneMemory
 from neo_ros.scenes.pose_sampling import PoseSampler
 import numpy as np
 

@@ -9,9 +9,10 @@ from neo_ros.field.panorama import view_band
 from neo_ros.flat.building import Building
 from neo_ros.flat.building_routes import mapping_poses
 from neo_ros.geometry import Band, CameraPose, Intrinsics, ViewExpansion
+from neo_ros.memory.keyframe import compress, Keyframe
 from neo_ros.memory.landmarks import Landmarks, magnification
 from neo_ros.memory.local_features import find_features
-from neo_ros.memory.scene_memory import compress, Glances, Keyframe, SceneMemory
+from neo_ros.memory.scene_memory import Glances, SceneMemory
 from neo_ros.scenes.pose_sampling import PoseSampler, rotation_from_angles, SamplingConfig
 import numpy as np
 

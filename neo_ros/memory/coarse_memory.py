@@ -3,8 +3,8 @@ import math
 
 import cv2
 from neo_ros.errors import ModelError
-from neo_ros.memory.scene_memory import (
-    decode_image, depth_of, Keyframe, REDUCED, SceneMemory)
+from neo_ros.memory.keyframe import decode_image, depth_of, Keyframe, REDUCED
+from neo_ros.memory.scene_memory import SceneMemory
 import numpy as np
 
 # A mesh is so many times as fine as the view, a texture as the mesh.

@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 import cv2
 from neo_ros.memory.floor_kernels import stack_points
-from neo_ros.memory.scene_memory import Keyframe, SceneMemory
+from neo_ros.memory.keyframe import Keyframe
+from neo_ros.memory.scene_memory import SceneMemory
 import numpy as np
 
 # One of so many rows and columns of the keyframes tells how far the scene reaches.

@@ -35,6 +35,7 @@ class SceneGuide:
     def __init__(self, memory: SceneMemory, expansion: ViewExpansion, threads: int = 0,
                  thresholds: GuideThresholds = GuideThresholds()) -> None:
         self.expansion, self.thresholds = expansion, thresholds
+        self._memory = memory
         self._threads = min(threads or ALL_THREADS, ALL_THREADS)
         self._looker = Looker(memory, expansion, thresholds)
         self.renderer, self.aligner = self._looker.renderer, self._looker.aligner
@@ -117,6 +118,8 @@ class SceneGuide:
         self._motion = (last.inverse() @ best.pose.T_world_cam
                         if last is not None and best is followed else np.eye(4))
         self._last = best
+        if last is not None:
+            self._decode_ahead(best.pose.position, last.position)
         view, known = best.view, best.view.depth > 0
         gain = self._expose(view.image, known, image.pixels)
         solid = np.where(view.stretched, 0, view.depth)
@@ -126,6 +129,12 @@ class SceneGuide:
                      best.found, len(best.location.points) if best.location else 0, view.depth,
                      partial(self._covariance, best, image.photo[0]), self.expansion.observed,
                      partial(self._panorama, best.pose, gain))
+
+    def _decode_ahead(self, now: np.ndarray, before: np.ndarray) -> None:
+        """Have decoded what will be drawn if the camera moves on: (3,) positions in the world."""
+        soon = now + self.thresholds.decoded_ahead * (now - before)
+        self._memory.decode_ahead(map(int, self.renderer.nearest(soon, self.thresholds.shown)),
+                                  self.expansion.target.fx)
 
     def _search_is_due(self, best: Sight | None) -> bool:
         if best is None:

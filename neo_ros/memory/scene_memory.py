@@ -1,7 +1,7 @@
 """The scene memory: what a robot keeps of a scene to see it again from other poses."""
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 import hashlib
 import io
 import logging
@@ -16,44 +16,20 @@ from neo_ros.geometry import Band
 from neo_ros.geometry.camera_pose import check_transform
 from neo_ros.machine.files import whole_file
 from neo_ros.machine.regular_file import MAX_BYTES, read_model_bytes
+from neo_ros.memory.decoded import DecodedKeyframes
+from neo_ros.memory.keyframe import (
+    compress, decode_image, depth_of, FINER, Keyframe, REDUCED)
 from neo_ros.memory.landmarks import Landmarks, MOST_LANDMARKS
 from neo_ros.pictures.header import compressed_image_size, PNG_START
 import numpy as np
 
 logger = logging.getLogger(__name__)
 SCHEMA = 1
-# Inverse depth is stored in so many steps from infinity to CLOSEST metres; finer ones would be
-# noise that does not compress.
-STEPS = 4095
-CLOSEST = 0.25
-JPEG_QUALITY = 86
 LARGE_BYTES = 50 << 20
-# Textures are so many times as fine as the view, which keeps them sharp when they are drawn.
-FINER = 3.0
-# By how much a decoder can shrink them for views that are smaller.
-REDUCED = {1: cv2.IMREAD_COLOR, 2: cv2.IMREAD_REDUCED_COLOR_2, 4: cv2.IMREAD_REDUCED_COLOR_4,
-           8: cv2.IMREAD_REDUCED_COLOR_8}
-# Decoded keyframes of a size that are kept: what fits into so many bytes, but at least all that
-# are drawn.
-CACHED_BYTES = 256 << 20
-LEAST_CACHED = 3
 # What a file may ask for, pixels: far above what a camera of 4000x3000 pixels would need.
 MOST_TEXTURE, MOST_MESH, MOST_GLANCES = 1 << 29, 1 << 20, 1 << 26
 # A size in the file that may be any but 0.
 ANY = -1
-
-
-@dataclass(frozen=True, eq=False)
-class Keyframe:
-    """
-    A panorama with depth, seen from `position` (3,), world metres.
-
-    depth float32 (h, w), metres along the ray, 0 = unknown; texture uint8 RGB (n h, n w, 3).
-    """
-
-    position: np.ndarray
-    depth: np.ndarray
-    texture: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,8 +58,7 @@ class SceneMemory:
         self.positions, self.band = positions, band
         self.glances, self.landmarks = glances, landmarks
         self._textures, self._depths = textures, depths
-        # The last one used is the last. An lru_cache of a method would keep this object alive.
-        self._decoded: dict[int, dict[int, Keyframe]] = {reduced: {} for reduced in REDUCED}
+        self._decoded = {reduced: DecodedKeyframes() for reduced in REDUCED}
         self._shapes: dict[int, tuple[tuple[int, ...], ...]] = {}
 
     def keyframe(self, index: int, focal: float = math.inf) -> Keyframe:
@@ -94,13 +69,13 @@ class SceneMemory:
         so it takes little memory, and has no detail that would flicker there.
         """
         reduced = self._reduction(focal)
-        decoded = self._decoded[reduced]
-        found = decoded.pop(index, None) or self._decode(index, reduced)
-        decoded[index] = found
-        if len(decoded) > max(
-                LEAST_CACHED, CACHED_BYTES // (found.depth.nbytes + found.texture.nbytes)):
-            del decoded[next(iter(decoded))]
-        return found
+        return self._decoded[reduced].get(index, lambda: self._decode(index, reduced))
+
+    def decode_ahead(self, indices: Iterable[int], focal: float) -> None:
+        """Let another thread decode keyframes that a view of this focal length will show soon."""
+        reduced = self._reduction(focal)
+        for index in indices:
+            self._decoded[reduced].ahead(index, partial(self._decode, index, reduced))
 
     def compressed(self, index: int) -> tuple[bytes, bytes]:
         """Return the texture's JPEG and the depth's PNG of keyframe `index`."""
@@ -240,15 +215,6 @@ class SceneMemory:
                    Glances(pictures, poses), landmarks)
 
 
-def compress(keyframe: Keyframe) -> tuple[bytes, bytes]:
-    """Return a keyframe's texture as JPEG and its inverse depth as PNG."""
-    nearness = STEPS * CLOSEST / np.maximum(keyframe.depth, CLOSEST)
-    coded = np.where(keyframe.depth > 0, np.maximum(nearness + 0.5, 1), 0)
-    return (_encode('.jpg', keyframe.texture[..., ::-1],
-                    [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]),
-            _encode('.png', coded.astype(np.uint16), []))
-
-
 def _check_pictures(textures: Sequence[bytes], depths: Sequence[bytes]) -> None:
     """Raise ValueError where what would be decoded is of another kind, or far too large."""
     # Where a PNG has its width, height, and bits of one grey channel.
@@ -294,25 +260,6 @@ def _is_finer(texture: tuple[int, ...], depth: tuple[int, ...]) -> bool:
     rows, columns = depth
     times = texture[0] // rows
     return min(depth) > 1 and times > 0 and texture[:2] == (times * rows, times * columns)
-
-
-def _encode(kind: str, image: np.ndarray, options: list[int]) -> bytes:
-    done, coded = cv2.imencode(kind, image, options)
-    if not done:
-        raise ModelError(f'scene memory: OpenCV cannot write {kind}')
-    return coded.tobytes()
-
-
-def depth_of(coded: np.ndarray) -> np.ndarray:
-    """Return the metres, float32, that a depth's PNG means, uint16; 0 = unknown."""
-    return np.where(coded > 0, STEPS * CLOSEST / np.maximum(coded, 1), 0).astype(np.float32)
-
-
-def decode_image(content: bytes, flags: int) -> np.ndarray | None:
-    try:
-        return cv2.imdecode(np.frombuffer(content, np.uint8), flags)
-    except cv2.error:  # Of what is larger than OpenCV takes.
-        return None
 
 
 def _split(name: str, content: np.ndarray, sizes: np.ndarray) -> list[bytes]:

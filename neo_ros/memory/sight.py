@@ -94,8 +94,10 @@ class GuideThresholds:
     # A pose that landmarks give is right, even where the memory shows other colours or another
     # depth.
     least_located: float = 0.5
-    # Keyframes that are drawn.
+    # Keyframes that are drawn. Those around where a camera in steady motion will be so many images
+    # later are decoded beside the images.
     shown: int = 3
+    decoded_ahead: int = 15
     # Places that a lost camera is compared with closely, and how far apart they are at least.
     candidates: int = 8
     apart_metres: float = 0.25

@@ -17,9 +17,10 @@ from neo_ros.baking.keyframes import keyframe_size, mesh_depth
 from neo_ros.field.panorama import view_band
 from neo_ros.flat.demo_flat import build_demo_flat, DemoFlat
 from neo_ros.geometry import Band, CameraPose, Intrinsics, ViewExpansion
+from neo_ros.memory.keyframe import Keyframe
 from neo_ros.memory.landmarks import Landmarks, LandmarkThresholds, magnification
 from neo_ros.memory.local_features import find_features
-from neo_ros.memory.scene_memory import Keyframe, SceneMemory
+from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.runtime import FovExtrapolator, read_model_card
 from neo_ros.runtime.model_card import MemoryFile, write_model_card
 from neo_ros.speed.images import PAPER_VIEW, walk_at_30_hz

@@ -4,7 +4,8 @@ from typing import Any
 
 from neo_ros.geometry import Band, CameraPose, Intrinsics, ViewExpansion
 from neo_ros.geometry.camera_pose import rotation_angle
-from neo_ros.memory.scene_memory import Glances, Keyframe, SceneMemory
+from neo_ros.memory.keyframe import Keyframe
+from neo_ros.memory.scene_memory import Glances, SceneMemory
 from neo_ros.runtime.model_card import MemoryFile
 import numpy as np
 from tiny_model import write_tiny_model

@@ -7,7 +7,8 @@ from neo_ros.flat.demo_flat import build_demo_flat
 from neo_ros.flat.raycast import cast_rays
 from neo_ros.machine.files import share_dir
 from neo_ros.memory.floor_plan import draw_floor_plan, encode_plan, FloorPlan
-from neo_ros.memory.scene_memory import Glances, Keyframe, SceneMemory
+from neo_ros.memory.keyframe import Keyframe
+from neo_ros.memory.scene_memory import Glances, SceneMemory
 from neo_ros.runtime.fov_extrapolator import memory_path
 from neo_ros.runtime.model_card import read_model_card
 import numpy as np

@@ -2,8 +2,9 @@
 from box_room import BAND, box_memory, EXPANSION, keyframe, planar, view
 from neo_ros.geometry import CameraPose
 from neo_ros.machine import compiled
+from neo_ros.memory.keyframe import Keyframe
 from neo_ros.memory.rendering import MemoryRenderer
-from neo_ros.memory.scene_memory import Glances, Keyframe, SceneMemory
+from neo_ros.memory.scene_memory import Glances, SceneMemory
 from numba import get_num_threads, set_num_threads
 import numpy as np
 import pytest

@@ -1,4 +1,5 @@
 """Finding and following a camera in the box room, whose poses are known."""
+from collections.abc import Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 import time
 from typing import Any
@@ -156,6 +157,25 @@ def test_a_slow_camera_is_aligned_with_what_was_drawn_before(
     assert found is not None
     metres, angle = apart(found.pose, walk[-1])
     assert metres < 0.02 and angle < 0.5
+
+
+def test_keyframes_are_decoded_before_the_camera_comes_to_them(
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    memory = box_memory()
+    guide = SceneGuide(memory, EXPANSION, thresholds=GuideThresholds(shown=1))
+    there = next(int(index) for index in np.argsort(memory.positions[:, 0])[::-1])
+    end = memory.positions[there]
+    walk = [planar(end[0] - 0.6 + 0.03 * step, end[1], 180) for step in range(4)]
+    asked: list[int] = []
+    decode_ahead = memory.decode_ahead
+
+    def watched(indices: Iterable[int], focal: float) -> None:
+        asked.extend(indices := list(indices))
+        decode_ahead(indices, focal)
+    monkeypatch.setattr(memory, 'decode_ahead', watched)
+    for pose in walk:
+        assert guide.guide(photo_at(pose)) is not None
+    assert asked[-1] == there
 
 
 def test_a_jump_is_no_motion(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,9 +11,10 @@ from box_room import BAND, box_memory, keyframe
 import cv2
 from neo_ros.errors import ModelError
 from neo_ros.machine.regular_file import MAX_BYTES
-from neo_ros.memory import scene_memory
+from neo_ros.memory import decoded, scene_memory
+from neo_ros.memory.keyframe import CLOSEST, Keyframe
 from neo_ros.memory.landmarks import Landmarks
-from neo_ros.memory.scene_memory import CLOSEST, Glances, Keyframe, SceneMemory
+from neo_ros.memory.scene_memory import Glances, SceneMemory
 import numpy as np
 import pytest
 
@@ -49,7 +50,7 @@ def test_a_memory_without_landmarks_comes_back(tmp_path: Path) -> None:
 
 def test_few_keyframes_stay_decoded_and_none_outlives_the_memory(
         monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scene_memory, 'CACHED_BYTES', 1)
+    monkeypatch.setattr(decoded, 'CACHED_BYTES', 1)
     memory = box_memory()
     first, second, third = (memory.keyframe(index) for index in range(3))
     assert memory.keyframe(0) is first
@@ -70,7 +71,7 @@ def test_as_many_keyframes_stay_decoded_as_fit(monkeypatch: pytest.MonkeyPatch) 
     memory = box_memory()
     frames = [memory.keyframe(index) for index in range(5)]
     assert all(memory.keyframe(index) is frames[index] for index in range(5))
-    monkeypatch.setattr(scene_memory, 'CACHED_BYTES',
+    monkeypatch.setattr(decoded, 'CACHED_BYTES',
                         4 * (frames[0].depth.nbytes + frames[0].texture.nbytes))
     memory = box_memory()
     frames = [memory.keyframe(index) for index in range(5)]
