@@ -21,8 +21,9 @@ class GuidedView:
              ) -> 'GuidedView':
         """Read a memory and compile what is compiled; ModelError as `SceneMemory.read`."""
         guide = SceneGuide(SceneMemory.read(path, sha256), expansion, threads)
-        guide.warm_up()
-        return cls(guide)
+        view, shown = cls(guide), guide.warm_up()
+        view.fuse(expansion.crop(shown.image).astype(np.uint8), shown, None)
+        return view
 
     def guide(self, image: np.ndarray, prior: CameraPose | None = None,
               motion: np.ndarray | None = None) -> Guide | None:

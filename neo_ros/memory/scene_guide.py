@@ -144,22 +144,24 @@ class SceneGuide:
         return (best.agreement < self.thresholds.sure
                 and self._since_search >= self.thresholds.doubt_every)
 
-    def warm_up(self) -> None:
+    def warm_up(self) -> Guide:
         """
         Search once: compiles what is compiled at first use, which takes seconds on a new machine.
 
-        A camera's first image must not take longer than those after it.
+        A camera's first image must not take longer than those after it. Returns what was shown.
         """
         pose = CameraPose(self._glances.poses[0])
         with self.loops():
             view = self.renderer.render(pose, self.expansion.source, self.thresholds.shown)
             image = self._camera_image(view.image.astype(np.uint8))
             self._doubt.settle(image, None, self._search(image))
-            wide = self._looker.look(image, pose).view
-            shown = (wide.depth, pose, np.ones(3, np.float32))
-            self._recent.keep(self.expansion.crop(wide.image).astype(np.uint8), wide.image, *shown)
-            self._recent.bring(*shown)
+            sight = self._looker.look(image, pose)
+            wide, known = sight.view, sight.view.depth > 0
+            gain = self._expose(wide.image, known, image.pixels)
+            self._recent.keep(image.pixels, wide.image, wide.depth, pose, gain)
+            seen_before = self._recent.bring(wide.depth, pose, gain)
         self.reset()
+        return Guide(wide.image, known, wide.stretched, pose, sight.agreement, seen_before)
 
     def _follow(self, image: CameraImage, before: Sight) -> Sight:
         """Track a camera; where landmarks contradict what is found so, they lead for a while."""
