@@ -17,7 +17,12 @@ class LandmarkWatch:
 
     def __init__(self, locate: Callable[[CameraImage, CameraPose], Location | None],
                  every: int, later: int, threads: int) -> None:
-        """locate: called in another thread, unless there is but one."""
+        """
+        locate: called in another thread, unless there is but one.
+
+        No method of what owns the watch: the memory would outlive its guide until the next
+        garbage collection.
+        """
         self._locate, self._every, self._later = locate, every, later
         self._other = ThreadPoolExecutor(1, 'landmarks') if threads > 1 else None
         self.forget()

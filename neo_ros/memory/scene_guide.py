@@ -43,7 +43,7 @@ class SceneGuide:
         self._locator = (None if memory.landmarks is None
                          else Locator(memory.landmarks, expansion.source, thresholds.landmarks))
         self._glances = GlanceFinder(memory.glances, thresholds)
-        self._watch = LandmarkWatch(self._locate, thresholds.landmarks_every,
+        self._watch = LandmarkWatch(partial(_locate, self._locator), thresholds.landmarks_every,
                                     thresholds.landmarks_later, self._threads)
         self._doubt = Doubt(self._looker, self._glances)
         self.reset()
@@ -216,7 +216,7 @@ class SceneGuide:
         return sight if sight.agreement >= limits.sure else None
 
     def _locate(self, image: CameraImage, around: CameraPose | None) -> Location | None:
-        return self._locator.locate(image.features, around) if self._locator else None
+        return _locate(self._locator, image, around)
 
     def _located(self, sight: Sight, location: Location, found: Found) -> Sight:
         return located(sight, self.thresholds.least_located, location, found)
@@ -287,3 +287,8 @@ class SceneGuide:
                              self.thresholds.alignment.exposure)
         apply_gain(guide, gain)
         return gain
+
+
+def _locate(locator: Locator | None, image: CameraImage, around: CameraPose | None
+            ) -> Location | None:
+    return locator.locate(image.features, around) if locator else None

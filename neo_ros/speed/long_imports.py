@@ -134,11 +134,12 @@ def measure_import(source: Path, scene: Path, options: Sequence[str] = ()) -> di
 
     remaining: how often it said how long it would still take.
     """
-    program = ('import resource, sys; from neo_ros.cli.main import main\n'
+    # Linux counts what the process had before it became this program as its ru_maxrss.
+    program = ('import re, time; from neo_ros.cli.main import main\n'
                'try: main()\n'
                'finally:\n'
-               ' used = resource.getrusage(resource.RUSAGE_SELF)\n'
-               ' print("used", used.ru_maxrss, used.ru_utime + used.ru_stime)')
+               ' peak = re.search(r"VmHWM:\\s+(\\d+)", open("/proc/self/status").read())\n'
+               ' print("used", peak[1], time.process_time())')
     started = time.monotonic()
     result = subprocess.run([sys.executable, '-c', program, 'import', str(source), str(scene),
                              *options], capture_output=True, text=True)
