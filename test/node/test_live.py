@@ -312,9 +312,9 @@ def test_a_twin_is_noticed(graph, model):
     end(third)
     camera.diagnostics.clear()
     camera.wait_for_diagnosis(DiagnosticStatus.WARN, r'publishers: 1$')
-    statuses = [entry.status[0] for entry in camera.diagnostics]
-    assert {status.name for status in statuses} == {'/robot/fov_extrapolator: widening'}
-    assert statuses[-1].hardware_id == '/robot/image'
+    status = camera.diagnostics[-1].status[0]  # What the third said last may come late.
+    assert status.name == '/robot/fov_extrapolator: widening'
+    assert status.hardware_id == '/robot/image'
     camera.widen(noise_image(SOURCE, 0), 1)
     graph.spin_until(lambda: camera.diagnostics[-1].status[0].hardware_id == 'camera_1')
     end(first)
