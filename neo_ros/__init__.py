@@ -4,6 +4,6 @@ import os
 __version__ = '0.1.0'
 
 # The threads of parallel loops, numba's and torch's, wait for one another asleep. By default they
-# burn their cores meanwhile: beside one other busy process a guided image took 215 ms instead of
+# burn their cores meanwhile: beside a few niced processes a guided image took 211 ms instead of
 # 66. OpenMP reads this when it is loaded, so it stands before every other import.
 os.environ.setdefault('OMP_WAIT_POLICY', 'passive')

@@ -8,7 +8,6 @@ minutes that ours really took, on the CPU; it is left out where ours is fitted o
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from importlib.util import find_spec
-import json
 from pathlib import Path
 import tempfile
 from typing import Any
@@ -20,9 +19,10 @@ from neo_ros.experiment import Experiment
 from neo_ros.field.device import chosen_device, field_trainer, on_device
 from neo_ros.field.rendering import render_view
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
-from neo_ros.machine.files import make_output_folder, write_bytes
-from neo_ros.machine.host import commit, host
+from neo_ros.machine.files import make_output_folder
+from neo_ros.machine.host import host
 from neo_ros.machine.progress import StageProgress
+from neo_ros.machine.result_rows import ResultRows
 from neo_ros.pictures.exposure import exposure_gain
 from neo_ros.scenes.scene import read_scene
 from neo_ros.training.run import TrainingRun
@@ -47,7 +47,7 @@ def measure_field_curve(scene: Path, experiment: Experiment, scale: str,
     or settings are wrong.
     """
     make_output_folder(out.parent)
-    rows: list[dict[str, Any]] = json.loads(out.read_text()) if out.exists() else []
+    results = ResultRows(out)
     fitters = _fitters(experiment, progress)
     with tempfile.TemporaryDirectory() as folder:
         run = TrainingRun(read_scene(scene), replace(experiment, scale=SCALES[scale]),
@@ -62,16 +62,14 @@ def measure_field_curve(scene: Path, experiment: Experiment, scale: str,
                 key = {'scene': run.scene.name, 'scale': scale, 'implementation': name,
                        'budget_minutes': budget, 'views': views, 'checksums': checksums,
                        'config_hash': run.experiment.config_hash, 'host': here}
-                row = next((row for row in rows if key.items() <= row.items()), None)
+                row = results.find(key)
                 if row is None:
                     stage = f'{run.scene.name}, {name}, {budget:g} min'
                     render, measured = fit(run, seconds, stage)
-                    row = {**key, **measured, **score(run, render, views, scorers, stage),
-                           'commit': commit()}
-                    rows.append(row)
-                    write_bytes(out, (json.dumps(rows, indent=1) + '\n').encode())
+                    row = results.add({
+                        **key, **measured, **score(run, render, views, scorers, stage)})
                 seconds = 60 * row['minutes']
-    return markdown(rows)
+    return markdown(results.rows)
 
 
 def _host(experiment: Experiment) -> str:

@@ -12,7 +12,6 @@ interruption, it goes on with the next row.
 """
 from collections.abc import Callable
 from dataclasses import replace
-import json
 from pathlib import Path
 import shutil
 import sys
@@ -31,9 +30,8 @@ from neo_ros.evaluation.stability import DepthOf
 from neo_ros.experiment import Experiment, read_experiment
 from neo_ros.field.radiance_field import RadianceField
 from neo_ros.field.rendering import render_view
-from neo_ros.machine.files import write_bytes
-from neo_ros.machine.host import commit, host
 from neo_ros.machine.progress import no_stage_progress, StageProgress
+from neo_ros.machine.result_rows import ResultRows
 from neo_ros.pipeline import fit_field_step
 from neo_ros.runtime import FovExtrapolator
 from neo_ros.scenes.upright import read_upright_scene
@@ -60,12 +58,12 @@ def measure(scene: Path, model: Path, work: Path, base: Experiment,
     if not is_demo_flat(scene) or not any(found.train.depth_paths):
         raise SceneError(f'{scene}: expected the demo flat with depth, made by: '
                          f'neo import demo {scene} --depth')
-    rows: list[dict[str, Any]] = json.loads(results.read_text()) if results.exists() else []
+    kept = ResultRows(results)
     for count in steps:
         for weight in (base.field.depth, 0.0):
             key = {'scene': found.name, 'photos': len(found.train), 'steps': count,
                    'depth_weight': weight, 'depth': 'measured' if weight else 'none'}
-            if any(key.items() <= row.items() for row in rows):
+            if kept.find(key) is not None:
                 continue
             experiment = replace(base, memory=MEMORY, field=replace(
                 base.field, steps=count, depth=weight))
@@ -74,10 +72,8 @@ def measure(scene: Path, model: Path, work: Path, base: Experiment,
             # A fit that was broken off begins anew: the time of all of it counts.
             (run.out / 'field.ckpt').unlink(missing_ok=True)
             row = _row(run, model if count == max(steps) else None)
-            rows.append({**key, **row, 'commit': commit(), 'host': host()})
-            print(rows[-1], flush=True)
-            write_bytes(results, (json.dumps(rows, indent=1) + '\n').encode())
-    return rows
+            print(kept.add({**key, **row}), flush=True)
+    return kept.rows
 
 
 def _row(run: TrainingRun, model: Path | None) -> dict[str, float]:

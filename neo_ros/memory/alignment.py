@@ -69,12 +69,12 @@ class Aligner:
         while self.levels[-1].width >= 2 * thresholds.coarsest:
             self.levels.append(finest.scaled(0.5 ** len(self.levels)))
         self.rays = [level.pixel_rays() for level in self.levels]
+        self._sizes = [(level.width, level.height) for level in self.levels]
 
     def photo(self, image: np.ndarray) -> list[PhotoLevel]:
         """Prepare a camera image, RGB uint8 (h, w, 3), for `align` and `agreement`."""
         whole = grey_of(image)
-        greys = [cv2.resize(whole, (level.width, level.height), interpolation=cv2.INTER_AREA)
-                 for level in self.levels]
+        greys = [cv2.resize(whole, size, interpolation=cv2.INTER_AREA) for size in self._sizes]
         return [PhotoLevel(grey, np.gradient(grey, axis=1).astype(np.float32),
                            np.gradient(grey, axis=0).astype(np.float32)) for grey in greys]
 
@@ -106,7 +106,7 @@ class Aligner:
     def _levels(self, drawn: Drawn) -> list[GuideLevel]:
         return [GuideLevel(cv2.resize(drawn.grey, size, interpolation=cv2.INTER_AREA),
                            cv2.resize(drawn.depth, size, interpolation=cv2.INTER_NEAREST), rays)
-                for rays in self.rays for size in [rays.shape[1::-1]]]
+                for size, rays in zip(self._sizes, self.rays)]
 
     def agreement(self, photo: list[PhotoLevel], pose: CameraPose) -> float:
         """Return the correlation of image and memory at a pose, in [-1, 1]."""

@@ -12,7 +12,8 @@ LEAST_CACHED = 3
 class DecodedKeyframes:
     """Keyframes of one size by their number; the ones used last are kept. For one thread."""
 
-    def __init__(self) -> None:
+    def __init__(self, most_bytes: int | None = None) -> None:
+        self._most_bytes = CACHED_BYTES if most_bytes is None else most_bytes
         # The last one used is the last. An lru_cache of a method would keep the memory alive, as
         # would a method that decodes.
         self._kept: dict[int, Future[Keyframe]] = {}
@@ -27,7 +28,7 @@ class DecodedKeyframes:
             kept.set_result(decode())
         found = kept.result()
         self._most = max(
-            LEAST_CACHED, CACHED_BYTES // (found.depth.nbytes + found.texture.nbytes))
+            LEAST_CACHED, self._most_bytes // (found.depth.nbytes + found.texture.nbytes))
         self._keep(index, kept)
         return found
 

@@ -1,9 +1,8 @@
 """Whether landmarks agree with a camera that is tracked: asked beside the images."""
-from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 
 from neo_ros.geometry import CameraPose
-from neo_ros.memory.landmarks import Location
+from neo_ros.memory.landmarks import Location, Locator
 from neo_ros.memory.sight import CameraImage
 
 
@@ -15,16 +14,11 @@ class LandmarkWatch:
     image comes a fixed number of images later, so that no result depends on the machine.
     """
 
-    def __init__(self, locate: Callable[[CameraImage, CameraPose], Location | None],
-                 every: int, later: int, threads: int) -> None:
-        """
-        locate: called in another thread, unless there is but one.
-
-        No method of what owns the watch: the memory would outlive its guide until the next
-        garbage collection.
-        """
-        self._locate, self._every, self._later = locate, every, later
-        self._other = ThreadPoolExecutor(1, 'landmarks') if threads > 1 else None
+    def __init__(self, locator: Locator | None, every: int, later: int, threads: int) -> None:
+        """Locate every so many images, beside the next ones unless there is but one thread."""
+        self._locator, self._every, self._later = locator, every, later
+        self._beside = threads > 1
+        self._other = ThreadPoolExecutor(1, 'landmarks')
         self.forget()
 
     def forget(self) -> None:
@@ -35,10 +29,12 @@ class LandmarkWatch:
     def follow(self, image: CameraImage, pose: CameraPose
                ) -> tuple[Location, CameraPose] | None:
         """Take in an image and its pose; return what is known by now of one before, and its."""
+        if self._locator is None:
+            return None
         self._since += 1
         if self._pending is None:
             if self._since >= self._every:
-                self._pending, self._since = (self._start(image, pose), pose), 0
+                self._pending, self._since = (self._start(self._locator, image, pose), pose), 0
             return None
         if self._since < self._later:
             return None
@@ -47,9 +43,9 @@ class LandmarkWatch:
         found = location.result()
         return None if found is None else (found, there)
 
-    def _start(self, image: CameraImage, pose: CameraPose) -> 'Future[Location | None]':
-        if self._other is not None:
-            return self._other.submit(self._locate, image, pose)
-        done: Future[Location | None] = Future()
-        done.set_result(self._locate(image, pose))
-        return done
+    def _start(self, locator: Locator, image: CameraImage, pose: CameraPose
+               ) -> 'Future[Location | None]':
+        located = self._other.submit(lambda: locator.locate(image.features, pose))
+        if not self._beside:
+            wait([located])
+        return located

@@ -43,7 +43,7 @@ class SceneGuide:
         self._locator = (None if memory.landmarks is None
                          else Locator(memory.landmarks, expansion.source, thresholds.landmarks))
         self._glances = GlanceFinder(memory.glances, thresholds)
-        self._watch = LandmarkWatch(partial(_locate, self._locator), thresholds.landmarks_every,
+        self._watch = LandmarkWatch(self._locator, thresholds.landmarks_every,
                                     thresholds.landmarks_later, self._threads)
         self._doubt = Doubt(self._looker, self._glances)
         self.reset()
@@ -118,8 +118,7 @@ class SceneGuide:
         self._motion = (last.inverse() @ best.pose.T_world_cam
                         if last is not None and best is followed else np.eye(4))
         self._last = best
-        if last is not None:
-            self._decode_ahead(best.pose.position, last.position)
+        self._decode_ahead(best.pose)
         view, known = best.view, best.view.depth > 0
         gain = self._expose(view.image, known, image.pixels)
         solid = np.where(view.stretched, 0, view.depth)
@@ -130,9 +129,10 @@ class SceneGuide:
                      partial(self._covariance, best, image.photo[0]), self.expansion.observed,
                      partial(self._panorama, best.pose, gain))
 
-    def _decode_ahead(self, now: np.ndarray, before: np.ndarray) -> None:
-        """Have decoded what will be drawn if the camera moves on: (3,) positions in the world."""
-        soon = now + self.thresholds.decoded_ahead * (now - before)
+    def _decode_ahead(self, pose: CameraPose) -> None:
+        """Have decoded what will be drawn if the camera moves on as it does."""
+        step = (pose.T_world_cam @ self._motion)[:3, 3] - pose.position
+        soon = pose.position + self.thresholds.decoded_ahead * step
         self._memory.decode_ahead(map(int, self.renderer.nearest(soon, self.thresholds.shown)),
                                   self.expansion.target.fx)
 
@@ -216,7 +216,7 @@ class SceneGuide:
         return sight if sight.agreement >= limits.sure else None
 
     def _locate(self, image: CameraImage, around: CameraPose | None) -> Location | None:
-        return _locate(self._locator, image, around)
+        return self._locator.locate(image.features, around) if self._locator else None
 
     def _located(self, sight: Sight, location: Location, found: Found) -> Sight:
         return located(sight, self.thresholds.least_located, location, found)
@@ -287,8 +287,3 @@ class SceneGuide:
                              self.thresholds.alignment.exposure)
         apply_gain(guide, gain)
         return gain
-
-
-def _locate(locator: Locator | None, image: CameraImage, around: CameraPose | None
-            ) -> Location | None:
-    return locator.locate(image.features, around) if locator else None

@@ -77,9 +77,17 @@ class SceneMemory:
         for index in indices:
             self._decoded[reduced].ahead(index, partial(self._decode, index, reduced))
 
-    def compressed(self, index: int) -> tuple[bytes, bytes]:
-        """Return the texture's JPEG and the depth's PNG of keyframe `index`."""
-        return self._textures[index], self._depths[index]
+    def pictures(self, index: int, reduced: int) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Decode keyframe `index`: texture uint8 RGB, so many times REDUCED, and depth's PNG, uint16.
+
+        Raises ModelError for what is damaged.
+        """
+        texture = decode_image(self._textures[index], REDUCED[reduced])
+        coded = decode_image(self._depths[index], cv2.IMREAD_UNCHANGED)
+        if texture is None or coded is None or coded.dtype != np.uint16 or coded.ndim != 2:
+            raise _damaged(index)
+        return cv2.cvtColor(texture, cv2.COLOR_BGR2RGB, texture), coded
 
     def each(self) -> Iterator[Keyframe]:
         """Yield all keyframes, decoded now and not kept; any thread may do so."""
@@ -101,11 +109,9 @@ class SceneMemory:
                 int.from_bytes(self._depths[0][20:24], 'big'))
 
     def _decode(self, index: int, reduced: int) -> Keyframe:
-        texture = decode_image(self._textures[index], REDUCED[reduced])
-        coded = decode_image(self._depths[index], cv2.IMREAD_UNCHANGED)
-        if texture is None or coded is None or coded.dtype != np.uint16 or coded.ndim != 2 \
-                or not _is_finer(texture.shape, coded.shape):
-            raise ModelError(f'scene memory: keyframe {index} is damaged; export it again')
+        texture, coded = self.pictures(index, reduced)
+        if not _is_finer(texture.shape, coded.shape):
+            raise _damaged(index)
         # The compiled loops trust that all are of the same size.
         shapes = (texture.shape, coded.shape)
         expected = self._shapes.setdefault(reduced, shapes)
@@ -113,8 +119,7 @@ class SceneMemory:
             raise ModelError(
                 f'scene memory: keyframe {index}: expected texture and depth of the shapes '
                 f'{expected} as the others, got {shapes}; export it again')
-        return Keyframe(self.positions[index], depth_of(coded),
-                        cv2.cvtColor(texture, cv2.COLOR_BGR2RGB, texture))
+        return Keyframe(self.positions[index], depth_of(coded), texture)
 
     @classmethod
     def from_keyframes(cls, keyframes: Sequence[Keyframe], band: Band,
@@ -253,6 +258,10 @@ def _field(data: Mapping[str, np.ndarray], name: str, dtype: type, shape: tuple[
     if found.dtype.kind == 'f' and not np.isfinite(found).all():
         raise ValueError(f'{name}: expected finite numbers')
     return found
+
+
+def _damaged(index: int) -> ModelError:
+    return ModelError(f'scene memory: keyframe {index} is damaged; export it again')
 
 
 def _is_finer(texture: tuple[int, ...], depth: tuple[int, ...]) -> bool:

@@ -21,8 +21,7 @@ import cv2
 from neo_ros.bags.writing import BagWriter
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.geometry.camera_pose import quaternion_from_rotation
-from neo_ros.machine.files import write_bytes
-from neo_ros.machine.host import commit, host
+from neo_ros.machine.result_rows import ResultRows
 from neo_ros.messages import camera_info_fields
 import numpy as np
 
@@ -158,19 +157,17 @@ def main() -> None:
     if len(sys.argv) != 2:
         sys.exit('usage: python -m neo_ros.speed.long_imports WORK')
     work = Path(sys.argv[1])
-    rows: list[dict[str, Any]] = json.loads(RESULTS.read_text()) if RESULTS.exists() else []
+    results = ResultRows(RESULTS)
     for name, write, sizes, options in CAPTURES:
         for size in sizes:
             frames = size * RATE_HZ if write is write_bag else size
             key = {'capture': name, 'frames': frames}
-            if any(key.items() <= row.items() for row in rows):
+            if results.find(key) is not None:
                 continue
             shutil.rmtree(work, ignore_errors=True)
             write(work / 'source', size)
-            rows.append({**key, **measure_import(work / 'source', work / 'scene', options),
-                         'commit': commit(), 'host': host()})
-            print(rows[-1], flush=True)
-            write_bytes(RESULTS, (json.dumps(rows, indent=1) + '\n').encode())
+            print(results.add({**key, **measure_import(
+                work / 'source', work / 'scene', options)}), flush=True)
     shutil.rmtree(work, ignore_errors=True)
 
 

@@ -4,6 +4,7 @@ import cv2
 from neo_ros.errors import ModelError
 from neo_ros.geometry import Intrinsics
 from neo_ros.memory.coarse_memory import CoarseMemory
+from neo_ros.memory.keyframe import compress
 from neo_ros.memory.rendering import MemoryRenderer
 from neo_ros.memory.scene_memory import SceneMemory
 import numpy as np
@@ -38,7 +39,7 @@ def test_it_is_never_finer_than_the_memory():
 
 def test_a_damaged_keyframe_is_named():
     memory = box_memory()
-    textures, depths = zip(*(memory.compressed(index) for index in range(2)))
+    textures, depths = zip(*(compress(memory.keyframe(index)) for index in range(2)))
     broken = SceneMemory(memory.positions[:2], memory.band, [textures[0], b'\xff\xd8'], depths,
                          memory.glances)
     with pytest.raises(ModelError, match='keyframe 1 is damaged'):

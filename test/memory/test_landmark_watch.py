@@ -4,10 +4,14 @@ from typing import Any, cast
 
 from neo_ros.geometry import CameraPose
 from neo_ros.memory.landmark_watch import LandmarkWatch
-from neo_ros.memory.landmarks import Location
+from neo_ros.memory.landmarks import Location, Locator
+from neo_ros.memory.local_features import Features
 from neo_ros.memory.sight import CameraImage
 import numpy as np
 import pytest
+
+
+IMAGE = CameraImage(np.zeros((1, 1, 3), np.uint8), [], lambda pixels: cast(Features, None))
 
 
 def pose_at(x: float) -> CameraPose:
@@ -18,40 +22,49 @@ def pose_at(x: float) -> CameraPose:
 
 def followed(watch: LandmarkWatch, images: int) -> list[float | None]:
     """Follow so many images from x = 0, 1, ...; return what was told at each."""
-    told = [watch.follow(cast(CameraImage, None), pose_at(x)) for x in range(images)]
+    told = [watch.follow(IMAGE, pose_at(x)) for x in range(images)]
     return [None if one is None else one[1].position[0] for one in told]
 
 
-def find(image: Any, pose: CameraPose) -> Location:
-    return cast(Location, pose)
+class StandIn:
+    """A locator that waits until it may answer, and finds each image or none."""
+
+    def __init__(self, finds: bool = True) -> None:
+        self.finds, self.allowed = finds, threading.Event()
+        self.allowed.set()
+
+    def locate(self, features: Any, around: CameraPose) -> Location | None:
+        self.allowed.wait()
+        return cast(Location, around) if self.finds else None
+
+
+def watch_of(locator: StandIn | None, every: int, later: int, threads: int) -> LandmarkWatch:
+    return LandmarkWatch(cast(Locator, locator), every, later, threads)
 
 
 @pytest.mark.parametrize('threads', [1, 2])
 def test_what_is_told_and_when_depends_on_no_thread(threads: int) -> None:
-    watch = LandmarkWatch(find, every=4, later=2, threads=threads)
+    watch = watch_of(StandIn(), 4, 2, threads)
     assert followed(watch, 9) == [None, None, 0, None, None, None, 4, None, None]
 
 
 @pytest.mark.parametrize('threads', [1, 2])
 def test_after_something_went_wrong_the_next_image_is_asked_about(threads: int) -> None:
-    watch = LandmarkWatch(find, every=4, later=2, threads=threads)
+    watch = watch_of(StandIn(), 4, 2, threads)
     followed(watch, 2)
     watch.forget()
     assert followed(watch, 4) == [None, None, 0, None]
 
 
-def test_where_no_landmark_is_found_nothing_is_told() -> None:
-    watch = LandmarkWatch(lambda image, pose: None, every=1, later=1, threads=1)
-    assert followed(watch, 6) == [None] * 6
+@pytest.mark.parametrize('locator', [StandIn(finds=False), None], ids=['none found', 'none'])
+def test_without_landmarks_nothing_is_told(locator: StandIn | None) -> None:
+    assert followed(watch_of(locator, 1, 1, 1), 6) == [None] * 6
 
 
 def test_an_image_does_not_wait_for_the_landmarks_of_the_one_before() -> None:
-    released = threading.Event()
-
-    def find_late(image: Any, pose: CameraPose) -> Location:
-        released.wait()
-        return find(image, pose)
-    watch = LandmarkWatch(find_late, every=9, later=3, threads=2)
+    locator = StandIn()
+    locator.allowed.clear()
+    watch = watch_of(locator, 9, 3, threads=2)
     assert followed(watch, 3) == [None] * 3
-    released.set()
+    locator.allowed.set()
     assert followed(watch, 1) == [0]
