@@ -113,6 +113,14 @@ IMPORTS = (
     Column('peak memory, MB', 'peak_mb', '{:.0f}'),
     Column('minutes of the processor', 'cpu_minutes', '{:.1f}'),
     Column('minutes', 'minutes', '{:.1f}'))
+REAL = (
+    Column('scene', 'scene'), Column('field', 'name'), Column('steps', 'steps', '{:,}'),
+    Column('walks, dB', 'whole_psnr', DB), Column('ring', 'ring_psnr', DB),
+    Column('walks aligned, dB', 'aligned_whole_psnr', DB),
+    Column('ring', 'aligned_ring_psnr', DB), Column('ring LPIPS', 'aligned_ring_lpips_vgg', RATIO),
+    Column('photos held out, dB', 'held_out_psnr', DB),
+    Column('aligned', 'aligned_held_out_psnr', DB),
+    Column('minutes of the processor', 'cpu_minutes', '{:.1f}'))
 BUILDING = (
     Column('rooms', 'layout'), Column('search', 'search'), Column('searches', 'searches'),
     Column('wrong place believed', 'wrong_places'), Column('ambiguous', 'ambiguous'),
@@ -134,7 +142,7 @@ TABLES: dict[str, Rows] = {
     'geometry_depth': Rows('geometry', GEOMETRY_DEPTH,
                            lambda row: row['depth_error_median'] is not None),
     'imports': Rows('imports', IMPORTS), 'building': Rows('building', BUILDING),
-    'minutes': Rows('minutes', MINUTES),
+    'minutes': Rows('minutes', MINUTES), 'real_ablations': Rows('real_ablations', REAL),
     'hard_times': Rows('hard_times', HARD), 'out_of_scene': Rows('out_of_scene', OUTSIDE),
 }
 # Over all scenes of a suite: the key of a row, its format and a factor.

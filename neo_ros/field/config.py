@@ -12,7 +12,8 @@ LIMITS = {
     'voxels': (1000, 1_000_000_000), 'steps': (10, 1_000_000_000), 'minutes': (1e-6, 1_000_000),
     'rays_per_step': (4, 10_000_000), 'margin': (1e-6, 1000), 'shell': (0, 10), 'near': (0, 100),
     'learning_rate': (1e-6, 10), 'distortion': (0, 1000), 'pointwise': (0, 1000),
-    'sparsity': (0, 1000), 'depth': (0, 1000)}
+    'sparsity': (0, 1000), 'depth': (0, 1000),
+    'sharpness': (0, 10), 'robust': (0, 10)}
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,14 @@ class FieldConfig:
     depth: float = 0.1              # weight of measured depth, of photos that have a depth map
     # One gain per photo and channel, for cameras with automatic exposure.
     exposure: bool = False
+    # One falloff towards the corners for the camera, cleared from what the field shows.
+    vignetting: bool = False
+    # The photos' poses are corrected late in the fit, by a little.
+    refine_poses: bool = False
+    # 0: photos count alike; 1: as sharp as they are, compared with those before and after them
+    sharpness: float = 0.0
+    # error of a colour, of 1, beyond which a pixel loses weight: it shows no static scene; 0: off
+    robust: float = 0.0
     # cpu: compiled kernels; cuda; auto: cuda where there is one; torch: what cuda does, on the CPU
     device: str = 'auto'
 

@@ -6,9 +6,11 @@ import time
 from typing import Any
 
 from neo_ros.errors import SceneError
+from neo_ros.field.camera_model import CameraModel, photo_shares
 from neo_ros.field.config import FieldConfig, fit_near
 from neo_ros.field.fitting_kernels import (
     adam_step, Batch, differentiate_rays, LossWeights, SampleSlopes, scatter_gradients)
+from neo_ros.field.pose_refinement import aligned_pose, in_place, RefinementRules
 from neo_ros.field.radiance_field import FittedField
 from neo_ros.field.rendering import render_rays
 from neo_ros.field.voxel_field import packed, unpacked, VoxelField
@@ -53,14 +55,16 @@ class FieldTrainer:
         self.usable = usable
         if usable is not None and not usable.any():
             raise SceneError('masks: expected pixels that are not left out, there are none')
-        self.rotations = T_world_cam[:, :3, :3].astype(np.float32)
-        self.origins = T_world_cam[:, :3, 3].astype(np.float32)
+        self.T_world_cam = T_world_cam.copy()
+        self._place_rays()
+        self.intrinsics, self.refined = intrinsics, 0
+        self.camera = CameraModel(len(images), intrinsics, config)
+        self.shares = photo_shares(images, config.sharpness)
         # Through the pixels' centres, and those of their quarters: (H, W, 3), (2 H, 2 W, 3).
         self.rays = {across: intrinsics.scaled(across).pixel_rays() for across in (1, 2)}
         self.seed = seed
         self.step = self.stage = self.boxed_at = 0
         self.seconds = self.psnr = 0.0
-        self.log_gain = np.zeros((len(images), 3), np.float32)
         low, high = self.origins.min(0) - config.margin, self.origins.max(0) + config.margin
         self.field = VoxelField.empty(
             int(config.voxels * STAGES[0][1]), (low + high) / 2, (high - low) / 2,
@@ -90,7 +94,9 @@ class FieldTrainer:
 
     def sample_rays(self) -> tuple[np.ndarray, ...]:
         """
-        Draw pixels; returns photo index (P,), target (P, 3), distance (P,), rays_o, rays_d (R, 3).
+        Draw pixels; returns photo index (P,), target (P, 3), distance, away, rays_o, rays_d.
+
+        distance and away (P,), see `CameraModel`; rays (R, 3).
 
         A ray goes through its pixel's centre: rays through all of a pixel, each fitted to the
         pixel's colour, would blur the field by a pixel once more. Where voxels are finer than
@@ -99,7 +105,7 @@ class FieldTrainer:
         across = self.rays_across
         photo, row, column = draw_usable(
             self.random, self.config.rays_per_step // across ** 2, self.images.shape[:3],
-            self.usable)
+            self.usable, self.shares)
         target = self.images[photo, row, column].astype(np.float32) / 255
         part = np.arange(across)
         rows = (across * row[:, None] + part.repeat(across)).ravel()
@@ -108,8 +114,8 @@ class FieldTrainer:
         directions = np.einsum('pij,pj->pi', self.rotations[each],
                                self.rays[across][rows, columns])
         directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
-        return (photo, target, self._distances(photo, row, column), self.origins[each],
-                directions)
+        return (photo, target, self._distances(photo, row, column), self.camera.away[row, column],
+                self.origins[each], directions)
 
     def _distances(self, photo: np.ndarray, row: np.ndarray, column: np.ndarray) -> np.ndarray:
         """Return float32 (P,), metres along the rays of pixels to measured depth, 0 = unknown."""
@@ -152,16 +158,17 @@ class FieldTrainer:
         self.random = np.random.default_rng([self.seed, self.step])
         self._refine_when_due()
         config, field = self.config, self.field
-        photo, target, distance, rays_o, rays_d = self.sample_rays()
+        photo, target, distance, away, rays_o, rays_d = self.sample_rays()
         pixels = len(target)
         error = np.empty(pixels, np.float32)
         d_gain = np.empty((pixels, 3), np.float32)
-        gain = np.exp(self.log_gain[photo])
+        gain = self.camera.gains(photo, away)
         arrays = field.arrays
         jitter = self.random.random(len(rays_o), np.float32)
         background = self.random.random((pixels, 3), np.float32)
         weights = LossWeights(np.float32(config.distortion), np.float32(self.pointwise),
-                              np.float32(config.sparsity), np.float32(config.depth))
+                              np.float32(config.sparsity), np.float32(config.depth),
+                              np.float32(config.robust))
         differentiate_rays(Batch(rays_o, rays_d, jitter, target, gain, background, distance),
                            arrays, weights, self.slopes, error, d_gain)
         scatter_gradients(
@@ -169,23 +176,32 @@ class FieldTrainer:
         rate = np.float32(config.learning_rate * 0.1 ** self.share)
         adam_step(
             field.grid, self.gradient, self.first, self.second, self.touched, self.updates, rate)
-        if config.exposure:
-            self._update_exposure(photo, d_gain * gain)
+        self.camera.learn(photo, away, d_gain * gain)
         smoothing = 0.98 if self.step else 0.0
         psnr = -10 * math.log10(max(float(error.mean()) / 3, 1e-10))
         self.psnr = smoothing * self.psnr + (1 - smoothing) * psnr
         self.step += 1
         self.seconds += time.monotonic() - started
 
-    def _update_exposure(self, photo: np.ndarray, d_log_gain: np.ndarray) -> None:
-        """Descend on the photos' gains; their mean stays 1, so the field keeps its colour."""
-        total = np.zeros_like(self.log_gain)
-        np.add.at(total, photo, d_log_gain)
-        seen = np.bincount(photo, minlength=len(self.log_gain))[:, None]
-        self.log_gain -= 0.05 * total / np.maximum(seen, 1)
-        self.log_gain -= self.log_gain.mean(0)
+    def _refine_poses(self) -> None:
+        """Move each photo's pose to where the field looks like it; the poses' mean stays."""
+        self.refined += 1
+        random = np.random.default_rng([self.seed, self.step, 1])
+        moved = np.stack([
+            aligned_pose(self.placed, image, None if self.usable is None else self.usable[index],
+                         self.intrinsics, T, np.exp(self.camera.log_gain[index]), random)
+            for index, (image, T) in enumerate(zip(self.images, self.T_world_cam))])
+        self.T_world_cam = in_place(self.T_world_cam, moved)
+        self._place_rays()
+
+    def _place_rays(self) -> None:
+        self.rotations = self.T_world_cam[:, :3, :3].astype(np.float32)
+        self.origins = self.T_world_cam[:, :3, 3].astype(np.float32)
 
     def _refine_when_due(self) -> None:
+        due = RefinementRules().at[self.refined:]
+        if self.config.refine_poses and due and self.share >= due[0]:
+            self._refine_poses()
         if self.stage + 1 < len(STAGES) and self.share >= STAGES[self.stage + 1][0]:
             self.stage += 1
             voxels = int(self.config.voxels * STAGES[self.stage][1])
@@ -211,7 +227,9 @@ class FieldTrainer:
         """Return everything a later `restore` needs to go on."""
         field = self.placed.home()
         return {'step': self.step, 'stage': self.stage, 'boxed_at': self.boxed_at,
-                'seconds': self.seconds, 'psnr': self.psnr, 'log_gain': self.log_gain,
+                'seconds': self.seconds, 'psnr': self.psnr, 'refined': self.refined,
+                **self.camera.state(),
+                'T_world_cam': self.T_world_cam,
                 'view_near': self.view_near,
                 'grid': field.grid, 'shape': list(field.shape), 'kept': packed(field.row_of),
                 'skip': field.skip, 'centre': field.centre, 'half_extent': field.half_extent,
@@ -222,7 +240,10 @@ class FieldTrainer:
         for name in ('step', 'stage', 'boxed_at', 'seconds', 'psnr', 'view_near'):
             setattr(self, name, state[name])
         arrays = {key: np.asarray(value) for key, value in state.items()}
-        self.log_gain = arrays['log_gain']
+        self.camera.restore(arrays)
+        if 'refined' in state:  # Checkpoints of before refined no poses.
+            self.refined, self.T_world_cam = state['refined'], arrays['T_world_cam']
+            self._place_rays()
         self.field = VoxelField(
             arrays['grid'], tuple(state['shape']), arrays['centre'], arrays['half_extent'],
             self.config.shell, near=fit_near(self.config.near),

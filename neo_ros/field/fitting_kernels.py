@@ -39,12 +39,17 @@ class Batch(NamedTuple):
 
 
 class LossWeights(NamedTuple):
-    """Weights of the terms of the loss, float32; see `differentiate_rays`."""
+    """
+    Weights of the terms of the loss, float32; see `differentiate_rays`.
+
+    robust is no weight but the error of a colour from which on a pixel loses its own; 0 = never.
+    """
 
     distortion: np.float32
     pointwise: np.float32
     sparsity: np.float32
     depth: np.float32
+    robust: np.float32
 
 
 class SampleSlopes(NamedTuple):
@@ -70,6 +75,7 @@ class _Pixel(NamedTuple):
     target: np.ndarray
     background: np.ndarray
     distance: np.float32
+    trust: np.float32
 
 
 @njit(parallel=True, **FAST)
@@ -81,7 +87,8 @@ def differentiate_rays(batch, field, weights, slopes, error, d_gain):
     `distortion` times the distortion loss of mip-NeRF 360 (eq. 15, its first sum),
     `pointwise` times the samples' own weighted squared error (DirectVoxGO, section 4), and
     `sparsity` times the sum of the samples' opacities. Where depth was measured, less `depth`
-    times the share of the ray's weight that is near it, see `near_measured`.
+    times the share of the ray's weight that is near it, see `near_measured`. With `robust` an
+    error e of the colour counts as e / (1 + e / robust^2) (Geman and McClure).
     Fills SampleSlopes, and per pixel error (P,) and d_gain (P, 3).
     """
     rays_o, rays_d, jitter, target, gain, background, distance = batch
@@ -132,7 +139,13 @@ def differentiate_rays(batch, field, weights, slopes, error, d_gain):
                 error[p] += difference * difference
                 d_gain[p, channel] = 2 * difference * colour
                 slope[channel] = 2 * difference * gain[p, channel]
-            pixel = _Pixel(slope, gain[p], target[p], background[p], distance[p])
+            trust = np.float32(1)
+            if weights.robust > 0:
+                trust = 1 / (1 + error[p] / (weights.robust * weights.robust)) ** 2
+                for channel in range(3):
+                    slope[channel] *= trust
+                    d_gain[p, channel] *= trust
+            pixel = _Pixel(slope, gain[p], target[p], background[p], distance[p], trust)
             for k in range(each):
                 r = p * each + k
                 samples = RaySamples(cell[r], frac[r], alpha[k], depth[k], raw[k])
@@ -156,8 +169,9 @@ def near_measured(depth, distance):
 def _ray_gradient(n, light, samples, rgb, pixel, weights, step, value, d_density, d_rgb):
     """Fill d_density and d_rgb of one ray; `value` is dL/dweight of each sample."""
     _, _, alpha, depth, raw = samples
-    slope, gain, target, background, distance = pixel
-    distortion, pointwise, sparsity, measured = weights
+    slope, gain, target, background, distance, trust = pixel
+    distortion, pointwise, sparsity, measured, _ = weights
+    pointwise *= trust
     # Distances enter the distortion loss as t / (t + 1): near and far count alike.
     total_w = np.float32(0)
     total_ws = np.float32(0)

@@ -52,9 +52,9 @@ class TorchFieldTrainer(FieldTrainer):
         self.random = np.random.default_rng([self.seed, self.step])
         self._refine_when_due()
         config = self.config
-        photo, target, distance, rays_o, rays_d = self.sample_rays()
+        photo, target, distance, away, rays_o, rays_d = self.sample_rays()
         pixels = len(target)
-        gain = np.exp(self.log_gain[photo])
+        gain = self.camera.gains(photo, away)
         jitter = self.random.random(len(rays_o), np.float32)
         background = self.random.random((pixels, 3), np.float32)
         rank, processes = (distributed.get_rank(), distributed.get_world_size()) if (
@@ -74,8 +74,7 @@ class TorchFieldTrainer(FieldTrainer):
             distributed.all_reduce(totals)
         self._adam(config.learning_rate * 0.1 ** self.share)
         found = totals.cpu().numpy()
-        if config.exposure:
-            self._update_exposure(photo, found[:, 1:] * gain)
+        self.camera.learn(photo, away, found[:, 1:] * gain)
         smoothing = 0.98 if self.step else 0.0
         psnr = -10 * math.log10(max(float(found[:, 0].mean()) / 3, 1e-10))
         self.psnr = smoothing * self.psnr + (1 - smoothing) * psnr
@@ -129,18 +128,21 @@ class TorchFieldTrainer(FieldTrainer):
         difference = gain * colour - target
         error = (difference ** 2).sum(1)
         own = gain[ray // each] * shown - target[ray // each]
+        trust = torch.ones_like(error)
+        if config.robust:
+            trust = 1 / (1 + error.detach() / config.robust ** 2) ** 2
         rest = (config.distortion * distortion + config.sparsity * alpha.sum()
-                + self.pointwise * (coloured * own ** 2).sum())
+                + self.pointwise * (trust[ray // each, None] * coloured * own ** 2).sum())
         measured = distance[ray // each]
         off = (samples.t - measured) / (float(DEPTH_SHARE) * measured).clamp_min(1e-6)
         near = torch.where(measured > 0, 1 / (1 + off ** 2), 0.0)
         rest = rest - config.depth * (weight * near).sum()
-        slope = torch.autograd.grad(each * error.sum() + rest, values)[0]
+        slope = torch.autograd.grad(each * (trust * error).sum() + rest, values)[0]
         rows = arrays.rows(samples.base)
         spread = corner_weights(samples.frac)[..., None] * slope[:, None]
         self.slope.index_add_(0, rows.flatten(), spread.flatten(0, 1))
         self.hit[rows.flatten()] = 1
-        return error.detach(), (2 * difference * colour).detach()
+        return error.detach(), (2 * trust[:, None] * difference * colour).detach()
 
     def _weights(self, samples: Samples, values: Tensor, rays: int
                  ) -> tuple[Tensor, Tensor, Tensor, Tensor]:

@@ -42,18 +42,25 @@ def write_usable(path: Path, usable: np.ndarray) -> None:
 
 
 def draw_usable(random: np.random.Generator, count: int, shape: tuple[int, ...],
-                usable: np.ndarray | None) -> tuple[np.ndarray, ...]:
+                usable: np.ndarray | None, shares: np.ndarray | None = None
+                ) -> tuple[np.ndarray, ...]:
     """
     Draw photo, row and column (count,) of pixels that show the scene.
 
     shape: number of photos, their height and width; usable: bool of this shape, None: all are.
+    shares: how often each photo is drawn, their sum is 1; None: all alike.
     """
-    drawn = tuple(random.integers(size, size=count) for size in shape)
+    def draw(wanted: int) -> tuple[np.ndarray, ...]:
+        drawn = tuple(random.integers(size, size=wanted) for size in shape)
+        return drawn if shares is None else (
+            random.choice(shape[0], wanted, p=shares), *drawn[1:])
+
+    drawn = draw(count)
     if usable is not None:
         # Another one each for those that are left out.
         while len(left_out := np.flatnonzero(~usable[drawn])):
-            for numbers, size in zip(drawn, shape):
-                numbers[left_out] = random.integers(size, size=len(left_out))
+            for numbers, again in zip(drawn, draw(len(left_out))):
+                numbers[left_out] = again
     return drawn
 
 

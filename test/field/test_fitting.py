@@ -73,7 +73,7 @@ def test_a_seed_decides_every_bit(images: np.ndarray, unbroken: FieldTrainer) ->
 
 def test_rays_go_through_the_centres_of_the_pixels(
         images: np.ndarray, unbroken: FieldTrainer) -> None:
-    photo, target, _, rays_o, rays_d = unbroken.sample_rays()
+    photo, target, _, _, rays_o, rays_d = unbroken.sample_rays()
     pixel = []
     for T_world_cam, ray in zip(np.stack([POSES[i].T_world_cam for i in photo]), rays_d):
         x, y, z = ray @ T_world_cam[:3, :3]
@@ -92,7 +92,7 @@ def test_what_a_mask_leaves_out_is_never_drawn(images: np.ndarray) -> None:
     fit = FieldTrainer(images, CAMERA, np.stack([pose.T_world_cam for pose in POSES]),
                        FieldConfig(**SETTINGS), 0, usable=usable)
     fit.random = np.random.default_rng(5)
-    photo, target, _, _, rays_d = fit.sample_rays()
+    photo, target, _, _, _, rays_d = fit.sample_rays()
     down = np.array([POSES[i].T_world_cam[:3, 1] @ ray for i, ray in zip(photo, rays_d)])
     ahead = np.array([POSES[i].T_world_cam[:3, 2] @ ray for i, ray in zip(photo, rays_d)])
     assert len(target) == 256 and (photo != 2).all()
@@ -236,10 +236,27 @@ def test_gains_find_the_exposure_of_the_photos(images: np.ndarray) -> None:
     dark = images.copy()
     dark[::2] = (dark[::2] * 0.7).astype(np.uint8)
     result = trained(dark, 300, **PLAIN, steps=300)
-    gain = np.exp(result.log_gain)
+    gain = np.exp(result.camera.log_gain)
     assert gain[::2].mean() / gain[1::2].mean() == pytest.approx(0.7, abs=0.1)
-    np.testing.assert_allclose(result.log_gain.mean(0), 0, atol=1e-5)
-    assert not trained(dark, 20, exposure=False).log_gain.any()
+    np.testing.assert_allclose(result.camera.log_gain.mean(0), 0, atol=1e-5)
+    assert not trained(dark, 20, exposure=False).camera.log_gain.any()
+
+
+def test_the_falloff_of_the_lens_is_found(images: np.ndarray) -> None:
+    away = (CAMERA.pixel_rays()[..., :2] ** 2).sum(-1)
+    dark = images * np.exp(-0.4 * away / away.max())[..., None]
+    result = trained(dark.astype(np.uint8), 300, **PLAIN, steps=300, vignetting=True)
+    assert np.exp(result.camera.falloff.sum()) == pytest.approx(np.exp(-0.4), abs=0.12)
+    assert not trained(dark.astype(np.uint8), 20, exposure=False).camera.falloff.any()
+
+
+def test_what_one_photo_alone_shows_loses_its_weight(images: np.ndarray) -> None:
+    occluded = images.copy()
+    occluded[3, :, 8:16] = (255, 0, 255)
+    pink = [trained(occluded, 300, **PLAIN, steps=300, robust=robust) for robust in (0.0, 0.2)]
+    shown = [render_view(fit.finished(), CAMERA, POSES[3]).image for fit in pink]
+    errors = [np.abs(image[:, 8:16] - images[3, :, 8:16] / 255).mean() for image in shown]
+    assert errors[1] < 0.7 * errors[0]
 
 
 def looking_at(field: VoxelField, images: np.ndarray, **changes: Any) -> FieldTrainer:

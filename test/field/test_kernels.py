@@ -43,8 +43,8 @@ def foggy_field(sh_degree: int) -> VoxelField:
 
 
 def differentiate(field: VoxelField, batch: Batch, distortion: float = 0,
-                  pointwise: float = 0, sparsity: float = 0, depth: float = 0
-                  ) -> tuple[Gradients, SampleSlopes]:
+                  pointwise: float = 0, sparsity: float = 0, depth: float = 0,
+                  robust: float = 0) -> tuple[Gradients, SampleSlopes]:
     rays, limit = len(batch.rays_o), field.sample_limit
     cell, count = np.empty((rays, limit), np.int64), np.empty(rays, np.int64)
     frac, d_rgb = (np.empty((rays, limit, 3), np.float32) for _ in range(2))
@@ -52,7 +52,7 @@ def differentiate(field: VoxelField, batch: Batch, distortion: float = 0,
     error, d_gain = np.empty(RAYS, np.float32), np.empty((RAYS, 3), np.float32)
     slopes = SampleSlopes(cell, frac, d_density, d_rgb, count)
     weights = LossWeights(np.float32(distortion), np.float32(pointwise), np.float32(sparsity),
-                          np.float32(depth))
+                          np.float32(depth), np.float32(robust))
     differentiate_rays(batch, field.arrays, weights, slopes, error, d_gain)
     gradient, touched = scatter(field, batch, slopes, 2)
     return Gradients(gradient, touched, error, d_gain), slopes

@@ -29,7 +29,7 @@ POSES = np.stack([standing(0.4 * np.cos(3 * yaw), 0.3 * np.sin(2 * yaw), yaw).T_
 # Every part of the loss.
 ALL: dict[str, Any] = {
     'voxels': 8000, 'steps': 40, 'rays_per_step': 512, 'margin': 1.5,
-    'sh_degree': 1, 'exposure': True}
+    'sh_degree': 1, 'exposure': True, 'vignetting': True, 'robust': 0.3, 'sharpness': 1.0}
 # What is quick to fit, to a picture of the room.
 QUICK: dict[str, Any] = {'voxels': 4000, 'steps': 40, 'rays_per_step': 256, 'margin': 1.5,
                          'learning_rate': 0.6}
