@@ -115,8 +115,8 @@ def _digest(settings: dict[str, Any]) -> str:
     # Runs of before there were these go on: at their defaults they change nothing. (A scene with
     # measured depth has another list of photos.)
     for part, name, default in (('field', 'depth', FieldConfig.depth), ('field', 'shrink', 1),
-                                ('field', 'vignetting', False), ('field', 'refine_poses', False),
-                                ('field', 'sharpness', 0.0), ('field', 'robust', 0.0),
+                                ('field', 'vignetting', False), ('field', 'sharpness', 0.0),
+                                ('field', 'robust', 0.0),
                                 ('network', 'shrink', 1), ('memory', 'minutes', None)):
         found = settings.get(part) or {}
         if name in found and found[name] == default:

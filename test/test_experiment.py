@@ -63,7 +63,8 @@ def test_the_old_name_of_a_setting_is_read_and_hashes_are_those_of_before(
     # The hash is that of the old word: a run folder of before is continued, not refused.
     settings = asdict(old)
     settings['network']['memory'] = settings['network'].pop('hidden')
-    for part, name in (('field', 'depth'), ('field', 'shrink'), ('network', 'shrink'),
+    for part, name in (('field', 'depth'), ('field', 'shrink'), ('field', 'vignetting'),
+                       ('field', 'sharpness'), ('field', 'robust'), ('network', 'shrink'),
                        ('memory', 'minutes')):
         del settings[part][name]
     text = json.dumps(settings, sort_keys=True)

@@ -19,6 +19,7 @@ import tempfile
 import time
 from typing import Any
 
+from neo_ros.benchmark.aligned_pose import aligned_pose
 from neo_ros.benchmark.field_curve import score
 from neo_ros.benchmark.scoring import load_scorers
 from neo_ros.errors import SceneError
@@ -26,7 +27,6 @@ from neo_ros.evaluation.evaluate import TruthFrames
 from neo_ros.evaluation.metrics import score_frame
 from neo_ros.experiment import Experiment
 from neo_ros.field.config import FieldConfig
-from neo_ros.field.pose_refinement import aligned_pose, RefinementRules
 from neo_ros.field.radiance_field import RadianceField
 from neo_ros.field.rendering import render_view
 from neo_ros.geometry import CameraPose
@@ -44,7 +44,6 @@ BASE = Experiment(scale=0.25, field=FieldConfig(
 # Name of a row: what differs from BASE.field.
 ABLATIONS: dict[str, dict[str, Any]] = {
     'exposure': {},
-    'poses': {'refine_poses': True},
     'robust 0.3': {'robust': 0.3},
     'sharpness': {'sharpness': 1.0},
     'vignetting': {'vignetting': True},
@@ -99,7 +98,7 @@ def _aligned(run: TrainingRun, field: RadianceField) -> dict[bytes, CameraPose]:
     for image, camera, pose in views:
         shown = 255 * render_view(field, camera, pose, 1).image
         T = aligned_pose(field, image, None, camera, pose.T_world_cam,
-                         exposure_gain(shown, image), random, replace(RefinementRules(), rounds=5))
+                         exposure_gain(shown, image), random)
         found[pose.T_world_cam.tobytes()] = CameraPose.nearest(T)
     return found
 

@@ -45,8 +45,6 @@ class FieldConfig:
     exposure: bool = False
     # One falloff towards the corners for the camera, cleared from what the field shows.
     vignetting: bool = False
-    # The photos' poses are corrected late in the fit, by a little.
-    refine_poses: bool = False
     # 0: photos count alike; 1: as sharp as they are, compared with those before and after them
     sharpness: float = 0.0
     # error of a colour, of 1, beyond which a pixel loses weight: it shows no static scene; 0: off

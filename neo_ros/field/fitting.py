@@ -10,7 +10,6 @@ from neo_ros.field.camera_model import CameraModel, photo_shares
 from neo_ros.field.config import FieldConfig, fit_near
 from neo_ros.field.fitting_kernels import (
     adam_step, Batch, differentiate_rays, LossWeights, SampleSlopes, scatter_gradients)
-from neo_ros.field.pose_refinement import aligned_pose, in_place, RefinementRules
 from neo_ros.field.radiance_field import FittedField
 from neo_ros.field.rendering import render_rays
 from neo_ros.field.voxel_field import packed, unpacked, VoxelField
@@ -55,9 +54,8 @@ class FieldTrainer:
         self.usable = usable
         if usable is not None and not usable.any():
             raise SceneError('masks: expected pixels that are not left out, there are none')
-        self.T_world_cam = T_world_cam.copy()
-        self._place_rays()
-        self.intrinsics, self.refined = intrinsics, 0
+        self.rotations = T_world_cam[:, :3, :3].astype(np.float32)
+        self.origins = T_world_cam[:, :3, 3].astype(np.float32)
         self.camera = CameraModel(len(images), intrinsics, config)
         self.shares = photo_shares(images, config.sharpness)
         # Through the pixels' centres, and those of their quarters: (H, W, 3), (2 H, 2 W, 3).
@@ -183,25 +181,7 @@ class FieldTrainer:
         self.step += 1
         self.seconds += time.monotonic() - started
 
-    def _refine_poses(self) -> None:
-        """Move each photo's pose to where the field looks like it; the poses' mean stays."""
-        self.refined += 1
-        random = np.random.default_rng([self.seed, self.step, 1])
-        moved = np.stack([
-            aligned_pose(self.placed, image, None if self.usable is None else self.usable[index],
-                         self.intrinsics, T, np.exp(self.camera.log_gain[index]), random)
-            for index, (image, T) in enumerate(zip(self.images, self.T_world_cam))])
-        self.T_world_cam = in_place(self.T_world_cam, moved)
-        self._place_rays()
-
-    def _place_rays(self) -> None:
-        self.rotations = self.T_world_cam[:, :3, :3].astype(np.float32)
-        self.origins = self.T_world_cam[:, :3, 3].astype(np.float32)
-
     def _refine_when_due(self) -> None:
-        due = RefinementRules().at[self.refined:]
-        if self.config.refine_poses and due and self.share >= due[0]:
-            self._refine_poses()
         if self.stage + 1 < len(STAGES) and self.share >= STAGES[self.stage + 1][0]:
             self.stage += 1
             voxels = int(self.config.voxels * STAGES[self.stage][1])
@@ -227,9 +207,7 @@ class FieldTrainer:
         """Return everything a later `restore` needs to go on."""
         field = self.placed.home()
         return {'step': self.step, 'stage': self.stage, 'boxed_at': self.boxed_at,
-                'seconds': self.seconds, 'psnr': self.psnr, 'refined': self.refined,
-                **self.camera.state(),
-                'T_world_cam': self.T_world_cam,
+                'seconds': self.seconds, 'psnr': self.psnr, **self.camera.state(),
                 'view_near': self.view_near,
                 'grid': field.grid, 'shape': list(field.shape), 'kept': packed(field.row_of),
                 'skip': field.skip, 'centre': field.centre, 'half_extent': field.half_extent,
@@ -241,9 +219,6 @@ class FieldTrainer:
             setattr(self, name, state[name])
         arrays = {key: np.asarray(value) for key, value in state.items()}
         self.camera.restore(arrays)
-        if 'refined' in state:  # Checkpoints of before refined no poses.
-            self.refined, self.T_world_cam = state['refined'], arrays['T_world_cam']
-            self._place_rays()
         self.field = VoxelField(
             arrays['grid'], tuple(state['shape']), arrays['centre'], arrays['half_extent'],
             self.config.shell, near=fit_near(self.config.near),

@@ -78,7 +78,8 @@ class OutpaintConfig:
         """Tell how far a training is and where it ends: steps, or seconds with `minutes`."""
         if self.minutes is None:
             return step, self.steps
-        return int(seconds), math.ceil(60 * self.minutes)
+        total = math.ceil(60 * self.minutes)
+        return min(int(seconds), total), total  # The last step may take long.
 
 
 class OutpaintTrainer:

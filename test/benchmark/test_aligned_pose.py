@@ -1,7 +1,5 @@
 """Poses that are a little off are put right by what a field shows."""
-from neo_ros.field.config import FieldConfig
-from neo_ros.field.fitting import FieldTrainer
-from neo_ros.field.pose_refinement import aligned_pose, in_place, RefinementRules
+from neo_ros.benchmark.aligned_pose import aligned_pose
 from neo_ros.field.rendering import render_view, to_uint8
 from neo_ros.field.voxel_field import VoxelField
 from neo_ros.geometry import Intrinsics
@@ -48,35 +46,12 @@ def test_a_pose_that_is_off_is_put_right(gain: np.ndarray, someone: bool) -> Non
             image[20:, 50:65] = (200, 30, 60)
         start = moved(true, np.array([0.006, -0.008, 0.004]), np.array([0.012, -0.01, 0.01]))
         T = start
-        for _ in range(5):
+        for _ in range(2):
             T = aligned_pose(FIELD, image, None, CAMERA, T, gain, np.random.default_rng(0))
         off.append([np.linalg.norm(T[:3, 3] - true[:3, 3]),
                     np.linalg.norm(rotation_vector(T[:3, :3].T @ true[:3, :3]))])
     # Before it was 0.019 metres and 0.011 radians off.
     assert (np.median(off, axis=0) < ([0.012, 0.006] if someone else [0.003, 0.0015])).all()
-
-
-def test_a_fit_moves_its_photos_to_where_the_field_shows_them() -> None:
-    random = np.random.default_rng(0)
-    poses = [standing(0.5 * np.cos(3 * yaw), 0.4 * np.sin(2 * yaw), yaw)
-             for yaw in np.arange(12) * np.pi / 6]
-    images = np.stack([to_uint8(render_view(FIELD, CAMERA, pose).image) for pose in poses])
-    true = np.stack([pose.T_world_cam for pose in poses])
-    shift = random.normal(0, 0.008, (len(true), 3))
-    off = true.copy()
-    off[:, :3, 3] += shift - shift.mean(0)
-    fit = FieldTrainer(images, CAMERA, off, FieldConfig(
-        voxels=8000, steps=100, margin=1.5, refine_poses=True), 0)
-    fit.field = FIELD
-    for _ in RefinementRules().at:
-        fit._refine_poses()
-    before, after = (np.linalg.norm(T[:, :3, 3] - true[:, :3, 3], axis=1)
-                     for T in (off, fit.T_world_cam))
-    assert np.median(after) < 0.5 * np.median(before)
-    again = FieldTrainer(images, CAMERA, off, fit.config, 0)
-    again.restore(fit.state())
-    assert again.refined == 3
-    np.testing.assert_array_equal(again.origins, fit.origins)
 
 
 def test_masked_pixels_and_views_of_nothing_move_no_pose() -> None:
@@ -87,14 +62,3 @@ def test_masked_pixels_and_views_of_nothing_move_no_pose() -> None:
     assert aligned_pose(FIELD, image, usable, CAMERA, true, np.ones(3), random) is true
     FIELD.skip[:] = 255
     assert aligned_pose(FIELD, image, None, CAMERA, true, np.ones(3), random) is true
-
-
-def test_poses_that_move_as_one_are_moved_back() -> None:
-    before = np.stack([standing(np.cos(yaw), np.sin(yaw), yaw).T_world_cam
-                       for yaw in np.arange(8) * np.pi / 4])
-    drift = np.eye(4)
-    drift[:3, :3], drift[:3, 3] = rotation_from_vector(np.array([0, 0.01, 0.02])), (0.1, 0, 0.05)
-    np.testing.assert_allclose(in_place(before, drift @ before), before, atol=1e-9)
-    alone = before.copy()
-    alone[3, :3, 3] += 0.01
-    np.testing.assert_allclose(in_place(before, alone)[:, :3, 3].mean(0), before[:, :3, 3].mean(0))

@@ -1,5 +1,5 @@
 """
-Poses of photos, corrected by what the field shows: direct alignment, photo by photo.
+Where a field looks most like an image: direct alignment, from a pose that is nearly right.
 
 Each pixel's point lies where the field shows a surface; the pose is moved until the photo's
 colours there are the field's, as in Direct Sparse Odometry (Engel et al., PAMI 2018).
@@ -15,14 +15,12 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class RefinementRules:
-    """How poses are refined, and how far they may go."""
+class AlignmentRules:
+    """How poses are aligned, and how far they may go."""
 
-    # Shares of a fit at which it is done: surfaces have to stand.
-    at: tuple[float, ...] = (0.5, 0.65, 0.8)
     pixels: int = 400          # of a photo, of four times as many those where its colours change
-    rounds: int = 2            # each time
-    most_turn: float = 0.02    # radians away from where the photo was, in all
+    rounds: int = 5
+    most_turn: float = 0.02    # radians away from where the image was
     most_shift: float = 0.02   # likewise, as a share of the median distance
     noise: float = 0.08        # of colours in [0, 1]: what is farther off hardly counts
     # How far poses are off, most likely, in the same units: what colours do not tell stays.
@@ -31,10 +29,10 @@ class RefinementRules:
 
 def aligned_pose(field: RadianceField, image: np.ndarray, usable: np.ndarray | None,
                  camera: Intrinsics, T_world_cam: np.ndarray, gain: np.ndarray,
-                 random: np.random.Generator, rules: RefinementRules = RefinementRules()
+                 random: np.random.Generator, rules: AlignmentRules = AlignmentRules()
                  ) -> np.ndarray:
     """
-    Return T_world_cam (4, 4) at which the field looks most like a photo uint8 (H, W, 3).
+    Return T_world_cam (4, 4) at which the field looks most like an image uint8 (H, W, 3).
 
     gain (3,) takes colours of the field to the photo's. The pose as it came is returned where too
     little is seen.
@@ -74,7 +72,7 @@ def _telling_pixels(change: np.ndarray, usable: np.ndarray | None, random: np.ra
 
 
 def _step(points: np.ndarray, off: np.ndarray, slopes: np.ndarray, camera: Intrinsics,
-          rules: RefinementRules) -> np.ndarray:
+          rules: AlignmentRules) -> np.ndarray:
     """
     Return the motion (4, 4) of the camera, in its own axes, by which colours agree best.
 
@@ -100,24 +98,9 @@ def _step(points: np.ndarray, off: np.ndarray, slopes: np.ndarray, camera: Intri
     return T
 
 
-def _bounded(before: np.ndarray, after: np.ndarray, distance: float, rules: RefinementRules
+def _bounded(before: np.ndarray, after: np.ndarray, distance: float, rules: AlignmentRules
              ) -> np.ndarray:
     """Return `after`, or `before` where the way from one to the other is too long to be true."""
     shift = np.linalg.norm(after[:3, 3] - before[:3, 3]) / max(distance, 1e-9)
     turn = np.linalg.norm(rotation_vector(before[:3, :3].T @ after[:3, :3]))
     return after if shift < rules.most_shift and turn < rules.most_turn else before
-
-
-def in_place(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """
-    Return poses `after` (N, 4, 4), moved as one to where those `before` were, in the mean.
-
-    A field and all its poses could move together, and no photo would tell.
-    """
-    turns = after[:, :3, :3] @ before[:, :3, :3].swapaxes(1, 2)
-    back = rotation_from_vector(-np.mean([rotation_vector(turn) for turn in turns], axis=0))
-    result = after.copy()
-    centre = after[:, :3, 3].mean(0)
-    result[:, :3, :3] = back @ after[:, :3, :3]
-    result[:, :3, 3] = (after[:, :3, 3] - centre) @ back.T + before[:, :3, 3].mean(0)
-    return result
