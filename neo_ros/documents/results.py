@@ -113,6 +113,14 @@ IMPORTS = (
     Column('peak memory, MB', 'peak_mb', '{:.0f}'),
     Column('minutes of the processor', 'cpu_minutes', '{:.1f}'),
     Column('minutes', 'minutes', '{:.1f}'))
+LIVES = (
+    Column('visit', 'visit'), Column('memory', 'mode'),
+    Column('ring that changed, dB', 'changed_ring_psnr', DB),
+    Column('ring that did not, dB', 'unchanged_ring_psnr', DB),
+    Column('false changes', 'false_change_share', '{:.2f} %', 100),
+    Column('AUROC of contradicted', 'contradiction_auroc', RATIO),
+    Column('poses right', 'pose_share', '{:.0f} %', 100),
+    Column('memory and journal, MB', 'memory_mb', '{:.2f}'))
 BUILDING = (
     Column('rooms', 'layout'), Column('search', 'search'), Column('searches', 'searches'),
     Column('wrong place believed', 'wrong_places'), Column('ambiguous', 'ambiguous'),
@@ -133,7 +141,8 @@ TABLES: dict[str, Rows] = {
     'geometry_pose': Rows('geometry', GEOMETRY_POSE),
     'geometry_depth': Rows('geometry', GEOMETRY_DEPTH,
                            lambda row: row['depth_error_median'] is not None),
-    'imports': Rows('imports', IMPORTS), 'building': Rows('building', BUILDING),
+    'imports': Rows('imports', IMPORTS), 'lives': Rows('lives', LIVES),
+    'building': Rows('building', BUILDING),
     'minutes': Rows('minutes', MINUTES),
     'hard_times': Rows('hard_times', HARD), 'out_of_scene': Rows('out_of_scene', OUTSIDE),
 }

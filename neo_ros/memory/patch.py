@@ -37,7 +37,9 @@ class Patch:
     def of(cls, pose: CameraPose, camera: Intrinsics, image: np.ndarray, depth: np.ndarray,
            stamp_ns: int, batch: int) -> 'Patch':
         """Compress image uint8 RGB (h, w, 3) and depth float32 (h, w), metres, 0 = not changed."""
-        quality = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
+        # Its pixels are as coarse as a view's: none can do without its own colour.
+        quality = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY,
+                   cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
         return cls(pose, camera, encode_image('.jpg', image[..., ::-1], quality),
                    encode_image('.png', code_of(depth), []), stamp_ns, batch)
 
