@@ -17,6 +17,8 @@ TORN = np.float32(0.1)
 # Triangles that a patch saw so much more coarsely than the keyframe are not drawn: texels a pixel
 # along each side, in those of a surface that both see alike. Less where only colours differ.
 STRETCHED, REPAINTED = np.float32(2.5), np.float32(1.3)
+# A surface that stays keeps colours that differ by fewer grey levels: its own are finer.
+ALIKE = np.float32(30)
 NEAREST = np.float32(0.05)
 # Vertices of a mesh are looked at in squares of so many along each side.
 BLOCK = 8
@@ -196,6 +198,13 @@ def _draw_triangle(a, b, c, side, quality, sphere):
                         quality <= sphere.quality[y, x]
                         or (sphere.quality[y, x] == 0 and not repaints)):
                     continue
+                if near > there * (1 - SAME) and sphere.quality[y, x] == 0:
+                    apart = np.float32(0)
+                    for k in range(3):
+                        apart = max(apart, abs(wa * a[3 + k] + wb * b[3 + k] + wc * c[3 + k]
+                                               - sphere.texture[y, x, k]))
+                    if apart < ALIKE:
+                        continue
             sphere.surface[y, x] = near
             sphere.quality[y, x] = quality
             for k in range(3):

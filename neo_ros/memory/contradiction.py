@@ -14,8 +14,8 @@ class ContradictionThresholds:
     # The mean over squares of so many pixels counts, grey levels: where it is as high as the
     # first something else is seen, as far as it is higher than the second around it.
     around: int = 5
-    seed: float = 14.0
-    grown: float = 6.0
+    seed: float = 30.0
+    grown: float = 8.0
     # Parts of fewer pixels are left out; the others are taken so much larger.
     least: int = 12
     larger: int = 2

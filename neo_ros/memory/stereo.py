@@ -30,7 +30,7 @@ class StereoThresholds:
     # Pixels around what contradicts that are looked at, too: they hold its depth.
     margin: int = 6
     # Grey levels by which images of a surface differ at most.
-    most_error: float = 12.0
+    most_error: float = 20.0
     # So many other images have to show the same, and more than do not; depths of one surface
     # differ by this share at most.
     witnesses: int = 2
