@@ -141,7 +141,7 @@ TABLES: dict[str, Rows] = {
     'geometry_pose': Rows('geometry', GEOMETRY_POSE),
     'geometry_depth': Rows('geometry', GEOMETRY_DEPTH,
                            lambda row: row['depth_error_median'] is not None),
-    'imports': Rows('imports', IMPORTS), 'lives': Rows('lives', LIVES),
+    'imports': Rows('imports', IMPORTS),
     'building': Rows('building', BUILDING),
     'minutes': Rows('minutes', MINUTES),
     'hard_times': Rows('hard_times', HARD), 'out_of_scene': Rows('out_of_scene', OUTSIDE),
