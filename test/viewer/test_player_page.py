@@ -72,11 +72,15 @@ def moment(page: Any) -> float:
     return 60 * int(minutes) + float(seconds)
 
 
+def wait_for_moment(page: Any, expected: float) -> None:
+    wait_for(page, lambda: abs(moment(page) - expected) < 0.06)
+
+
 def pause(page: Any, at: float) -> None:
     """Stand still at a moment, by link."""
     page.evaluate(f'location.hash = "#t={at}"')
     page.wait_for_selector('#connection[data-state=paused]')
-    wait_for(page, lambda: abs(moment(page) - at) < 0.06)
+    wait_for_moment(page, at)
     page.wait_for_timeout(300)
 
 
@@ -98,7 +102,7 @@ def test_keys_lead_through_time(page: Any) -> None:
     for key, expected in (('.', 2.5), ('.', 3.0), (',', 2.5), ('ArrowRight', 7.5),
                           ('ArrowLeft', 2.5), ('End', 14.5), ('Home', 0.0)):
         page.keyboard.press(key)
-        wait_for(page, lambda expected=expected: abs(moment(page) - expected) < 0.06)
+        wait_for_moment(page, expected)
         page.wait_for_timeout(150)
     assert page.get_attribute('#connection', 'data-state') == 'paused'
 
