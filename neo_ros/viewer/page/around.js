@@ -1,6 +1,7 @@
 // Where the camera is, and looking away from it: what is known of both, and how it is shown.
 import { AroundLink } from './around_link.js';
 import { contentOf, find } from './elements.js';
+import { Gamepads } from './gamepad.js';
 import { Hands } from './hands.js';
 import { coverOf, Direction, paintLook } from './look.js';
 import { Map } from './map.js';
@@ -34,6 +35,7 @@ export class Around {
       },
     }, delay);
     this.hands = new Hands(this);
+    this.gamepads = new Gamepads(this);
     document.addEventListener('fullscreenchange', () => {
       (document.fullscreenElement ? find('stage') : find('where-home')).append(find('where'));
       this.paint();

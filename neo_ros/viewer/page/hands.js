@@ -18,7 +18,7 @@ const ACTIONS = {
 const KEYS = {
   // Shift with arrows looks around in recordings, too, where arrows alone lead through time.
   ArrowLeft: 'left', ArrowRight: 'right', ArrowUp: 'up', ArrowDown: 'down', '+': 'closer',
-  '-': 'wider', 0: 'back', Home: 'back', d: 'distance',
+  '-': 'wider', 0: 'back', d: 'distance',
 };
 
 export class Hands {

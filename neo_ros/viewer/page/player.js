@@ -20,7 +20,8 @@ export class Player {
     this.camera = null;
     this.timeline = new Timeline(find('timeline'), () => this.showMoment());
     this.hands();
-    window.addEventListener('hashchange', () => this.follow());
+    // The address may have been marked anew meanwhile.
+    window.addEventListener('hashchange', (event) => this.follow(new URL(event.newURL).hash));
   }
 
   get able() { return Boolean(this.status?.playback); }
@@ -46,7 +47,8 @@ export class Player {
     find('speed').addEventListener('change', () => this.command({ rate: +find('speed').value }));
     find('beside-choice').addEventListener('change', () => this.choose(
       find('beside-choice').value));
-    document.addEventListener('keydown', (event) => this.pressKey(event));
+    // Before those who look around: arrows lead through time here.
+    document.addEventListener('keydown', (event) => this.pressKey(event), true);
   }
 
   command(player) { this.ask({ player }); }
@@ -171,8 +173,8 @@ export class Player {
   }
 
   // Go to the moment of the address, see W3C's Media Fragments.
-  follow() {
-    const found = /^#t=(\d+(?:\.\d+)?)$/.exec(location.hash);
+  follow(hash = location.hash) {
+    const found = /^#t=(\d+(?:\.\d+)?)$/.exec(hash);
     if (!found || !this.able || found[1] === this.position.toFixed(2)) return;
     this.command({ play: false });
     this.seek(+found[1]);
