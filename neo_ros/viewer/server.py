@@ -21,9 +21,9 @@ from neo_ros.viewer.viewer_link import ViewerLink
 # Everything that is served; no name from a request ever becomes a path.
 KINDS = {'.css': 'text/css', '.js': 'text/javascript', '.svg': 'image/svg+xml'}
 FILES = (
-    'around.css', 'around.js', 'around_link.js', 'base.css', 'elements.js', 'gamepad.js', 'hands.js',
-    'icon.svg', 'link.js', 'look.js', 'map.js', 'picture.js', 'player.css', 'player.js', 'socket.js',
-    'timeline.js', 'viewer.css', 'viewer.js', 'words.js')
+    'around.css', 'around.js', 'around_link.js', 'base.css', 'elements.js', 'gamepad.js',
+    'hands.js', 'icon.svg', 'link.js', 'look.js', 'map.js', 'picture.js', 'player.css',
+    'player.js', 'socket.js', 'timeline.js', 'viewer.css', 'viewer.js', 'words.js')
 PAGE = {'/': ('index.html', 'text/html'),
         **{f'/{name}': (name, KINDS[Path(name).suffix]) for name in FILES}}
 MAX_REQUEST_BYTES = 2048

@@ -30,7 +30,7 @@ const link = new Link({
   onStatus(status) {
     state.status = status;
     player.update(status, state.fresh);
-    state.fresh = false;
+    if (player.able) state.fresh = false;  // The source may not have opened its bag yet.
     showStatus();
   },
   onPicture(picture) { showPicture(picture); },
