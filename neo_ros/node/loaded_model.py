@@ -14,15 +14,24 @@ from neo_ros.runtime.providers import choose_providers, PROVIDERS
 Load = Callable[..., Any]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LoadedModel:
-    """The frame processor of a model, what of its card matters, and lines that describe it."""
+    """The frame processor of a model, its card, and lines that describe it."""
 
     processor: FrameProcessor
-    memory: bool
-    arbitrary_scale: bool
+    card: ModelCard
     description: dict[str, str]
     stop_learning: Callable[[], None] = lambda: None
+
+    @property
+    def memory(self) -> bool:
+        """Whether it has a scene memory."""
+        return self.card.memory is not None
+
+    @property
+    def arbitrary_scale(self) -> bool:
+        """Whether nobody knows how large its scene is."""
+        return self.card.arbitrary_scale
 
 
 def load_model(values: NodeParameters, load: Load = FovExtrapolator.load) -> LoadedModel:
@@ -36,10 +45,8 @@ def load_model(values: NodeParameters, load: Load = FovExtrapolator.load) -> Loa
     if missing := [name for name in values.providers
                    if PROVIDERS[name] not in extrapolator.providers]:
         description['not here'] = ', '.join(missing)
-    return LoadedModel(FrameProcessor(extrapolator, values.rectify),
-                       extrapolator.card.memory is not None, extrapolator.card.arbitrary_scale,
+    return LoadedModel(FrameProcessor(extrapolator, values.rectify), extrapolator.card,
                        description, *((extrapolator.stop_learning,) if values.learn else ()))
-
 
 def _describe_size(extrapolator: Extrapolator) -> dict[str, str]:
     source, target = extrapolator.expansion.source, extrapolator.expansion.target
