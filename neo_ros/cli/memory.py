@@ -7,8 +7,9 @@ import typer
 if TYPE_CHECKING:
     from neo_ros.memory.patch import Patch
 
-memory = typer.Typer(no_args_is_help=True, help='What a model has learnt of its scene since it '
-                     'was trained: see --learn of neo replay, and learn of the node.')
+memory = typer.Typer(no_args_is_help=True, help=(
+    'What a model has learnt of its scene since it was trained (neo replay --learn, or learn of the '
+    'node): info tells, compact takes out what was replaced, forget deletes it.'))
 Model = Annotated[Path, typer.Argument(help='Model file (.onnx), its scene memory beside it.')]
 
 
