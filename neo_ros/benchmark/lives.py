@@ -88,7 +88,7 @@ def drive(model: Path, walks: Walks) -> None:
     extrapolator.finish_learning()
 
 
-def score(model: Path, walks: Walks, before: Walks) -> tuple[dict[str, float], list[np.ndarray]]:
+def score(model: Path, walks: Walks, before: Walks) -> tuple[dict[str, float | None], list[np.ndarray]]:
     """Widen walks, whose frames `before` shows as they were trained; return scores and images."""
     extrapolator = FovExtrapolator.load(model)
     expansion, ring = extrapolator.expansion, extrapolator.extrapolated_mask
@@ -113,9 +113,10 @@ def score(model: Path, walks: Walks, before: Walks) -> tuple[dict[str, float], l
             same.append(off[~seen][::16])
     changed_psnr, unchanged_psnr = (
         [row[side] for row in rows if np.isfinite(row[side])] for side in (0, 1))
-    scores = {'changed_ring_psnr': float(np.mean(changed_psnr)) if changed_psnr else None,
-              'unchanged_ring_psnr': float(np.mean(unchanged_psnr)),
-              'pose_share': float(np.mean(right)), 'contradiction_auroc': None}
+    scores: dict[str, float | None] = {
+        'changed_ring_psnr': float(np.mean(changed_psnr)) if changed_psnr else None,
+        'unchanged_ring_psnr': float(np.mean(unchanged_psnr)),
+        'pose_share': float(np.mean(right)), 'contradiction_auroc': None}
     if sum(map(len, told)):
         scores['contradiction_auroc'] = auroc(np.concatenate(told), np.concatenate(same))
     return scores, images

@@ -111,9 +111,15 @@ def test_what_later_visits_saw_is_left_out() -> None:
     assert without_replaced([second, same]) == [second, same]
 
 
+def checksum(model: Path) -> str:
+    memory = read_model_card(model).memory
+    assert memory is not None
+    return memory.sha256
+
+
 def test_the_command_tells_compacts_and_forgets(tmp_path: Path) -> None:
     model = write_box_model(tmp_path)
-    sha256 = read_model_card(model).memory.sha256
+    sha256 = checksum(model)
     journal = journal_path(tmp_path / 'box.memory')
     run = CliRunner().invoke
     assert 'nothing was learnt' in run(app, ['memory', 'info', str(model)]).output
@@ -132,14 +138,13 @@ def test_a_model_shows_what_its_journal_holds(tmp_path: Path) -> None:
     pose = planar(1.8, 1.7, 12)
     image, _, board = with_board(pose, EXPANSION.target)
     seen = np.ascontiguousarray(EXPANSION.crop(image))
-    untaught = FovExtrapolator.load(model).expand(seen)
-    writer = JournalWriter(journal_path(tmp_path / 'box.memory'),
-                           read_model_card(model).memory.sha256, 1 << 20)
+    untaught = FovExtrapolator.load(model).expand(seen).guide
+    writer = JournalWriter(journal_path(tmp_path / 'box.memory'), checksum(model), 1 << 20)
     writer.append([true_patch(one) for one in DRIVE[6:14]])
     writer.close()
-    taught = FovExtrapolator.load(model).expand(seen)
-    assert untaught.guide and taught.guide
-    off = [np.abs(one.guide.image[board] - image[board]).mean() for one in (untaught, taught)]
+    taught = FovExtrapolator.load(model).expand(seen).guide
+    assert untaught is not None and taught is not None
+    off = [np.abs(one.image[board] - image[board]).mean() for one in (untaught, taught)]
     assert off[1] < 0.5 * off[0]
 
 
