@@ -68,8 +68,8 @@ define pip_install
 endef
 
 $(VENV)/robot.stamp: WANTED := .[viewer]
-$(VENV)/train.stamp: WANTED := .[viewer,video,foxglove,heic,record3d,train]
-$(VENV)/dev.stamp: WANTED := .[viewer,video,foxglove,heic,record3d,train,dev]
+$(VENV)/train.stamp: WANTED := .[viewer,video,foxglove,heic,record3d,mesh,train]
+$(VENV)/dev.stamp: WANTED := .[viewer,video,foxglove,heic,record3d,mesh,train,dev]
 $(VENV)/robot.stamp: setup.py pyproject.toml constraints.txt | $(VENV)/pyvenv.cfg
 	$(pip_install)
 $(VENV)/train.stamp: $(VENV)/robot.stamp

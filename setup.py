@@ -30,6 +30,8 @@ if 'ROS_DISTRO' not in os.environ and 'AMENT_PREFIX_PATH' not in os.environ:
 TEST = ['hypothesis', 'pytest', 'pytest-timeout', 'pytest-xdist']
 EXTRAS = {
     'train': ['onnx', 'onnxscript', 'pycolmap', 'pydantic>=2', 'scipy', 'tensorboard', 'torch'],
+    # Meshes in the place of a field, in `neo train --geometry`.
+    'mesh': ['embreex', 'trimesh'],
     # Foxglove's own images, calibrations and transforms in protobuf.
     'foxglove': ['mcap-protobuf-support'],
     # Photos of phones, in `neo import`.

@@ -13,9 +13,9 @@ import neo_ros
 from neo_ros.evaluation.baselines import EdgeReplication, MeanImage, Method, NeoModel
 from neo_ros.evaluation.evaluate import evaluate, TruthFrames
 from neo_ros.experiment import Experiment
-from neo_ros.field.device import chosen_device, field_trainer, on_device
+from neo_ros.field.device import chosen_device, field_trainer, read_field
+from neo_ros.field.given_geometry import field_of_geometry, GivenGeometry
 from neo_ros.field.radiance_field import RadianceField
-from neo_ros.field.voxel_field import VoxelField
 from neo_ros.machine.files import make_output_folder
 from neo_ros.machine.progress import no_stage_progress, StageProgress
 from neo_ros.outpaint.distributed import from_first, process_group, wait_for_all
@@ -48,31 +48,34 @@ REFERENCE_PHOTOS = 300
 def train(scene_folder: Path, experiment: Experiment, out: Path,
           progress: StageProgress = no_stage_progress,
           cache_gb: float = 0.0, field_of: Path | None = None,
-          minutes: float | None = None) -> TrainingRun:
+          minutes: float | None = None, geometry: GivenGeometry | None = None) -> TrainingRun:
     """
     Run the three steps on a scene folder and leave model, report and scores in `out`.
 
     progress(stage, done, total, note) is called as work goes on; up to cache_gb GB of panoramas
     are kept in files instead of in memory. `field_of` is the folder of another run, whose field is
-    taken. With `minutes` all of it takes so long: settings are chosen for camera and machine, see
-    `training/time_plan.py`. Raises NeoError for scenes and settings that cannot be trained, where
-    `out` holds a run of other settings, and where the other field is of other photos or settings.
+    taken; `geometry` is a mesh or splats that take its place. With `minutes` all of it takes so
+    long: settings are chosen for camera and machine, see `training/time_plan.py`. Raises NeoError
+    for scenes and settings that cannot be trained, where `out` holds a run of other settings,
+    where the other field is of other photos or settings, and where the geometry does not show
+    what the photos do.
     """
     scene = read_upright_scene(scene_folder)
     with process_group() as rank:
         if rank == 0 and minutes is not None:
             make_output_folder(out)
             plan_training(out, scene, experiment, minutes,
-                          lambda chosen: progress('plan', 1, 1, chosen))
+                          lambda chosen: progress('plan', 1, 1, chosen), geometry is None)
         wait_for_all()
         plan = None if minutes is None else read_plan(out)
         if plan is not None:
             experiment, progress = plan.experiment, TimeLeft(plan, progress)
-        run = TrainingRun(scene, experiment, out, progress, cache_gb, plan=plan)
+        run = TrainingRun(scene, experiment, out, progress, cache_gb, plan=plan,
+                          geometry=geometry)
         check_training(run)
         if rank == 0:
             make_output_folder(out)
-            claim(out, scene, experiment)
+            claim(out, scene, experiment, geometry)
             if field_of is not None:
                 take_field(out, scene, experiment, field_of)
         wait_for_all()
@@ -105,12 +108,15 @@ def fit_field_step(run: TrainingRun, rank: int = 0) -> RadianceField:
     device, missing = chosen_device(run.experiment.field.device), not path.exists()
     wait_for_all()
     if missing and (rank == 0 or device != 'cpu'):
-        _fit_field(run, path, writes=rank == 0)
+        if run.geometry is None:
+            _fit_field(run, path, writes=rank == 0)
+        elif rank == 0:
+            _take_geometry(run, run.geometry, path)
     wait_for_all()
     if rank == 0:
         (run.out / 'field.ckpt').unlink(missing_ok=True)
     run.seconds, run.log['field'] = read_notes(run.out / 'field.json', 'field.npz')
-    return on_device(VoxelField.load(path), device)
+    return read_field(path, device)
 
 
 def _fit_field(run: TrainingRun, path: Path, writes: bool) -> None:
@@ -131,6 +137,16 @@ def _fit_field(run: TrainingRun, path: Path, writes: bool) -> None:
     if writes:
         write_notes(run.out / 'field.json', run.seconds, run.log['field'])
         field.save(path)
+
+
+def _take_geometry(run: TrainingRun, geometry: GivenGeometry, path: Path) -> None:
+    """Leave the field of a mesh or of splats in `path`, as a fit would."""
+    started = time.monotonic()
+    drop_made_of_a_field(run.out)
+    run.progress('geometry', 0, 1, str(geometry.path))
+    field = field_of_geometry(geometry, run.scene.turn, run.scene.train, run.field_config)
+    write_notes(run.out / 'field.json', time.monotonic() - started, [])
+    field.save(path)
 
 
 def fit_outpainter_step(run: TrainingRun, field: RadianceField,

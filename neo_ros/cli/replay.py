@@ -118,9 +118,9 @@ def _prepare_scores(bag: Path, model: Path, extrapolator: Any, image_topic: str 
     expansion = extrapolator.expansion
     if truth_topic is None:
         with BagReader(bag) as reader:
-            found = find_truth_topic(
-                reader, find_camera(reader, expansion.source, image_topic, info_topic),
-                expansion.target)
+            camera = find_camera(reader, expansion.source, image_topic, info_topic).image
+            found = find_truth_topic(reader, camera,
+                                     (expansion.target.width, expansion.target.height))
         truth_topic = None if found is None else found.name
     if truth_topic is not None:
         return BagScores(expansion), truth_topic

@@ -23,6 +23,12 @@ def train(
     field_of: Annotated[Optional[Path], typer.Option(
         help='Output folder of another run of the same photos, with the same settings of field, '
         'scale and seed: its field is taken instead of fitting one anew.')] = None,
+    geometry: Annotated[Optional[Path], typer.Option(
+        help='A mesh with colours (.ply, .obj, .glb) or splats (.ply) of the scene, in the world '
+        'of the photos: it is taken instead of fitting a field.')] = None,
+    geometry_axes: Annotated[str, typer.Option(
+        help='What x, y and z of the world of the photos are in axes and unit of --geometry, '
+        'such as 0.01x,-0.01z,0.01y.')] = 'x,y,z',
 ) -> None:
     """
     Fit the scene, render wide views of it, train the outpainter, make the memory, export.
@@ -33,13 +39,15 @@ def train(
     """
     from neo_ros.cli.progress import stage_progress
     from neo_ros.experiment import Experiment, read_experiment
+    from neo_ros.field.given_geometry import GivenGeometry
     from neo_ros.pipeline import train as run_pipeline
     import rich
     from rich.markup import escape
 
     experiment = read_experiment(config) if config is not None else Experiment()
     with stage_progress() as show:
-        run = run_pipeline(scene, experiment, out, show, cache_gb, field_of, minutes)
+        run = run_pipeline(scene, experiment, out, show, cache_gb, field_of, minutes,
+                           None if geometry is None else GivenGeometry(geometry, geometry_axes))
     for name, value in run.figures.items():
         rich.print(f'{name}: {value:.2f} dB')
     files = [run.model_path, run.model_path.with_suffix('.memory')]

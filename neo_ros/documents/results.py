@@ -100,6 +100,12 @@ GEOMETRY_DEPTH = (
     Column('more than 10 % too far', 'depth_too_far_10_percent', '{:.1f} %', 100),
     Column('occupied cells marked', 'occupied_marked', '{:.1f} %', 100),
     Column('free cells marked', 'free_marked_occupied', '{:.1f} %', 100))
+LOOKS = (
+    Column('scene', 'scene'), Column('delay, s', 'delay_s', '{:g}'), Column('looks', 'looks'),
+    Column('position as it came, cm', 'as_came_position_cm', '{:.0f}'),
+    Column('predicted, cm', 'predicted_position_cm', '{:.0f}'),
+    Column('look as it came, dB', 'as_came_psnr', DB),
+    Column('predicted, dB', 'predicted_psnr', DB))
 MINUTES = (
     Column('scene', 'scene'), Column('camera', 'camera'), Column('photos', 'photos'),
     Column('`--minutes`', 'minutes', '{:g}'), Column('took', 'elapsed_minutes', '{:.1f}'),
@@ -133,6 +139,7 @@ TABLES: dict[str, Rows] = {
     'geometry_pose': Rows('geometry', GEOMETRY_POSE),
     'geometry_depth': Rows('geometry', GEOMETRY_DEPTH,
                            lambda row: row['depth_error_median'] is not None),
+    'predicted_looks': Rows('predicted_looks', LOOKS),
     'imports': Rows('imports', IMPORTS), 'building': Rows('building', BUILDING),
     'minutes': Rows('minutes', MINUTES),
     'hard_times': Rows('hard_times', HARD), 'out_of_scene': Rows('out_of_scene', OUTSIDE),

@@ -1,8 +1,11 @@
 """Which machine part fits and renders the field: compiled kernels, or torch on a GPU."""
+from pathlib import Path
+
 from neo_ros.errors import ConfigError
 from neo_ros.field.config import FieldConfig
 from neo_ros.field.fitting import FieldTrainer, FitRules
-from neo_ros.field.radiance_field import RadianceField
+from neo_ros.field.mesh_field import MeshField
+from neo_ros.field.radiance_field import FittedField, RadianceField
 from neo_ros.field.torch_field import torch_device, TorchField
 from neo_ros.field.torch_fitting import TorchFieldTrainer
 from neo_ros.field.voxel_field import VoxelField
@@ -33,6 +36,12 @@ def field_trainer(images: np.ndarray, intrinsics: Intrinsics, T_world_cam: np.nd
                              depths, usable)
 
 
-def on_device(field: VoxelField, device: str) -> RadianceField:
+def on_device(field: VoxelField, device: str) -> FittedField:
     """Bring a field, as it is now, to cpu, cuda or torch (what cuda does, on the CPU)."""
     return field if device == 'cpu' else TorchField(field, torch_device(device))
+
+
+def read_field(path: Path, device: str) -> RadianceField:
+    """Read the field of a run to cpu, cuda or torch; a mesh is seen on the CPU anywhere."""
+    mesh = MeshField.load(path)
+    return on_device(VoxelField.load(path), device) if mesh is None else mesh

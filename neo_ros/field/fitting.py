@@ -9,7 +9,7 @@ from neo_ros.errors import SceneError
 from neo_ros.field.config import FieldConfig, fit_near
 from neo_ros.field.fitting_kernels import (
     adam_step, Batch, differentiate_rays, LossWeights, SampleSlopes, scatter_gradients)
-from neo_ros.field.radiance_field import RadianceField
+from neo_ros.field.radiance_field import FittedField
 from neo_ros.field.rendering import render_rays
 from neo_ros.field.voxel_field import packed, unpacked, VoxelField
 from neo_ros.geometry import Intrinsics
@@ -69,7 +69,7 @@ class FieldTrainer:
         self._allocate()
 
     @property
-    def placed(self) -> RadianceField:
+    def placed(self) -> FittedField:
         """The field where it is fitted."""
         return self.field
 

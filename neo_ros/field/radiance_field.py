@@ -1,4 +1,4 @@
-"""What every radiance field can do; `voxel_field` and `torch_field` are the two that there are."""
+"""What every radiance field can do: `voxel_field`, `torch_field` and `mesh_field`."""
 from collections.abc import Iterable
 from typing import Protocol
 
@@ -28,11 +28,15 @@ class RadianceField(Protocol):
     def mark_seen(self, rays: Iterable[tuple[np.ndarray, np.ndarray]]) -> None:
         """Take for seen what photos' rays_o and rays_d (N, 3) reach, and nothing else."""
 
-    def update_occupancy(self) -> float:
-        """Recompute where empty space is; returns the occupied share of all cells."""
-
     def is_matter(self, points: np.ndarray) -> np.ndarray:
         """Tell which world points (..., 3) lie in cells that are not empty air: bool (...)."""
+
+
+class FittedField(RadianceField, Protocol):
+    """A field while it is fitted."""
+
+    def update_occupancy(self) -> float:
+        """Recompute where empty space is; returns the occupied share of all cells."""
 
     def home(self) -> VoxelField:
         """Return the field with its arrays in main memory, as they are now."""

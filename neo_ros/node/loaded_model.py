@@ -13,14 +13,23 @@ from neo_ros.runtime.providers import choose_providers, PROVIDERS
 Load = Callable[[str, int, list[str]], Any]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LoadedModel:
-    """The frame processor of a model, what of its card matters, and lines that describe it."""
+    """The frame processor of a model, its card, and lines that describe it."""
 
     processor: FrameProcessor
-    memory: bool
-    arbitrary_scale: bool
+    card: ModelCard
     description: dict[str, str]
+
+    @property
+    def memory(self) -> bool:
+        """Whether it has a scene memory."""
+        return self.card.memory is not None
+
+    @property
+    def arbitrary_scale(self) -> bool:
+        """Whether nobody knows how large its scene is."""
+        return self.card.arbitrary_scale
 
 
 def load_model(values: NodeParameters, load: Load = FovExtrapolator.load) -> LoadedModel:
@@ -32,8 +41,7 @@ def load_model(values: NodeParameters, load: Load = FovExtrapolator.load) -> Loa
     if missing := [name for name in values.providers
                    if PROVIDERS[name] not in extrapolator.providers]:
         description['not here'] = ', '.join(missing)
-    return LoadedModel(FrameProcessor(extrapolator, values.rectify),
-                       extrapolator.card.memory is not None, extrapolator.card.arbitrary_scale,
+    return LoadedModel(FrameProcessor(extrapolator, values.rectify), extrapolator.card,
                        description)
 
 

@@ -1,5 +1,5 @@
 """A scene folder: training photos, and where there are any, wide test truth and a floor map."""
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 import logging
 from pathlib import Path
 
@@ -9,6 +9,7 @@ from neo_ros.machine.names import listed
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.transforms_json import read_input_crop, read_transforms
 from neo_ros.scenes.walkable import read_walkable, WalkableMap
+import numpy as np
 
 logger = logging.getLogger(__name__)
 # What a scene of the demo flat was rendered with; no other scene has this file.
@@ -24,6 +25,7 @@ class Scene:
     test       wide truth along walking paths (`transforms_test.json`), for the last scoring only
     expansion  source window of the test frames (`input_crop`), at the test frames' resolution
     walkable   where the robot can be (`walkable.json`), for 3-DoF scenes
+    turn       rotation (3, 3) of its world since it was read, see `upright.stood_up`
     """
 
     name: str
@@ -31,6 +33,7 @@ class Scene:
     test: PosedImages | None
     expansion: ViewExpansion | None
     walkable: WalkableMap | None
+    turn: np.ndarray = field(default_factory=lambda: np.eye(3), compare=False)
 
 
 def read_scene(folder: Path) -> Scene:

@@ -91,7 +91,7 @@ def stood_up(scene: Scene) -> Scene:
             CameraPose(T @ pose.T_world_cam) for pose in images.poses))
 
     return replace(scene, train=turned(scene.train),
-                   test=None if scene.test is None else turned(scene.test))
+                   test=None if scene.test is None else turned(scene.test), turn=T[:3, :3])
 
 
 def axis_up(scene: Scene) -> np.ndarray:

@@ -7,6 +7,7 @@ from typing import Any
 
 from neo_ros.errors import ConfigError
 from neo_ros.experiment import Experiment
+from neo_ros.field.given_geometry import GivenGeometry
 from neo_ros.machine.files import share_file, write_bytes
 from neo_ros.scenes.digests import floor_digest, list_digest
 from neo_ros.scenes.scene import Scene
@@ -16,11 +17,16 @@ from neo_ros.training.time_plan import PLAN_FILE
 RUN_FILE = 'run.json'
 
 
-def claim(out: Path, scene: Scene, experiment: Experiment) -> None:
+def claim(out: Path, scene: Scene, experiment: Experiment,
+          geometry: GivenGeometry | None = None) -> None:
     """Refuse a folder that holds another run, so that no two are ever mixed."""
     note, path = _run_note(scene, experiment), out / RUN_FILE
+    if geometry is not None:
+        note['geometry'] = geometry.digest
     if path.exists():
         found = _read_run_note(path)
+        if geometry is None and (out / 'field.npz').exists():
+            found.pop('geometry', None)  # It is read no more.
         if found != note and {**note, **found} == note:
             raise ConfigError(
                 f'{out}: holds a run of an older neo_ros, which did not note all of that; choose '

@@ -82,8 +82,9 @@ _TITLES = {
 
 
 def _curves(run: TrainingRun) -> list[Section]:
-    curves: list[Section] = [
-        _curve(run, 'field', 'The field on its own photos, while it was fitted')]
+    curves: list[Section] = []
+    if run.log['field']:  # A mesh or splats were not fitted.
+        curves.append(_curve(run, 'field', 'The field on its own photos, while it was fitted'))
     if run.log['validation']:
         curves.append(_curve(
             run, 'validation', 'The outpainter on photos held out, while it was trained: ring'))

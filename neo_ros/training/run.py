@@ -6,6 +6,7 @@ from neo_ros.errors import ConfigError
 from neo_ros.evaluation.evaluate import TruthFrames
 from neo_ros.experiment import Experiment
 from neo_ros.field.config import FieldConfig
+from neo_ros.field.given_geometry import GivenGeometry
 from neo_ros.geometry import ViewExpansion
 from neo_ros.machine.progress import StageProgress
 from neo_ros.outpaint.networks import check_network, shrunk_expansion
@@ -49,6 +50,7 @@ class TrainingRun:
     outpaint_seconds: float = 0.0
     plan: TimePlan | None = None  # where the user gave minutes for all of it
     hold_out: HoldOutRules = HoldOutRules()
+    geometry: GivenGeometry | None = None  # in the place of a fitted field
 
     def __post_init__(self) -> None:
         if not self.cache_gb >= 0:  # nan is neither, and would be no limit.

@@ -55,12 +55,14 @@ class TimePlan:
 
 
 def plan_training(out: Path, scene: Scene, base: Experiment, minutes: float,
-                  say: Callable[[str], None], rules: PlanRules = PlanRules()) -> TimePlan:
+                  say: Callable[[str], None], fits: bool = True, rules: PlanRules = PlanRules()
+                  ) -> TimePlan:
     """
     Read the plan of the run in `out`, or make one for this machine and note it there.
 
     base: settings that stay, where they are not the default ones. say: told what was chosen, and
-    why. Raises ConfigError for minutes that are no number above 0, and for a run of others.
+    why. fits: a field is fitted; else it is there, and its minutes are the network's. Raises
+    ConfigError for minutes that are no number above 0, and for a run of others.
     """
     if not 0 < minutes < math.inf:
         raise ConfigError(f'--minutes: expected a number > 0, got {minutes}')
@@ -73,7 +75,7 @@ def plan_training(out: Path, scene: Scene, base: Experiment, minutes: float,
     if any(out.iterdir()):
         raise ConfigError(f'{out}: expected an empty folder or a run of --minutes {minutes:g}; it '
                           'holds other files, or a run without --minutes; choose another folder')
-    plan = TimePlan(minutes, _chosen(scene, base, minutes, say, rules))
+    plan = TimePlan(minutes, _chosen(scene, base, minutes, say, fits, rules))
     _write_plan(out, plan)
     return plan
 
@@ -147,7 +149,7 @@ class TimeLeft:
 
 
 def _chosen(scene: Scene, base: Experiment, minutes: float, say: Callable[[str], None],
-            rules: PlanRules) -> Experiment:
+            fits: bool, rules: PlanRules) -> Experiment:
     pixels_a_second = _fitting_rate(scene.train, base, rules)
     budget = 60 * minutes * rules.field
     camera = scene.train.intrinsics.scaled(base.scale)
@@ -168,13 +170,14 @@ def _chosen(scene: Scene, base: Experiment, minutes: float, say: Callable[[str],
         experiment = replace(experiment, network=replace(
             base.network, shrink=_network_shrink(experiment, scene, rules)))
     view = experiment.expansion(scene.train.intrinsics, scene.expansion)
-    say(f'{minutes:g} minutes: a field of {voxels / 1e6:g} million voxels from photos of '
-        f'{round(camera.width / shrink)}x{round(camera.height / shrink)} pixels '
-        f'({minutes * rules.field:.1f} min), a memory in their full size '
+    field = (f'a field of {voxels / 1e6:g} million voxels from photos of '
+             f'{round(camera.width / shrink)}x{round(camera.height / shrink)} pixels '
+             f'({minutes * rules.field:.1f} min), ' if fits else '')
+    say(f'{minutes:g} minutes: {field}a memory of the photos in their full size '
         f'({camera.width}x{camera.height}, at most {minutes * rules.memory:.1f} min), a network '
         f'that sees {view.source.width // experiment.network.shrink}x'
         f'{view.source.height // experiment.network.shrink} (what is left). '
-        + _more_would_bring(shrink, voxels, minutes, rules))
+        + (_more_would_bring(shrink, voxels, minutes, rules) if fits else ''))
     return experiment
 
 

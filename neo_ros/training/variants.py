@@ -7,8 +7,7 @@ import time
 
 from neo_ros.errors import ConfigError
 from neo_ros.evaluation.metrics import psnr
-from neo_ros.field.device import chosen_device, on_device
-from neo_ros.field.voxel_field import VoxelField
+from neo_ros.field.device import chosen_device, read_field
 from neo_ros.outpaint.export import (
     calibration_factor, check_parity, ExportedFunction, require_parity)
 from neo_ros.outpaint.networks import at_full_size, build_network
@@ -67,8 +66,8 @@ def export_variants(run: TrainingRun, formats: Sequence[Format] = FORMATS,
         raise ConfigError(f'{run.out}: expected a finished run, got one that is at {done} of '
                           f'{total}; give neo train the same arguments')
     network = at_full_size(network, run.experiment.network).eval()
-    views = held_out_wide_views(run, on_device(
-        VoxelField.load(run.out / 'field.npz'), chosen_device(run.experiment.field.device)))
+    views = held_out_wide_views(run, read_field(
+        run.out / 'field.npz', chosen_device(run.experiment.field.device)))
     if views is None:
         raise ConfigError(f'{run.out}: expected photos held out of the training to measure on, '
                           f'got none of {len(run.scene.train)}; import at least '
