@@ -74,13 +74,14 @@ def measure(walk: Sequence[tuple[float, CameraPose, np.ndarray]], looks: LookAro
     return rows
 
 
-def read_walk(bag: Path) -> list[tuple[float, CameraPose, np.ndarray]]:
-    """Return seconds, pose and wide truth of a replay's frames whose pose is known."""
+def read_walk(bag: Path, images_of: str = TRUTH_TOPIC
+              ) -> list[tuple[float, CameraPose, np.ndarray]]:
+    """Return seconds, pose and wide image of a replay's frames whose pose is known."""
     poses, images = {}, {}
     with BagReader(bag) as reader:
-        for message in reader.messages([TRUTH_TOPIC, '/camera/wide/pose']):
+        for message in reader.messages([images_of, '/camera/wide/pose']):
             content = message.read()
-            if message.topic.name == TRUTH_TOPIC:
+            if message.topic.name == images_of:
                 images[message.stamp_ns] = read_image(content)
             else:
                 poses[message.stamp_ns] = read_pose(content)
