@@ -88,7 +88,8 @@ def drive(model: Path, walks: Walks) -> None:
     extrapolator.finish_learning()
 
 
-def score(model: Path, walks: Walks, before: Walks) -> tuple[dict[str, float | None], list[np.ndarray]]:
+def score(model: Path, walks: Walks, before: Walks
+          ) -> tuple[dict[str, float | None], list[np.ndarray]]:
     """Widen walks, whose frames `before` shows as they were trained; return scores and images."""
     extrapolator = FovExtrapolator.load(model)
     expansion, ring = extrapolator.expansion, extrapolator.extrapolated_mask

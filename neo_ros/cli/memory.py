@@ -8,8 +8,8 @@ if TYPE_CHECKING:
     from neo_ros.memory.patch import Patch
 
 memory = typer.Typer(no_args_is_help=True, help=(
-    'What a model has learnt of its scene since it was trained (neo replay --learn, or learn of the '
-    'node): info tells, compact takes out what was replaced, forget deletes it.'))
+    'What a model has learnt of its scene since it was trained (neo replay --learn, or learn of '
+    'the node): info tells, compact takes out what was replaced, forget deletes it.'))
 Model = Annotated[Path, typer.Argument(help='Model file (.onnx), its scene memory beside it.')]
 
 

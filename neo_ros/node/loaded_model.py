@@ -48,6 +48,7 @@ def load_model(values: NodeParameters, load: Load = FovExtrapolator.load) -> Loa
     return LoadedModel(FrameProcessor(extrapolator, values.rectify), extrapolator.card,
                        description, *((extrapolator.stop_learning,) if values.learn else ()))
 
+
 def _describe_size(extrapolator: Extrapolator) -> dict[str, str]:
     source, target = extrapolator.expansion.source, extrapolator.expansion.target
     return {'widens': f'{source.width}x{source.height} to {target.width}x{target.height}'}
