@@ -198,10 +198,10 @@ def test_what_is_behind_the_camera_is_never_shown_as_live(page: Any) -> None:
 def test_a_late_look_says_so(page: Any, viewer: ServerProcess) -> None:
     page.keyboard.press('ArrowLeft')
     wait_for_look(page, camera_yaw() + STEP)
-    assert page.is_hidden('#look-sign')
+    page.wait_for_selector('#look-sign', state='hidden')
     viewer.tell({'late': 1.0})
-    page.wait_for_selector('#look-sign', state='visible')
-    assert page.inner_text('#look-sign').startswith('Predicted: 1.')
+    # On a busy machine looks are late by themselves.
+    wait_for(page, lambda: page.inner_text('#look-sign').startswith('Predicted: 1.'))
     viewer.tell({'late': 3.0})
     wait_for(page, lambda: page.inner_text('#look-sign').startswith('Stale: nothing has come for'))
     viewer.tell({'late': 0.0})

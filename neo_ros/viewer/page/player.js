@@ -197,7 +197,7 @@ export class Player {
     find('stage').classList.toggle('with-beside', beside !== 'none');
     set(find('beside'), 'hidden', beside === 'none');
     find('beside').setAttribute('aria-label', { truth: 'The truth at the same moment',
-      cameras: 'The other cameras', camera: 'What the camera sees', none: '' }[beside]);
+      cameras: 'The other cameras', camera: 'What the camera sees', none: 'Beside the picture' }[beside]);
     this.redraw();
     this.paintBeside();
   }
