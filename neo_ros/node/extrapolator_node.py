@@ -171,6 +171,8 @@ class ExtrapolatorNode(LifecycleNode):
             self._pose_inputs.destroy()
         if self._frames is not None:
             self._frames.destroy()
+        if self._model is not None:
+            self._model.stop_learning()
         self._outputs = self._model = self._candidate = self._pose_inputs = self._frames = None
         self._map = None
 
@@ -268,6 +270,8 @@ class ExtrapolatorNode(LifecycleNode):
 
     def _take_over(self, model: LoadedModel) -> None:
         """Let the next frame go through this model."""
+        if self._model is not None:
+            self._model.stop_learning()  # Both may have one journal.
         self._model = model
         self._statistics.forget_model()
         self._diagnosing.begin()

@@ -9,8 +9,9 @@ from neo_ros.node.parameters import NodeParameters
 from neo_ros.runtime import FovExtrapolator, ModelCard
 from neo_ros.runtime.providers import choose_providers, PROVIDERS
 
-# Makes an extrapolator of a path, a number of threads and ONNX Runtime's providers.
-Load = Callable[[str, int, list[str]], Any]
+# Makes an extrapolator of a path, a number of threads and ONNX Runtime's providers, and of
+# `learn` where it is to learn.
+Load = Callable[..., Any]
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,6 +21,7 @@ class LoadedModel:
     processor: FrameProcessor
     card: ModelCard
     description: dict[str, str]
+    stop_learning: Callable[[], None] = lambda: None
 
     @property
     def memory(self) -> bool:
@@ -34,7 +36,9 @@ class LoadedModel:
 
 def load_model(values: NodeParameters, load: Load = FovExtrapolator.load) -> LoadedModel:
     """Load, check and warm up the model that the parameters name; raises ModelError."""
-    extrapolator = load(values.model, values.threads, choose_providers(values.providers))
+    learning: dict[str, Any] = {'learn': 'beside'} if values.learn else {}
+    extrapolator = load(values.model, values.threads, choose_providers(values.providers),
+                        **learning)
     description = {'path': values.model, **_describe_card(extrapolator.card),
                    **_describe_size(extrapolator), 'runs on': ', '.join(extrapolator.providers)}
     # Also those that ONNX Runtime has, but cannot start: a GPU whose libraries are not there.
@@ -42,7 +46,7 @@ def load_model(values: NodeParameters, load: Load = FovExtrapolator.load) -> Loa
                    if PROVIDERS[name] not in extrapolator.providers]:
         description['not here'] = ', '.join(missing)
     return LoadedModel(FrameProcessor(extrapolator, values.rectify), extrapolator.card,
-                       description)
+                       description, *((extrapolator.stop_learning,) if values.learn else ()))
 
 
 def _describe_size(extrapolator: Extrapolator) -> dict[str, str]:
