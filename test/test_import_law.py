@@ -46,7 +46,7 @@ LAW: dict[str, set[str]] = {
                   'outpaint', 'runtime', 'memory', 'baking', 'messages', 'reports', 'evaluation',
                   'training', 'pipeline', 'experiment', 'torch', 'cv2', 'pycolmap'},
     'speed': {'geometry', 'machine', 'scenes', 'flat', 'field', 'outpaint', 'runtime', 'messages',
-              'bags', 'memory', 'baking', 'evaluation', 'torch', 'cv2', 'onnx'},
+              'bags', 'memory', 'baking', 'viewer', 'evaluation', 'torch', 'cv2', 'onnx'},
     # Reads what the others say of themselves; nothing imports it.
     'documents': {'benchmark', 'cli', 'node', 'reports'},
 }

@@ -104,12 +104,11 @@ def made_topics(reader: BagReader) -> set[str]:
             for name in ('image', 'mask', 'confidence', 'depth', 'panorama', 'panorama_mask')}
 
 
-def find_truth_topic(reader: BagReader, camera: CameraTopics,
-                     target: Intrinsics) -> BagTopic | None:
-    """Return the one image topic of the size of `target` that is not a model's output."""
-    wanted = (target.width, target.height)
+def find_truth_topic(reader: BagReader, camera: BagTopic, size: tuple[int, int] | None
+                     ) -> BagTopic | None:
+    """Return the one image topic of this width and height that no model made, but `camera`."""
     found = [topic for topic in image_topics(reader, None)
-             if topic != camera.image and first_size(reader, topic) == wanted]
+             if topic != camera and first_size(reader, topic) == size]
     return found[0] if len(found) == 1 else None
 
 

@@ -13,6 +13,7 @@ import time
 from zipfile import BadZipFile
 
 import cv2
+from neo_ros.baking.band_rendering import render_band
 from neo_ros.baking.glances import glance_rotations, keyframe_glances, photo_glances
 from neo_ros.baking.kernels import colour_from_photos, PanoramaPixels, PhotoArrays
 from neo_ros.errors import ConfigError, NeoError
@@ -245,16 +246,15 @@ def _bake_keyframe(field: RadianceField, photos: Photos, seen: np.ndarray, gains
     height, width, finer = keyframe_size(band, focal, rules)
     dense = min(finer, rules.dense)
     rays = band.rays(height * dense, width * dense)
-    rendering = render_rays(field, position, rays)
-    depth = np.where(rendering.coverage > rules.least_coverage, rendering.depth, 0).astype(
-        np.float32)
+    depth, colours = render_band(field, position, rays, dense, band.wraps, rules.one_surface,
+                                 rules.least_coverage)
     texture = np.empty((height * finer, width * finer, 3), np.uint8)
     centres = photos.T_world_cam[:, :3, 3]
     near = np.sort(np.argsort(np.linalg.norm(centres - position, axis=1),
                               kind='stable')[:rules.photos])
     camera = photos.intrinsics
     colour_from_photos(
-        PanoramaPixels(position.astype(np.float32), rays, depth, to_uint8(rendering.image)),
+        PanoramaPixels(position.astype(np.float32), rays, depth, to_uint8(colours)),
         PhotoArrays(photos.images[near], seen[near],
                     np.ascontiguousarray(photos.T_world_cam[near, :3, :3], np.float32),
                     centres[near].astype(np.float32), gains[near],

@@ -6,7 +6,7 @@ from pathlib import Path
 from neo_ros.bags.camera_topics import find_image_topic, find_info_topic, info_topics, read_lens
 from neo_ros.bags.depth_topics import find_depth
 from neo_ros.bags.reading import BagReader
-from neo_ros.bags.recorded_poses import find_pose_source, find_pose_topics
+from neo_ros.bags.recorded_poses import find_pose_source, find_pose_topics, NO_POSES
 from neo_ros.bags.tf_tree import PoseSource
 from neo_ros.bags.topic import BagTopic, describe_topics, describe_unread
 from neo_ros.captures.bag_depth import with_depth
@@ -122,7 +122,7 @@ def read_bag_capture(path: Path, options: BagOptions = BagOptions(),
                        'calibration that belongs to them; the bag has '
                        f'{describe_topics(infos) if infos else "no CameraInfo topic"}; '
                        f'{"choose one with --info-topic, or " if infos else ""}give a file with '
-                       '--camera-info')
+                       f'--camera-info, or estimate both with --pose-topic {NO_POSES}')
     depth_as_grey = options.image_topic is not None
     stream = _stream(path, image, places, depth_as_grey)
     if scan.video:

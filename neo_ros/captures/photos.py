@@ -1,5 +1,6 @@
 """Photos without poses: a folder of image files of one size."""
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from neo_ros.captures.camera_file import read_camera_file
@@ -35,6 +36,39 @@ def read_photos(source: Path, camera_info: Path | None = None) -> Capture:
     files = find_photos(source)
     if not files:
         raise SceneError(f'{source}: expected photos, there are none')
+    listing = _list_readable(source, files)
+    readable, turned = list(listing.stored), listing.turned
+    notes = _notes(files, listing)
+    lens = None if camera_info is None else read_camera_file(camera_info)
+    if listing.mixed or not turned:
+        return Capture(tuple(CapturedFrame(f'images/{file.name}', None, lens, file=file)
+                             for file in readable), tuple(notes))
+
+    def read(indices: Sequence[int]) -> Iterator[tuple[int, np.ndarray | None]]:
+        return ((index, read_photo(readable[index], upright=True)) for index in indices)
+
+    return Capture(
+        tuple(CapturedFrame(f'images/{file.name}', None, lens) for file in readable),
+        (*notes, f'{turned} photos are stored turned (EXIF); all are written upright, as PNG'),
+        read, origin_of(readable[0].parent))
+
+
+@dataclass(frozen=True)
+class _Listing:
+    """The photos that can be read: how large they are as stored and upright, (width, height)."""
+
+    stored: dict[Path, tuple[int, int]]
+    shown: dict[Path, tuple[int, int]]
+    turned: int
+
+    @property
+    def mixed(self) -> bool:
+        """Whether only some were turned, so that upright they differ in size."""
+        return len(set(self.shown.values())) > 1 and len(set(self.stored.values())) == 1
+
+
+def _list_readable(source: Path, files: Sequence[Path]) -> _Listing:
+    """Read all photos once; raises SceneError where none can be, and for several sizes."""
     stored: dict[Path, tuple[int, int]] = {}
     shown: dict[Path, tuple[int, int]] = {}
     turned = 0
@@ -49,42 +83,35 @@ def read_photos(source: Path, camera_info: Path | None = None) -> Capture:
         stored[file] = (photo.shape[1], photo.shape[0])
         shown[file] = (upright.shape[1], upright.shape[0])
         turned += not np.array_equal(photo, upright)
-    readable = list(stored)
-    unreadable = [file.name for file in files if file not in stored]
-    if not readable:
+    if not stored:
         raise SceneError(f'{source}: none of the {len(files)} images can be read'
                          f'{heic_advice(files)}')
+    listing = _Listing(stored, shown, turned)
     by_size: dict[tuple[int, int], list[str]] = {}
-    mixed = len(set(shown.values())) > 1 and len(set(stored.values())) == 1
-    for file, size in (stored if mixed else shown).items():
+    for file, size in (stored if listing.mixed else shown).items():
         by_size.setdefault(size, []).append(file.name)
     if len(by_size) > 1:
         described = '; '.join(f'{size[0]}x{size[1]}: {listed(names, 3)}'
                               for size, names in by_size.items())
         raise SceneError(f'{source}: expected photos of one size, got {described}. '
                          'Photos are never resized: import the sizes as scenes of their own')
+    return listing
+
+
+def _notes(files: Sequence[Path], listing: _Listing) -> list[str]:
+    """Say which files are left out, and which stay turned."""
     notes: list[str] = []
+    unreadable = [file for file in files if file not in listing.stored]
     if unreadable:
         notes.append(f'{len(unreadable)} images cannot be read and are left out: '
-                     f'{listed(unreadable)}'
-                     f'{heic_advice(file for file in files if file not in stored)}')
-    others = sorted(path.name for path in readable[0].parent.iterdir()
+                     f'{listed([file.name for file in unreadable])}{heic_advice(unreadable)}')
+    others = sorted(path.name for path in files[0].parent.iterdir()
                     if path.suffix.lower() in UNREAD_SUFFIXES)
     if others:
         notes.append(f'{len(others)} files are of kinds that are not read, and are left out: '
                      f'{listed(others)}; export them as JPEG, PNG or TIFF')
-    if mixed:
-        notes.append(f'{turned} of {len(readable)} photos are stored turned (EXIF); upright they '
-                     'would be of another size than the others, so all stay as they are stored')
-    lens = None if camera_info is None else read_camera_file(camera_info)
-    if mixed or not turned:
-        return Capture(tuple(CapturedFrame(f'images/{file.name}', None, lens, file=file)
-                             for file in readable), tuple(notes))
-
-    def read(indices: Sequence[int]) -> Iterator[tuple[int, np.ndarray | None]]:
-        return ((index, read_photo(readable[index], upright=True)) for index in indices)
-
-    return Capture(
-        tuple(CapturedFrame(f'images/{file.name}', None, lens) for file in readable),
-        (*notes, f'{turned} photos are stored turned (EXIF); all are written upright, as PNG'),
-        read, origin_of(readable[0].parent))
+    if listing.mixed:
+        notes.append(f'{listing.turned} of {len(listing.stored)} photos are stored turned (EXIF); '
+                     'upright they would be of another size than the others, so all stay as they '
+                     'are stored')
+    return notes

@@ -29,9 +29,6 @@ def evaluate(
     from neo_ros.machine.files import make_output_folder
     from neo_ros.scenes.upright import read_upright_scene
     import numpy as np
-    import rich
-    from rich.markup import escape
-    from rich.table import Table
 
     scene_data = read_upright_scene(scene)  # Its poses are the memory's.
     neo = NeoModel(model)
@@ -57,6 +54,16 @@ def evaluate(
         if neo.guided:
             geometry = _score_geometry(scene, scene_data.name, model, truth, folder, lambda done:
                                        show('geometry', done, len(truth)))
+    _tell(folder, results, confidence, geometry)
+
+
+def _tell(folder: Path, results: Any, confidence: dict[str, dict[str, float]],
+          geometry: dict[str, Any] | None) -> None:
+    """Print the scores, and where they are written."""
+    import rich
+    from rich.markup import escape
+    from rich.table import Table
+
     columns = {'ring_psnr': ('ring dB', 2), 'ring_ssim': ('ring SSIM', 3),
                'whole_psnr': ('whole dB', 2), 'whole_ssim': ('whole SSIM', 3),
                'latency_ms_median': ('ms', 1)}

@@ -86,67 +86,89 @@ def import_scene(
     The report on the capture is SCENE/capture.html. Run again after an interruption, the import
     goes on where it stopped.
     """
-    from neo_ros.captures.bag import BagOptions
-    from neo_ros.captures.formats import CaptureFormat, detect_format, FOLDER_OPTIONS
-    from neo_ros.captures.importing import finish_scene, import_capture, ImportOptions
-    from neo_ros.captures.report import REPORT_FILE
-    from neo_ros.cli.options import refuse, tell_next
+    from neo_ros.captures.importing import finish_scene
+    from neo_ros.cli.options import refuse
     from neo_ros.cli.progress import stage_progress
-    from neo_ros.flat.building_plan import BuildingPlan
-    from neo_ros.flat.scene_writing import write_building_scene, write_demo_scene
-    import rich
-    from rich.markup import escape
 
     of_bags: dict[str, Any] = {
         'image_topic': image_topic, 'info_topic': info_topic,
         'pose_topic': pose_topic, 'base_to_camera': base_to_camera, 'x_forward': x_forward}
     of_folders: dict[str, Any] = {'images': images, 'model': model, 'camera_info': camera_info}
+    of_captures: dict[str, Any] = {
+        'keyframe_distance': keyframe_distance, 'keyframe_angle': keyframe_angle, 'level': level,
+        'scale': scale, 'fisheye_view': fisheye_view, 'depth_unit': depth_unit}
+    of_views: dict[str, Any] = {'size': size, 'camera': camera, 'photos': photos, 'depth': depth}
+    of_buildings: dict[str, Any] = {
+        'rooms': rooms, 'floors': floors, 'twins': twins, 'own_picture': own_picture, 'seed': seed}
     with stage_progress() as show:
         notes: list[str] = []
         if source == 'demo':
             refuse('the demo has its own', test_runs=test_runs or None, format=format_name,
-                   keyframe_distance=keyframe_distance, keyframe_angle=keyframe_angle,
-                   level=level, scale=scale, fisheye_view=fisheye_view, depth_unit=depth_unit,
-                   **of_bags, **of_folders)
-            demo_camera = None if camera is None else _camera_of(camera)
-            if demo_camera is not None:
-                refuse('--camera says it', size=size)
-            if rooms is None:
-                refuse('expected only with --rooms', floors=floors, twins=twins,
-                       own_picture=own_picture, seed=seed)
-                write_demo_scene(scene, image_size=size or 128, camera=demo_camera,
-                                 n_train=photos or 1000, depth=depth,
-                                 progress=lambda done, total: show('images', done, total))
-            else:
-                write_building_scene(
-                    scene, BuildingPlan(1 if floors is None else floors, rooms, seed or 0,
-                                        twins or 0, own_picture),
-                    image_size=size or 128, camera=demo_camera, n_train=photos, depth=depth,
-                    progress=show)
+                   **of_captures, **of_bags, **of_folders)
+            _write_demo(scene, of_views, of_buildings, show)
         else:
-            refuse('expected only with "demo"', size=size, camera=camera, photos=photos,
-                   depth=depth, rooms=rooms, floors=floors, twins=twins,
-                   own_picture=own_picture, seed=seed)
-            format_ = (detect_format(Path(source)) if format_name is None
-                       else _named_format(format_name))
-            if format_ != CaptureFormat.BAG:
-                refuse('expected only with a bag', **of_bags)
-            for name, value in of_folders.items():
-                if format_ not in FOLDER_OPTIONS[name]:
-                    refuse('expected only with ' + ', '.join(
-                        one.value for one in FOLDER_OPTIONS[name]), **{name: value})
-            if format_ == CaptureFormat.SCENE:
-                refuse(f'for captures, {source} is a scene already and is copied as it is',
-                       keyframe_distance=keyframe_distance, keyframe_angle=keyframe_angle,
-                       level=level, scale=scale, fisheye_view=fisheye_view,
-                       depth_unit=depth_unit)
-            notes = import_capture(Path(source), scene, format_, ImportOptions(
-                BagOptions(**of_bags, camera_info=camera_info),
-                {} if format_ == CaptureFormat.BAG else
-                {name: value for name, value in of_folders.items() if value is not None},
-                keyframe_distance, keyframe_angle, level, scale,
-                fisheye_view, depth_unit), show)
+            refuse('expected only with "demo"', **of_views, **of_buildings)
+            notes = _import_capture(Path(source), scene, format_name, of_bags, of_folders,
+                                    of_captures, show)
         found, notes = finish_scene(scene, notes, test_runs, show)
+    _tell(scene, found, notes)
+
+
+def _write_demo(scene: Path, of_views: dict[str, Any], of_buildings: dict[str, Any], show: Any
+                ) -> None:
+    from neo_ros.cli.options import refuse
+    from neo_ros.flat.building_plan import BuildingPlan
+    from neo_ros.flat.scene_writing import write_building_scene, write_demo_scene
+
+    size, camera, photos = of_views['size'], None, of_views['photos']
+    if of_views['camera'] is not None:
+        camera = _camera_of(of_views['camera'])
+        refuse('--camera says it', size=size)
+    rooms, floors, twins, own_picture, seed = of_buildings.values()
+    if rooms is None:
+        refuse('expected only with --rooms', **of_buildings)
+        write_demo_scene(scene, image_size=size or 128, camera=camera, n_train=photos or 1000,
+                         depth=of_views['depth'],
+                         progress=lambda done, total: show('images', done, total))
+    else:
+        plan = BuildingPlan(1 if floors is None else floors, rooms, seed or 0, twins or 0,
+                            own_picture)
+        write_building_scene(scene, plan, image_size=size or 128, camera=camera, n_train=photos,
+                             depth=of_views['depth'], progress=show)
+
+
+def _import_capture(source: Path, scene: Path, format_name: str | None, of_bags: dict[str, Any],
+                    of_folders: dict[str, Any], of_captures: dict[str, Any], show: Any
+                    ) -> list[str]:
+    """Import a capture with the options that its format has; return what the user should know."""
+    from neo_ros.captures.bag import BagOptions
+    from neo_ros.captures.formats import CaptureFormat, detect_format, FOLDER_OPTIONS
+    from neo_ros.captures.importing import import_capture, ImportOptions
+    from neo_ros.cli.options import refuse
+
+    format_ = detect_format(source) if format_name is None else _named_format(format_name)
+    if format_ != CaptureFormat.BAG:
+        refuse('expected only with a bag', **of_bags)
+    for name, value in of_folders.items():
+        if format_ not in FOLDER_OPTIONS[name]:
+            refuse('expected only with ' + ', '.join(
+                one.value for one in FOLDER_OPTIONS[name]), **{name: value})
+    if format_ == CaptureFormat.SCENE:
+        refuse(f'for captures, {source} is a scene already and is copied as it is', **of_captures)
+    folder = {} if format_ == CaptureFormat.BAG else {
+        name: value for name, value in of_folders.items() if value is not None}
+    return import_capture(source, scene, format_, ImportOptions(
+        BagOptions(**of_bags, camera_info=of_folders['camera_info']), folder, **of_captures),
+        show)
+
+
+def _tell(scene: Path, found: Any, notes: list[str]) -> None:
+    """Print what was imported, and what comes next."""
+    from neo_ros.captures.report import REPORT_FILE
+    from neo_ros.cli.options import tell_next
+    import rich
+    from rich.markup import escape
+
     photo = found.train.intrinsics
     tests = 'no test frames' if found.test is None else f'{len(found.test)} test frames'
     for line in notes:

@@ -14,6 +14,7 @@ from neo_ros.cli.field_curve import field_curve
 from neo_ros.cli.floor import floor
 from neo_ros.cli.import_scene import import_scene
 from neo_ros.cli.inspect import inspect
+from neo_ros.cli.memory import memory
 from neo_ros.cli.play import play
 from neo_ros.cli.record import record
 from neo_ros.cli.replay import replay
@@ -46,6 +47,7 @@ app.command(rich_help_panel=PREPARE)(compare)
 app.command(rich_help_panel=PREPARE)(benchmark)
 app.command('field-curve', rich_help_panel=PREPARE)(field_curve)
 app.command(rich_help_panel=RUN)(inspect)
+app.add_typer(memory, name='memory', rich_help_panel=RUN)
 app.command(rich_help_panel=RUN)(replay)
 app.command(rich_help_panel=RUN)(play)
 app.command(rich_help_panel=RUN)(record)

@@ -34,6 +34,9 @@ def replay(
     output: Annotated[Optional[list[str]], typer.Option(
         help='Also write what the scene memory knows: pose, status, depth, points, panorama, '
              'panorama_mask; may be given several times; default: pose and status.')] = None,
+    learn: Annotated[bool, typer.Option(
+        '--learn', help='Learn what has changed in the scene: kept in a journal beside the scene '
+                        'memory, see neo memory.')] = False,
     copy: Annotated[bool, typer.Option(
         help='Copy the other topics of the bag into the new one.')] = True,
 ) -> None:
@@ -54,7 +57,7 @@ def replay(
 
     model = model or share_dir() / 'models' / 'demo_flat.onnx'
     section = Section(start, end, every)
-    extrapolator = FovExtrapolator.load(model)
+    extrapolator = FovExtrapolator.load(model, learn='at once' if learn else 'never')
     scores, truth_topic = _prepare_scores(
         bag, model, extrapolator, image_topic, truth_topic, score, info_topic)
     with ExitStack() as stack:
@@ -74,6 +77,7 @@ def replay(
             rectify, on_frame if takers else None, None if scores is None else scores.add_pair,
             lambda done, total: show('replaying, messages', done, total),
             DEFAULT_OUTPUTS if output is None else output, info_topic)
+    extrapolator.finish_learning()
     for damage in result.damages:
         rich.print(f'[yellow]{escape(str(damage))}[/yellow]')
     for reason, count in sorted(result.rejected.items()):
@@ -118,9 +122,9 @@ def _prepare_scores(bag: Path, model: Path, extrapolator: Any, image_topic: str 
     expansion = extrapolator.expansion
     if truth_topic is None:
         with BagReader(bag) as reader:
-            found = find_truth_topic(
-                reader, find_camera(reader, expansion.source, image_topic, info_topic),
-                expansion.target)
+            camera = find_camera(reader, expansion.source, image_topic, info_topic).image
+            found = find_truth_topic(reader, camera,
+                                     (expansion.target.width, expansion.target.height))
         truth_topic = None if found is None else found.name
     if truth_topic is not None:
         return BagScores(expansion), truth_topic

@@ -100,6 +100,12 @@ GEOMETRY_DEPTH = (
     Column('more than 10 % too far', 'depth_too_far_10_percent', '{:.1f} %', 100),
     Column('occupied cells marked', 'occupied_marked', '{:.1f} %', 100),
     Column('free cells marked', 'free_marked_occupied', '{:.1f} %', 100))
+LOOKS = (
+    Column('scene', 'scene'), Column('delay, s', 'delay_s', '{:g}'), Column('looks', 'looks'),
+    Column('position as it came, cm', 'as_came_position_cm', '{:.0f}'),
+    Column('predicted, cm', 'predicted_position_cm', '{:.0f}'),
+    Column('look as it came, dB', 'as_came_psnr', DB),
+    Column('predicted, dB', 'predicted_psnr', DB))
 MINUTES = (
     Column('scene', 'scene'), Column('camera', 'camera'), Column('photos', 'photos'),
     Column('`--minutes`', 'minutes', '{:g}'), Column('took', 'elapsed_minutes', '{:.1f}'),
@@ -121,6 +127,14 @@ REAL = (
     Column('photos held out, dB', 'held_out_psnr', DB),
     Column('aligned', 'aligned_held_out_psnr', DB),
     Column('minutes of the processor', 'cpu_minutes', '{:.1f}'))
+LIVES = (
+    Column('visit', 'visit'), Column('memory', 'mode'),
+    Column('ring that changed, dB', 'changed_ring_psnr', DB),
+    Column('ring that did not, dB', 'unchanged_ring_psnr', DB),
+    Column('false changes', 'false_change_share', '{:.2f} %', 100),
+    Column('AUROC of contradicted', 'contradiction_auroc', RATIO),
+    Column('poses right', 'pose_share', '{:.0f} %', 100),
+    Column('memory and journal, MB', 'memory_mb', '{:.2f}'))
 BUILDING = (
     Column('rooms', 'layout'), Column('search', 'search'), Column('searches', 'searches'),
     Column('wrong place believed', 'wrong_places'), Column('ambiguous', 'ambiguous'),
@@ -141,8 +155,10 @@ TABLES: dict[str, Rows] = {
     'geometry_pose': Rows('geometry', GEOMETRY_POSE),
     'geometry_depth': Rows('geometry', GEOMETRY_DEPTH,
                            lambda row: row['depth_error_median'] is not None),
+    'predicted_looks': Rows('predicted_looks', LOOKS),
     'imports': Rows('imports', IMPORTS), 'building': Rows('building', BUILDING),
-    'minutes': Rows('minutes', MINUTES), 'real_ablations': Rows('real_ablations', REAL),
+    'real_ablations': Rows('real_ablations', REAL),
+    'lives': Rows('lives', LIVES), 'minutes': Rows('minutes', MINUTES),
     'hard_times': Rows('hard_times', HARD), 'out_of_scene': Rows('out_of_scene', OUTSIDE),
 }
 # Over all scenes of a suite: the key of a row, its format and a factor.

@@ -24,10 +24,13 @@ class CoarseMemory:
         self._size = math.ceil(density * height), math.ceil(density * self.band.width)
         self._reduced = max(reduced for reduced in REDUCED if reduced == 1 or (
             texture >= TEXTURE_FINER * reduced * self._size[0]))
-        self._decoded = DecodedKeyframes(CACHED_BYTES)
+        self._decoded, self._version = DecodedKeyframes(CACHED_BYTES), memory.version
 
     def keyframe(self, index: int, focal: float = math.inf) -> Keyframe:
         """Return keyframe `index`, whatever the focal length; it must not be changed."""
+        if self._version != self._memory.version:
+            self._decoded = DecodedKeyframes(CACHED_BYTES)
+            self._version = self._memory.version
         return self._decoded.get(index, lambda: self._decode(index))
 
     def _decode(self, index: int) -> Keyframe:

@@ -1,8 +1,14 @@
 """What the runtime needs of the memory: a wide view that shows the scene, or none."""
+from functools import partial
+import os
 from pathlib import Path
 
+from neo_ros.errors import ModelError
 from neo_ros.geometry import CameraPose, ViewExpansion
+from neo_ros.memory.changes import Changes
 from neo_ros.memory.fusion import fuse, FusionThresholds
+from neo_ros.memory.journal import journal_path, JournalWriter, most_bytes, read_journal
+from neo_ros.memory.learning import Learn, Learner
 from neo_ros.memory.scene_guide import SceneGuide
 from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.memory.sight import Guide
@@ -17,13 +23,40 @@ class GuidedView:
         self._guide, self._thresholds = guide, thresholds
 
     @classmethod
-    def load(cls, path: Path, sha256: str, expansion: ViewExpansion, threads: int
-             ) -> 'GuidedView':
-        """Read a memory and compile what is compiled; ModelError as `SceneMemory.read`."""
-        guide = SceneGuide(SceneMemory.read(path, sha256), expansion, threads)
+    def load(cls, path: Path, sha256: str, expansion: ViewExpansion, threads: int,
+             learn: Learn = 'never') -> 'GuidedView':
+        """
+        Read a memory, and what has changed since, and compile what is compiled.
+
+        Raises ModelError as `SceneMemory.read`, and where it is to learn, but cannot write.
+        """
+        memory, journal = SceneMemory.read(path, sha256), journal_path(path)
+        if learn != 'never' and not os.access(journal if journal.exists() else path.parent,
+                                              os.W_OK):
+            raise ModelError(f'{journal}: cannot be written, which learning needs; copy model '
+                             'and memory to a folder that can be')
+        if patches := read_journal(journal, sha256):
+            memory.change(Changes(patches))
+        guide = SceneGuide(memory, expansion, threads)
         view, shown = cls(guide), guide.warm_up()
         view.fuse(expansion.crop(shown.image).astype(np.uint8), shown, None)
+        if learn != 'never':
+            guide.learner = Learner(memory, expansion, partial(
+                JournalWriter, journal, sha256, most_bytes(path.stat().st_size)),
+                learn == 'beside')
         return view
+
+    def finish_learning(self) -> None:
+        """Learn from what is left of the images, if it learns, and let others write."""
+        if self._guide.learner is not None:
+            self._guide.learner.finish()
+            self._guide.learner = None
+
+    def stop_learning(self) -> None:
+        """Let others write the journal, at once."""
+        if self._guide.learner is not None:
+            self._guide.learner.close()
+            self._guide.learner = None
 
     def guide(self, image: np.ndarray, prior: CameraPose | None = None,
               motion: np.ndarray | None = None) -> Guide | None:

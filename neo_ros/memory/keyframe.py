@@ -32,14 +32,19 @@ class Keyframe:
 
 def compress(keyframe: Keyframe) -> tuple[bytes, bytes]:
     """Return a keyframe's texture as JPEG and its inverse depth as PNG."""
-    nearness = STEPS * CLOSEST / np.maximum(keyframe.depth, CLOSEST)
-    coded = np.where(keyframe.depth > 0, np.maximum(nearness + 0.5, 1), 0)
-    return (_encode('.jpg', keyframe.texture[..., ::-1],
-                    [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]),
-            _encode('.png', coded.astype(np.uint16), []))
+    return (encode_image('.jpg', keyframe.texture[..., ::-1],
+                         [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]),
+            encode_image('.png', code_of(keyframe.depth), []))
 
 
-def _encode(kind: str, image: np.ndarray, options: list[int]) -> bytes:
+def code_of(depth: np.ndarray) -> np.ndarray:
+    """Return what a depth's PNG holds, uint16, of metres, float32; 0 = unknown in both."""
+    nearness = STEPS * CLOSEST / np.maximum(depth, CLOSEST)
+    return np.where(depth > 0, np.maximum(nearness + 0.5, 1), 0).astype(np.uint16)
+
+
+def encode_image(kind: str, image: np.ndarray, options: list[int]) -> bytes:
+    """Compress an image; raises ModelError where OpenCV cannot."""
     done, coded = cv2.imencode(kind, image, options)
     if not done:
         raise ModelError(f'scene memory: OpenCV cannot write {kind}')
@@ -52,6 +57,7 @@ def depth_of(coded: np.ndarray) -> np.ndarray:
 
 
 def decode_image(content: bytes, flags: int) -> np.ndarray | None:
+    """Decode what OpenCV reads; None where it cannot."""
     try:
         return cv2.imdecode(np.frombuffer(content, np.uint8), flags)
     except cv2.error:  # Of what is larger than OpenCV takes.

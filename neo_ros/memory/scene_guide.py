@@ -11,6 +11,7 @@ from neo_ros.memory.doubt import Doubt
 from neo_ros.memory.glancing import GlanceFinder
 from neo_ros.memory.landmark_watch import LandmarkWatch
 from neo_ros.memory.landmarks import Location, Locator
+from neo_ros.memory.learning import Learner
 from neo_ros.memory.local_features import Features
 from neo_ros.memory.looking import Looker
 from neo_ros.memory.panorama import draw_panorama, Panorama
@@ -35,6 +36,7 @@ class SceneGuide:
     def __init__(self, memory: SceneMemory, expansion: ViewExpansion, threads: int = 0,
                  thresholds: GuideThresholds = GuideThresholds()) -> None:
         self.expansion, self.thresholds = expansion, thresholds
+        self.learner: Learner | None = None
         self._memory = memory
         self._threads = min(threads or ALL_THREADS, ALL_THREADS)
         self._looker = Looker(memory, expansion, thresholds)
@@ -124,6 +126,8 @@ class SceneGuide:
         solid = np.where(view.stretched, 0, view.depth)
         seen_before = self._recent.bring(solid, best.pose, gain)
         self._recent.keep(image.pixels, view.image, solid, best.pose, gain)
+        if self.learner is not None:
+            self.learner.see(image.pixels, view.image, solid, best.pose, gain, best.agreement)
         return Guide(view.image, known, view.stretched, best.pose, best.agreement, seen_before,
                      best.found, len(best.location.points) if best.location else 0, view.depth,
                      partial(self._covariance, best, image.photo[0]), self.expansion.observed,

@@ -16,6 +16,7 @@ from neo_ros.geometry import Band
 from neo_ros.geometry.camera_pose import check_transform
 from neo_ros.machine.files import whole_file
 from neo_ros.machine.regular_file import MAX_BYTES, read_model_bytes
+from neo_ros.memory.changes import Changes
 from neo_ros.memory.decoded import DecodedKeyframes
 from neo_ros.memory.keyframe import (
     compress, decode_image, depth_of, FINER, Keyframe, REDUCED)
@@ -58,6 +59,8 @@ class SceneMemory:
         self.positions, self.band = positions, band
         self.glances, self.landmarks = glances, landmarks
         self._textures, self._depths = textures, depths
+        self.changes: Changes | None = None
+        self.version = 0  # Counts the changes: who keeps keyframes looks at it.
         self._decoded = {reduced: DecodedKeyframes() for reduced in REDUCED}
         self._shapes: dict[int, tuple[tuple[int, ...], ...]] = {}
 
@@ -77,12 +80,23 @@ class SceneMemory:
         for index in indices:
             self._decoded[reduced].ahead(index, partial(self._decode, index, reduced))
 
+    def change(self, changes: Changes | None) -> None:
+        """Show what has changed since the memory was made; only the thread that draws may."""
+        self.changes, self.version = changes, self.version + 1
+        self._decoded = {reduced: DecodedKeyframes() for reduced in REDUCED}
+
     def pictures(self, index: int, reduced: int) -> tuple[np.ndarray, np.ndarray]:
         """
         Decode keyframe `index`: texture uint8 RGB, so many times REDUCED, and depth's PNG, uint16.
 
         Raises ModelError for what is damaged.
         """
+        if self.changes is not None:
+            return self.changes.put_into(self.positions[index], self.band, reduced,
+                                         *self._pictures(index, 1))
+        return self._pictures(index, reduced)
+
+    def _pictures(self, index: int, reduced: int) -> tuple[np.ndarray, np.ndarray]:
         texture = decode_image(self._textures[index], REDUCED[reduced])
         coded = decode_image(self._depths[index], cv2.IMREAD_UNCHANGED)
         if texture is None or coded is None or coded.dtype != np.uint16 or coded.ndim != 2:

@@ -11,6 +11,7 @@ from neo_ros.node.interface import ENABLE, NODE_NAME, RELOAD_MODEL, RELOCALIZE
 from neo_ros.node.loaded_model import Load, LoadedModel
 from neo_ros.node.loading import ModelLoader
 from neo_ros.node.manager_bond import form_bond
+from neo_ros.node.map_publisher import MapPublisher
 from neo_ros.node.parameters import (
     declare_parameters,
     INPUT_PARAMETERS,
@@ -58,6 +59,7 @@ class ExtrapolatorNode(LifecycleNode):
         self._outputs: WidePublishers | None = None
         self._frames: RobotFrames | None = None
         self._pose_inputs: PoseInputs | None = None
+        self._map: MapPublisher | None = None
         self._worker: FrameWorker | None = None
         self._bond: Any | None = None
         self._lingering: list[FrameWorker] = []  # stopped, but in the middle of a frame
@@ -98,7 +100,8 @@ class ExtrapolatorNode(LifecycleNode):
                                        self._attend)
         self._pose_inputs = PoseInputs(self, self._outputs.scene_frame, values.base_frame,
                                        self._frames)
-        self._use_hints()
+        self._map = MapPublisher(self, self._report)
+        self._use_scene()
         self.fault = ''
         self._log_model('configured')
         return super().on_configure(state)
@@ -162,11 +165,16 @@ class ExtrapolatorNode(LifecycleNode):
         self.stop()
         if self._outputs is not None:
             self._outputs.destroy()
+        if self._map is not None:
+            self._map.destroy()
         if self._pose_inputs is not None:
             self._pose_inputs.destroy()
         if self._frames is not None:
             self._frames.destroy()
+        if self._model is not None:
+            self._model.stop_learning()
         self._outputs = self._model = self._candidate = self._pose_inputs = self._frames = None
+        self._map = None
 
     def _attend(self) -> None:
         """Be subscribed to the camera exactly while the node is active and somebody listens."""
@@ -204,9 +212,10 @@ class ExtrapolatorNode(LifecycleNode):
             response.message = 'the next image is searched for in the whole scene'
         return response
 
-    def _use_hints(self) -> None:
-        """Let the model's memory hear priors and odometry; say where its poses are no map's."""
-        assert self._model and self._outputs and self._pose_inputs
+    def _use_scene(self) -> None:
+        """Let the model's memory hear priors and odometry, and show its map."""
+        assert self._model and self._outputs and self._pose_inputs and self._map
+        self._map.use(self._model, self._outputs.scene_frame)
         self._model.processor.hints = self._pose_inputs.hints
         if self._model.arbitrary_scale:
             self.get_logger().warning(
@@ -251,6 +260,8 @@ class ExtrapolatorNode(LifecycleNode):
         if self._outputs is not None:
             assert self._model
             self._outputs.use(values, self._model.arbitrary_scale)
+            if self._map is not None:
+                self._map.use(self._model, self._outputs.scene_frame)
         if self._worker is not None:
             self._worker.max_fps = values.max_fps
             if any(parameter.name in INPUT_PARAMETERS for parameter in parameters):
@@ -259,12 +270,14 @@ class ExtrapolatorNode(LifecycleNode):
 
     def _take_over(self, model: LoadedModel) -> None:
         """Let the next frame go through this model."""
+        if self._model is not None:
+            self._model.stop_learning()  # Both may have one journal.
         self._model = model
         self._statistics.forget_model()
         self._diagnosing.begin()
         if self._outputs is not None:
             self._outputs.use(read_parameters(self), model.arbitrary_scale)
-            self._use_hints()
+            self._use_scene()
         if self._worker is not None:
             self._worker.processor = model.processor
         self._log_model('the model is now')

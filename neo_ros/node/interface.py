@@ -3,7 +3,7 @@ from typing import NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped
-from nav_msgs.msg import Odometry
+from nav_msgs.msg import OccupancyGrid, Odometry
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 from std_srvs.srv import SetBool, Trigger
 
@@ -68,6 +68,9 @@ OUTPUTS = {
         'wide/status', DiagnosticArray, 'what is true of this image: guided, how it was found, '
         'agreement, landmarks, out of the scene, milliseconds, age'),
 }
+MAP = Endpoint(
+    'wide/map', OccupancyGrid, 'latched: the scene from above, out of the memory, in '
+    '`scene_frame`; 0 = floor, 100 = something stands there, -1 = unknown')
 DIAGNOSTICS = Endpoint(
     '/diagnostics', DiagnosticArray, '1 Hz: state, rates, latency by stage, drops, rejects by '
     'reason, model, how unlike the trained scene the images are')

@@ -3,7 +3,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from neo_ros.node.diagnostics import CAMERA_KEYS, KEYS
-from neo_ros.node.interface import DIAGNOSTICS, Endpoint, INPUTS, OUTPUTS, SERVICES
+from neo_ros.node.interface import DIAGNOSTICS, Endpoint, INPUTS, MAP, OUTPUTS, SERVICES
 from neo_ros.node.parameters import parameters
 from rcl_interfaces.msg import ParameterDescriptor
 
@@ -11,7 +11,7 @@ from rcl_interfaces.msg import ParameterDescriptor
 def interface_tables() -> dict[str, str]:
     """Return the tables in Markdown, by their names."""
     topics = [*_rows('in, ', INPUTS), *_rows('out, ', OUTPUTS.values()),
-              *_rows('out, ', [DIAGNOSTICS])]
+              *_rows('out, ', [MAP, DIAGNOSTICS])]
     return {'topics': _table('| topic | type | |', topics),
             'parameters': _table('| parameter | default | |', [
                 _parameter_row(*parameter) for parameter in parameters()]),

@@ -9,32 +9,44 @@ from neo_ros.node.parameters import NodeParameters
 from neo_ros.runtime import FovExtrapolator, ModelCard
 from neo_ros.runtime.providers import choose_providers, PROVIDERS
 
-# Makes an extrapolator of a path, a number of threads and ONNX Runtime's providers.
-Load = Callable[[str, int, list[str]], Any]
+# Makes an extrapolator of a path, a number of threads and ONNX Runtime's providers, and of
+# `learn` where it is to learn.
+Load = Callable[..., Any]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LoadedModel:
-    """The frame processor of a model, what of its card matters, and lines that describe it."""
+    """The frame processor of a model, its card, and lines that describe it."""
 
     processor: FrameProcessor
-    memory: bool
-    arbitrary_scale: bool
+    card: ModelCard
     description: dict[str, str]
+    stop_learning: Callable[[], None] = lambda: None
+
+    @property
+    def memory(self) -> bool:
+        """Whether it has a scene memory."""
+        return self.card.memory is not None
+
+    @property
+    def arbitrary_scale(self) -> bool:
+        """Whether nobody knows how large its scene is."""
+        return self.card.arbitrary_scale
 
 
 def load_model(values: NodeParameters, load: Load = FovExtrapolator.load) -> LoadedModel:
     """Load, check and warm up the model that the parameters name; raises ModelError."""
-    extrapolator = load(values.model, values.threads, choose_providers(values.providers))
+    learning: dict[str, Any] = {'learn': 'beside'} if values.learn else {}
+    extrapolator = load(values.model, values.threads, choose_providers(values.providers),
+                        **learning)
     description = {'path': values.model, **_describe_card(extrapolator.card),
                    **_describe_size(extrapolator), 'runs on': ', '.join(extrapolator.providers)}
     # Also those that ONNX Runtime has, but cannot start: a GPU whose libraries are not there.
     if missing := [name for name in values.providers
                    if PROVIDERS[name] not in extrapolator.providers]:
         description['not here'] = ', '.join(missing)
-    return LoadedModel(FrameProcessor(extrapolator, values.rectify),
-                       extrapolator.card.memory is not None, extrapolator.card.arbitrary_scale,
-                       description)
+    return LoadedModel(FrameProcessor(extrapolator, values.rectify), extrapolator.card,
+                       description, *((extrapolator.stop_learning,) if values.learn else ()))
 
 
 def _describe_size(extrapolator: Extrapolator) -> dict[str, str]:

@@ -33,6 +33,13 @@ def as_array(data: np.ndarray) -> array:
     return copy
 
 
+def as_int8(data: np.ndarray) -> array:
+    """Copy int8 numbers to what rclpy takes at once."""
+    copy = array('b')
+    copy.frombytes(np.ascontiguousarray(data, np.int8).data)
+    return copy
+
+
 def _as_rclpy(name: str, value: Any) -> Any:
     if isinstance(value, np.ndarray) and value.dtype == np.uint8:
         return as_array(value)

@@ -12,7 +12,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 # A change of these loads a model, of those subscribes anew, where somebody listens.
-MODEL_PARAMETERS = ('model', 'threads', 'providers')
+MODEL_PARAMETERS = ('model', 'threads', 'providers', 'learn')
 INPUT_PARAMETERS = ('image_transport', 'reliable')
 TRANSPORTS = ('raw', 'compressed')
 
@@ -29,6 +29,7 @@ class NodeParameters:
     autostart: bool
     threads: int
     providers: Sequence[str]
+    learn: bool
     image_transport: str
     reliable: bool
     rectify: bool
@@ -69,6 +70,9 @@ def parameters() -> list[tuple[str, Any, ParameterDescriptor]]:
              'What the network runs on, best first; what is not there is left out, the CPU is '
              'always the last. TensorRT first builds an engine for minutes',
              additional_constraints=f'some of {", ".join(PROVIDERS)}'),
+        _row('learn', False,
+             'Learn what has changed in the scene, beside the images on a thread of low priority; '
+             'it is kept in a journal beside the scene memory, whose folder must be writable'),
         _row('image_transport', 'raw', 'Which image topic is subscribed',
              additional_constraints=' or '.join(TRANSPORTS)),
         _row('reliable', False,

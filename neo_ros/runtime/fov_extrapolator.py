@@ -17,6 +17,7 @@ import onnxruntime
 
 if TYPE_CHECKING:
     from neo_ros.memory.guided_view import GuidedView
+    from neo_ros.memory.learning import Learn
     from neo_ros.memory.sight import Guide
 
 MEMORY_SUFFIX = '.memory'
@@ -66,12 +67,14 @@ class FovExtrapolator:
     @classmethod
     def load(cls, path: Path | str, threads: int = 0,
              providers: Sequence[str] = ('CPUExecutionProvider',),
-             guided: bool = True) -> 'FovExtrapolator':
+             guided: bool = True, learn: 'Learn' = 'never') -> 'FovExtrapolator':
         """
         Check a model file and make it ready to run; `threads` = 0 takes all cores.
 
         A scene memory that the card names must lie beside the file, see `memory_path`; with
-        `guided` False it is left alone, and the network works by itself.
+        `guided` False it is left alone, and the network works by itself. What was learnt of
+        changes lies in a journal beside it; `learn`: 'beside' the images, on a thread of low
+        priority, or 'at once', adds to it: then `finish_learning`, or `stop_learning`.
         Runs the model once, so the first `expand` is not slower than the others.
         Raises ModelError for everything that is not a complete neo_ros model: see `open_model`;
         also when it does not give the camera's pixels back unchanged.
@@ -88,7 +91,7 @@ class FovExtrapolator:
             # Its compiled loops take a second to load: not for models that do without.
             from neo_ros.memory.guided_view import GuidedView
             guided_view = GuidedView.load(memory_path(path, card.memory), card.memory.sha256,
-                                          card.expansion, threads)
+                                          card.expansion, threads, learn)
         extrapolator = cls(session, card, guided_view)
         _check_observed_pixels(path, extrapolator)
         extrapolator.reset()
@@ -135,6 +138,16 @@ class FovExtrapolator:
         wide, confidence = self._session.run(
             self._outputs, {self.card.input.name: np.ascontiguousarray(image)[None]})
         return wide[0], confidence[0]
+
+    def finish_learning(self) -> None:
+        """Learn from the last images, too; then learn no more. Takes seconds."""
+        if self._guided_view is not None:
+            self._guided_view.finish_learning()
+
+    def stop_learning(self) -> None:
+        """Learn no more; the last images are not looked at."""
+        if self._guided_view is not None:
+            self._guided_view.stop_learning()
 
     def reset(self) -> None:
         """Forget where the camera was; the next image may be from anywhere."""

@@ -85,7 +85,7 @@ class AroundLink:
             if place is None or len(self._on_the_way) >= MOST_ON_THE_WAY:
                 continue
             # A view of a place that is gone by changes, too: it is drawn where the motion leads.
-            moving = (direction is not None
+            moving = (direction is not None and self._where.stands is None
                       and self._clock.now() - place.captured < 2 * STALE_AFTER_S)
             if (place, direction) == self._told and not moving:
                 continue
@@ -113,7 +113,8 @@ class AroundLink:
         return pack(about, image, kinds)
 
     def _scene(self, place: Place) -> Look:
-        now = self._clock.now() + self._ahead
+        stands = self._where.stands
+        now = self._clock.now() + self._ahead if stands is None else stands
         age = now - place.captured
         before = [seen for kept in self._where.recent(now)
                   if (seen := self._surroundings.seen(kept)) is not None]

@@ -1,32 +1,34 @@
-"""Pictures from a bag, with the timing that it was recorded with, over and over."""
-from collections import deque
+"""Pictures from a bag, with the timing that it was recorded with, as the viewers play it."""
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 import threading
 from typing import Any
 
 from neo_ros.bags import BagReader, BagTopic
-from neo_ros.bags.camera_topics import COMPRESSED, find_camera, IMAGE
+from neo_ros.bags.camera_topics import COMPRESSED, find_camera, find_truth_topic, first_size, IMAGE
 from neo_ros.bags.reading import BagMessage
 from neo_ros.errors import BagError, ConfigError, GeometryError, ImageRejected
-from neo_ros.messages import camera_info_of, FrameProcessor, SceneWatch
-from neo_ros.messages.stamps import NS_PER_S, stamp_of
+from neo_ros.messages import camera_info_of, FrameProcessor
+from neo_ros.messages.stamps import NS_PER_S
 from neo_ros.runtime import FovExtrapolator
+from neo_ros.viewer.bag_moments import Companion, picture_at, picture_before
+from neo_ros.viewer.bag_pictures import BagPictures
 from neo_ros.viewer.hub import Hub
-from neo_ros.viewer.pictures import SourcePicture, SourceState
-from neo_ros.viewer.whereabouts import Place, PoseJoiner
-from neo_ros.viewer.wide_topics import (
-    NodeDiagnosis, read_grey, read_picture, read_pixels, read_pose, seen_share, WideTopics)
-import numpy as np
+from neo_ros.viewer.pictures import CAMERAS, SourcePicture, SourceState, TRUTH
+from neo_ros.viewer.playback import Jump, Playback
+from neo_ros.viewer.tiles import draw_tiles
+from neo_ros.viewer.timeline import read_timeline
+from neo_ros.viewer.wide_topics import WideTopics
 
 WIDE = '/wide/image'
 # A picture that would come later than this after its time is left out for a newer one.
 LATE_S = 0.2
-# The scores for the scene are a mean over so long, as the node's.
-SCORES_S = 5.0
-# A bag of one picture has no duration, and must not be opened again at once.
-LEAST_ROUND_S = 0.5
+# What is said before a picture that is jumped to: diagnostics come once a second.
+LEAD_NS = 3 * NS_PER_S // 2
+# What is said of a picture may be recorded after it.
+TOGETHER_NS = NS_PER_S // 50
+# So long a viewer's command waits.
+SLICE_S = 0.05
 
 
 class BagSource:
@@ -34,141 +36,222 @@ class BagSource:
     Shows the wide pictures of a bag, or those that a model makes of its camera.
 
     A bag with a topic .../wide/image, as `neo replay` and `neo record` write it, is shown as it
-    is; else the camera (`topic`, or the only one) is widened with the model of `model`. Raises
-    BagError for bags and topics that cannot be used, ModelError for the model.
+    is; else the camera (`topic`, or the only one) is widened with the model of `model`. Of several
+    wide topics the viewers choose. Raises BagError for bags and topics that cannot be used,
+    ModelError for the model.
     """
 
     def __init__(self, bag: Path, topic: str | None, model: Path, rate: float = 1.0) -> None:
         if not rate > 0:
             raise ConfigError(f'rate: expected a number > 0, got {rate}')
-        self._bag, self._rate = bag, rate
+        self._bag = bag
         # The model that its camera is widened with; None where it has wide images.
         self.model: Path | None = None
-        self._processor: FrameProcessor | None = None
         with BagReader(bag) as reader:
-            wide = _find_wide(reader, topic)
-            start_ns, end_ns = reader.span_ns
-            if wide is not None:
-                self._image, self._info_topic = wide, ''
-                self._topics = WideTopics(wide.name)
+            span_ns = reader.span_ns
+            wides = _find_wide(reader, topic)
+            if wides:
+                self._wide = {wide.name: wide for wide in wides}
+                # Of several cameras nobody knows whose truth it would be.
+                truth = None if wides[1:] else find_truth_topic(
+                    reader, wides[0], first_size(reader, wides[0]))
+                camera = wides[0].name
             else:
-                extrapolator = FovExtrapolator.load(model)
-                self.model = model
-                self._memory = extrapolator.card.memory is not None
-                self._processor = FrameProcessor(extrapolator)
-                camera = find_camera(reader, extrapolator.expansion.source, topic)
-                self._image = camera.image
-                self._topics = WideTopics(f'{camera.wide}/image')
-                self._info_topic = camera.info.name if camera.info is not None else ''
-        self._read = {self._image.name, self._info_topic, '/diagnostics'}
-        if self._processor is None:
-            self._read |= {self._topics.mask, self._topics.confidence, self._topics.status,
-                           self._topics.pose}
-        # Pictures are skipped while nobody watches; what else is read may be said only once.
-        self._skipped = {self._image.name, self._topics.mask, self._topics.confidence}
-        self._state = SourceState(f'{bag.name} {self._image.name}',
-                                  span=(start_ns / NS_PER_S, end_ns / NS_PER_S))
-        # A recording that starts again is the same place: what was said of it stays.
-        self._scores: deque[tuple[float, float]] = deque()
-        self._scene_watch = SceneWatch()
-        self._diagnosis = NodeDiagnosis(self._topics.camera)
+                camera, truth = self._load(reader, topic, model)
+        self._truth = truth.name if truth is not None else None
+        cameras = sorted(self._wide) if wides else [camera]
+        beside = [*([TRUTH] if truth is not None else []), *([CAMERAS] if cameras[1:] else [])]
+        self.playback = Playback(span_ns, rate, camera, cameras, beside)
+        self._span = (span_ns[0] / NS_PER_S, span_ns[1] / NS_PER_S)
+        self._pictures = self._make_pictures()
+
+    def _load(self, reader: BagReader, topic: str | None, model: Path
+              ) -> tuple[str, BagTopic | None]:
+        """Take the camera that is widened; return its name, and its truth."""
+        extrapolator = FovExtrapolator.load(model)
+        self.model, target = model, extrapolator.expansion.target
+        self._memory = extrapolator.card.memory is not None
+        self._processor = FrameProcessor(extrapolator)
+        self._camera = find_camera(reader, extrapolator.expansion.source, topic)
+        image, info = self._camera.image, self._camera.info
+        first = reader.first(info) if info is not None else None
+        self._info = ('' if info is None else info.name,
+                      None if first is None else camera_info_of(first, image.name))
+        return image.name, find_truth_topic(reader, image, (target.width, target.height))
+
+    def _make_pictures(self) -> BagPictures:
+        camera = self.playback.camera
+        state = SourceState(f'{self._bag.name} {camera}', span=self._span)
+        if self.model is None:
+            return BagPictures(self._wide[camera], WideTopics(camera), state,
+                               self.playback.timeline)
+        return BagPictures(self._camera.image, WideTopics(f'{self._camera.wide}/image'), state,
+                           self.playback.timeline, self._processor, self._memory, self._info)
 
     def run(self, hub: Hub, stop: threading.Event) -> None:
-        """Play the bag again and again until `stop` is set."""
-        while not stop.is_set():
-            self._camera_info: Any = None
-            self._confidence: Any = None
-            self._seen: tuple[float, float, float, float] | None = None
-            if self._processor is not None:
-                self._processor.reset()
-            hub.where.forget()
-            self._joiner = PoseJoiner(hub.where)
-            hub.report(self._state)
-            ends = hub.clock.now() + LEAST_ROUND_S
-            if not self._play(hub, stop):
-                raise BagError(f'{self._bag}: no picture of {self._image.name} can be read')
-            hub.clock.pause(ends - hub.clock.now(), stop)
-
-    def _play(self, hub: Hub, stop: threading.Event) -> bool:
-        """Play the bag once; return whether there was a picture in it."""
-        clock, first_ns, pictures = hub.clock, None, 0
-        started = clock.now()
+        """Play the bag as the viewers wish until `stop` is set; BagError without pictures."""
+        player, hub.playback = self.playback, self.playback
+        if self.model is None:
+            threading.Thread(target=read_timeline, name='viewer timeline', daemon=True, args=(
+                self._bag, player.timelines, self._truth, stop)).start()
         with BagReader(self._bag) as reader:
-            for message in reader.messages(self._read):
-                first_ns = message.stamp_ns if first_ns is None else first_ns
-                due = started + (message.stamp_ns - first_ns) / NS_PER_S / self._rate
-                if clock.pause(due - clock.now(), stop):
-                    return True
-                pictures += message.topic.name == self._image.name
-                if message.topic.name in self._skipped and (
-                        not hub.wanted.image or clock.now() - due > LATE_S):
-                    continue
-                try:
-                    self._take(message, due, hub)
-                    hub.report(self._state)
-                except (ImageRejected, GeometryError, BagError) as error:
-                    hub.report(replace(self._state, level=1, message=str(error)))
-        return pictures > 0
+            run = _Run(self, reader, hub, stop)
+            first_ns = picture_at(reader, self._pictures.image.name, player.span_ns[0])
+            if first_ns is None:
+                raise BagError(f'{self._bag}: no picture of {self._pictures.image.name} can be '
+                               'read')
+            run.play(first_ns, False)
+            while not stop.is_set():
+                jump = player.take_jump()
+                if jump is not None:
+                    run.jump(jump)
+                else:
+                    player.end()
+                    run.rest()
 
-    def _take(self, message: BagMessage, due: float, hub: Hub) -> None:
-        name, content = message.topic.name, message.read()
-        if name == '/diagnostics':
-            known = self._diagnosis.read(content.status)
-            # Pictures that are made here are not those that the recorded node spoke of.
-            self._state = replace(self._state, **{
-                key: value for key, value in known.items()
-                if self._processor is None or key in ('level', 'message')})
-        elif name == self._topics.status:
-            self._state = replace(self._state, **self._diagnosis.read_frame(content.status))
-        elif name == self._info_topic:
-            self._camera_info = camera_info_of(content, self._image.name)
-        elif name == self._topics.mask:
-            self._seen = self._seen or seen_share(read_grey(content))
-        elif name == self._topics.confidence:
-            self._confidence = content
-        elif name == self._topics.pose:
-            self._joiner.add_pose(stamp_of(content.header), read_pose(content))
+
+class _Run:
+    """One run through a bag: what is shown, and how its time goes with the clock's."""
+
+    def __init__(self, source: BagSource, reader: BagReader, hub: Hub,
+                 stop: threading.Event) -> None:
+        self._source, self._reader, self._hub, self._stop = source, reader, hub, stop
+        self._player = source.playback
+        self._pictures = source._pictures
+        self._shown: SourcePicture | None = None
+        self._shown_ns = self._player.span_ns[0]
+        # A time of the clock, the log time then, and how fast it goes.
+        self._anchor: tuple[float, int, float] | None = None
+        self._owed = False
+        self._viewers = 0
+        self._make_companions()
+        self._pictures.forget(hub)
+        self._report()
+
+    def jump(self, jump: Jump) -> None:
+        """Go on elsewhere."""
+        if self._player.camera != self._pictures.image.name and self._source.model is None:
+            self._pictures = self._source._make_pictures()
+            self._make_companions()
+        name, here_ns = self._pictures.image.name, self._shown_ns
+        if jump.back:
+            found = picture_before(self._reader, name, here_ns)
         else:
-            image, confidence = (self._recorded(content, due, hub) if self._processor is None
-                                 else self._widen(self._processor, content, due, hub))
-            hub.publish(SourcePicture(image, due, True, confidence, self._seen,
-                                      message.stamp_ns / NS_PER_S))
+            found = picture_at(self._reader, name, here_ns if jump.to_ns is None else jump.to_ns)
+        self.play(here_ns if found is None else found, True)
 
-    def _recorded(self, content: Any, due: float, hub: Hub
-                  ) -> tuple[np.ndarray | bytes, np.ndarray | None]:
-        self._joiner.add_image(stamp_of(content.header), due, partial(read_pixels, content))
-        confidence = None
-        # The node and the replay write the confidence before the image of the same stamp.
-        if (hub.wanted.confidence and self._confidence is not None
-                and stamp_of(self._confidence.header) == stamp_of(content.header)):
-            confidence = read_grey(self._confidence)
-        return read_picture(content), confidence
+    def play(self, start_ns: int, owed: bool) -> None:
+        """Show what comes from a log time on, until it ends or something else is wanted."""
+        pictures = self._pictures
+        self._anchor, self._owed = None, owed
+        pictures.forget(self._hub)
+        for message in self._reader.messages(pictures.read, max(start_ns - LEAD_NS, 0)):
+            early = message.stamp_ns < start_ns
+            if early and message.topic.name == pictures.image.name:
+                continue
+            due = self._hub.clock.now() if early else self._hold(message)
+            if due is None:
+                return
+            late = self._hub.clock.now() - due > LATE_S
+            if not (late and message.topic.name in pictures.skipped):
+                self._take(message, due)
 
-    def _widen(self, processor: FrameProcessor, content: Any, due: float, hub: Hub
-               ) -> tuple[np.ndarray, np.ndarray | None]:
-        frame = processor.process(content, self._camera_info)
-        assert frame.image is not None
-        if frame.out_of_scene is not None:
-            self._scores.append((due, frame.out_of_scene))
-            while self._scores[0][0] < due - SCORES_S:
-                self._scores.popleft()
-            mean = float(np.mean([score for _, score in self._scores]))
-            self._state = replace(self._state, out_of_scene=self._scene_watch.update(mean))
-        if self._memory:
-            self._state = replace(self._state, recognised=frame.guided)
-        self._seen = self._seen or seen_share(frame.extrapolated_mask)
-        if frame.guide is not None:
-            hub.where.put(Place(frame.guide.pose, due, lambda: frame.image))
-        return frame.image, frame.confidence
+    def rest(self) -> None:
+        """Wait for a command."""
+        while not (self._stop.is_set() or self._player.jumps):
+            self._idle()
+
+    def _hold(self, message: BagMessage) -> float | None:
+        """Wait until a message is due, and say when it was; None: something else is wanted."""
+        clock, player, stamp_ns = self._hub.clock, self._player, message.stamp_ns
+        if (self._shown is not None and stamp_ns <= self._shown_ns + TOGETHER_NS and not self._owed
+                and message.topic.name != self._pictures.image.name):
+            return self._shown.captured
+        while not (self._stop.is_set() or player.jumps):
+            if not (self._owed or player.moves and self._hub.wanted.image):
+                self._idle()
+                continue
+            self._hub.where.stands = None
+            if self._owed or not player.playing:
+                return clock.now()
+            if self._anchor is None or self._anchor[2] != player.rate:
+                ahead = 0 if self._anchor is None else (
+                    stamp_ns - self._shown_ns) / NS_PER_S / player.rate
+                self._anchor = clock.now() + max(ahead, 0), stamp_ns, player.rate
+            at, at_ns, rate = self._anchor
+            due = at + (stamp_ns - at_ns) / NS_PER_S / rate
+            if clock.now() >= due:
+                return due
+            clock.pause(min(due - clock.now(), SLICE_S), self._stop)
+        return None
+
+    def _idle(self) -> None:
+        """Stand still; who comes meanwhile sees the picture that is shown."""
+        hub, self._anchor = self._hub, None
+        self._report()
+        if self._shown is not None:
+            hub.where.stands = self._shown.captured
+            if self._viewers != hub.changes and hub.wanted.image:
+                self._viewers = hub.changes
+                self._publish(replace(self._shown, captured=hub.clock.now()))
+        hub.clock.pause(SLICE_S, self._stop)
+
+    def _take(self, message: BagMessage, due: float) -> None:
+        try:
+            picture = self._pictures.take(message, due, self._hub)
+        except (ImageRejected, GeometryError, BagError) as error:
+            if self._source.model is not None and message.topic == self._pictures.image:
+                self._player.timeline.reject(message.stamp_ns)
+            self._hub.report(replace(self._described(), level=1, message=str(error)))
+            return
+        if picture is not None:
+            if not self._owed:
+                self._player.count_step()
+            self._shown_ns, self._owed, self._viewers = message.stamp_ns, False, self._hub.changes
+            self._anchor = self._anchor or (due, message.stamp_ns, self._player.rate)
+            self._publish(picture)
+        self._report()
+
+    def _publish(self, picture: SourcePicture) -> None:
+        place = self._hub.where.last
+        if self._shown is not None and place is not None and (
+                place.captured == self._shown.captured < picture.captured
+                and picture.recorded == self._shown.recorded):
+            self._hub.where.put(replace(place, captured=picture.captured))
+        self._shown = picture
+        self._hub.publish(replace(picture, beside=self._beside()))
+
+    def _beside(self) -> dict[str, Any]:
+        """Return what somebody wants to see beside the picture that is shown."""
+        wanted, shown = self._hub.wanted.beside, self._shown
+        found: dict[str, Any] = {}
+        if TRUTH in wanted and self._truth is not None:
+            found[TRUTH] = self._truth.at(self._shown_ns, self._pictures.stamp_ns)
+        if CAMERAS in wanted and shown is not None:
+            found[CAMERAS] = draw_tiles({
+                name: companion.at(self._shown_ns, 0) for name, companion in self._tiles.items()})
+        return {name: picture for name, picture in found.items() if picture is not None}
+
+    def _make_companions(self) -> None:
+        source, shown = self._source, self._pictures.image.name
+        truth = source._truth
+        self._truth = None if truth is None else Companion(self._reader, truth, True)
+        self._tiles = {name: Companion(self._reader, name, False)
+                       for name in (source._wide if source.model is None else ())
+                       if name != shown}
+
+    def _described(self) -> SourceState:
+        return replace(self._pictures.state, playback=self._player.describe())
+
+    def _report(self) -> None:
+        self._hub.report(self._described())
 
 
-def _find_wide(reader: BagReader, name: str | None) -> BagTopic | None:
-    """Return the wide images of this name, or the only ones; None where there are none."""
+def _find_wide(reader: BagReader, name: str | None) -> list[BagTopic]:
+    """Return the wide images of this name, or all; compressed ones where there are no raw ones."""
     wide = [topic for topic in reader.topics if topic.msgtype in (IMAGE, COMPRESSED)
             and topic.name.removesuffix('/compressed').endswith(WIDE) and topic.count
             and name in (None, topic.name)]
-    raw = [topic for topic in wide if topic.msgtype == IMAGE]
-    if len(raw or wide) > 1:
-        raise BagError(f'{reader.path}: expected one topic *{WIDE}, the bag has '
-                       f'{", ".join(topic.name for topic in wide)}; name one with --topic')
-    return (raw or wide)[0] if wide else None
+    raw = {topic.name for topic in wide if topic.msgtype == IMAGE}
+    return [topic for topic in wide if topic.msgtype == IMAGE
+            or topic.name.removesuffix('/compressed') not in raw]

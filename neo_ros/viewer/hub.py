@@ -4,10 +4,11 @@ from collections import deque
 from dataclasses import asdict
 import json
 import threading
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from neo_ros.viewer.clock import Clock
 from neo_ros.viewer.pictures import EncodedPicture, SourcePicture, SourceState
+from neo_ros.viewer.playback import Playback
 from neo_ros.viewer.viewer_link import ViewerLink
 from neo_ros.viewer.whereabouts import Whereabouts
 
@@ -21,6 +22,7 @@ class Wanted(NamedTuple):
     image: bool = False
     confidence: bool = False
     small: bool = False
+    beside: frozenset[str] = frozenset()
 
 
 class Source(Protocol):
@@ -41,6 +43,10 @@ class Hub:
         self.clock = clock
         self.wanted = Wanted()
         self.where = Whereabouts()
+        # Of a bag; None for a live stream.
+        self.playback: Playback | None = None
+        # How often the viewers have asked for anything.
+        self.changes = 0
         self.encoded = 0
         self._loop = asyncio.get_running_loop()
         self._quality = quality
@@ -83,7 +89,14 @@ class Hub:
         """Look again at what the viewers ask for."""
         awake = [link for link in self._links if not link.paused]
         self.wanted = Wanted(bool(awake), any(link.confidence for link in awake),
-                             any(link.small for link in awake))
+                             any(link.small for link in awake),
+                             frozenset(link.beside for link in awake if link.beside))
+        self.changes += 1
+
+    def command(self, asked: dict[str, Any]) -> None:
+        """Pass on what a viewer wants of a bag; see `Playback.command`."""
+        if self.playback is not None:
+            self.playback.command(asked)
 
     async def keep_telling(self) -> None:
         """Send the status to all now and then, which also tells that the server lives."""

@@ -1,17 +1,21 @@
 """What goes from a source to the viewers: pictures, and what is known of their sender."""
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 import json
 import struct
 from typing import Any
 
 import cv2
 from neo_ros.messages import encode_jpeg
+from neo_ros.viewer.tiles import Tiles
 import numpy as np
 
 # The tint is smooth: a small picture of it does.
 CONFIDENCE_SIDE = 256
 # Of a picture for a thin link, which is half as large: a fifth of the bytes of the full one.
 SMALL_QUALITY = 50
+# What can be shown beside a picture.
+TRUTH, CAMERAS = 'truth', 'cameras'
 
 
 @dataclass(frozen=True)
@@ -24,7 +28,7 @@ class SourcePicture:
     top, width, height) in shares of the picture, or None while it is not known. captured: when
     the camera took it, time.monotonic() in seconds; timed: whether that is known, else it is
     when the picture arrived here. recorded: the log time in a bag, UNIX time in
-    seconds; None for a live picture.
+    seconds; None for a live picture. beside: what is shown beside it, by TRUTH or CAMERAS.
     """
 
     image: np.ndarray | bytes
@@ -33,6 +37,7 @@ class SourcePicture:
     confidence: np.ndarray | None = None
     seen: tuple[float, float, float, float] | None = None
     recorded: float | None = None
+    beside: Mapping[str, np.ndarray | Tiles] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -45,7 +50,7 @@ class SourceState:
     node says that the camera is not in the trained scene. recognised: whether the scene memory
     knew the place of the newest image; None for a model without one, and while it is not known.
     node_ms: the node's median latency. span: first and last log time of a bag, UNIX time in
-    seconds; None for a live stream.
+    seconds; None for a live stream. playback: of a bag, see `Playback.describe`.
     """
 
     name: str
@@ -56,15 +61,17 @@ class SourceState:
     recognised: bool | None = None
     node_ms: float | None = None
     span: tuple[float, float] | None = None
+    playback: dict[str, Any] | None = None
 
 
 class EncodedPicture:
     """
     A picture encoded once, for any number of viewers; also half as large where that is wanted.
 
-    A message, see `pack`, is a JSON object, the JPEG of the picture, and the JPEG of the
-    confidence, if it is asked for and known. The object holds `seq`, `captured` (the server's
-    clock in ms), `timed`, `seen`, `recorded` and `small`.
+    A message, see `pack`, is a JSON object, the JPEG of the picture, the JPEG of the confidence,
+    and the JPEG of what is beside it; the last two only if they are asked for and known. The
+    object holds `seq`, `captured` (the server's clock in ms), `timed`, `seen`, `recorded`,
+    `small`, `beside` (what it is) and `tiles` (of several cameras, see `Tiles.describe`).
     Raises ImageRejected for what is too large for a JPEG.
     """
 
@@ -73,39 +80,66 @@ class EncodedPicture:
         self.seq = seq
         self._picture = picture
         image = picture.image
+        confidence = picture.confidence if with_confidence else None
         full = image if isinstance(image, bytes) else bytes(encode_jpeg(image, quality))
-        self._messages = self._encode(full, CONFIDENCE_SIDE, quality, with_confidence, False)
-        self._small = self._messages
+        self._full = self._small = _Parts(full, confidence, CONFIDENCE_SIDE, picture.beside,
+                                          quality)
         half = _half(image) if with_small else None
         if half is not None:
             quality = min(quality, SMALL_QUALITY)
-            self._small = self._encode(bytes(encode_jpeg(half, quality)), CONFIDENCE_SIDE // 2,
-                                       quality, with_confidence, True)
+            self._small = _Parts(bytes(encode_jpeg(half, quality)), confidence,
+                                 CONFIDENCE_SIDE // 2, {
+                                     name: _half(_pixels(shown)) for name, shown in
+                                     picture.beside.items()}, quality)
+        self._messages: dict[tuple[bool, bool, str], bytes] = {}
 
-    def message(self, confidence: bool, small: bool = False) -> bytes:
+    def message(self, confidence: bool, small: bool = False, beside: str = '') -> bytes:
         """Return the message for a viewer; the full picture where no small one was made."""
-        return (self._small if small else self._messages)[confidence]
+        wanted = confidence, small, beside
+        if wanted not in self._messages:
+            self._messages[wanted] = self._pack(*wanted)
+        return self._messages[wanted]
 
-    def _encode(self, image: bytes, side: int, quality: int, with_confidence: bool, small: bool
-                ) -> tuple[bytes, bytes]:
-        """Return the messages without and with the confidence."""
-        picture = self._picture
-        plain = pack({
+    def _pack(self, confidence: bool, small: bool, beside: str) -> bytes:
+        picture, parts = self._picture, self._small if small else self._full
+        about: dict[str, Any] = {
             'seq': self.seq, 'captured': 1e3 * picture.captured, 'timed': picture.timed,
-            'seen': picture.seen, 'recorded': picture.recorded, 'small': small}, image)
-        if not with_confidence or picture.confidence is None:
-            return plain, plain
-        return plain, plain + bytes(encode_jpeg(_shrink(picture.confidence, side), quality))
+            'seen': picture.seen, 'recorded': picture.recorded,
+            'small': parts is not self._full}
+        shown = picture.beside.get(beside)
+        if shown is not None:
+            about['beside'] = beside
+            if isinstance(shown, Tiles):
+                about['tiles'] = shown.describe()
+        return pack(about, parts.image, parts.confidence if confidence else b'',
+                    parts.beside.get(beside, b''))
 
 
-def pack(about: dict[str, Any], image: bytes, more: bytes = b'') -> bytes:
+class _Parts:
+    """A picture in one size, encoded, with what goes with it."""
+
+    def __init__(self, image: bytes, confidence: np.ndarray | None, side: int,
+                 beside: Mapping[str, Any], quality: int) -> None:
+        self.image = image
+        self.confidence = b'' if confidence is None else bytes(
+            encode_jpeg(_shrink(confidence, side), quality))
+        self.beside = {name: bytes(encode_jpeg(_pixels(shown), quality))
+                       for name, shown in beside.items()}
+
+
+def pack(about: dict[str, Any], image: bytes, second: bytes = b'', third: bytes = b'') -> bytes:
     """
-    Return a message of a JSON object, a coded picture, and one that may be missing.
+    Return a message of a JSON object, a coded picture, and two that may be empty.
 
-    Before them stand two little-endian uint32, the lengths of object and first picture.
+    Before them stand three little-endian uint32, the lengths of the object and the first two.
     """
     meta = json.dumps(about).encode()
-    return b''.join((struct.pack('<II', len(meta), len(image)), meta, image, more))
+    return b''.join((struct.pack('<III', len(meta), len(image), len(second)), meta, image, second,
+                     third))
+
+
+def _pixels(shown: np.ndarray | Tiles) -> np.ndarray:
+    return shown.image if isinstance(shown, Tiles) else shown
 
 
 def _half(image: np.ndarray | bytes) -> np.ndarray | None:

@@ -21,9 +21,9 @@ from neo_ros.viewer.viewer_link import ViewerLink
 # Everything that is served; no name from a request ever becomes a path.
 KINDS = {'.css': 'text/css', '.js': 'text/javascript', '.svg': 'image/svg+xml'}
 FILES = (
-    'around.css', 'around.js', 'around_link.js', 'base.css', 'elements.js', 'hands.js', 'icon.svg',
-    'link.js', 'look.js', 'map.js', 'picture.js', 'socket.js', 'viewer.css', 'viewer.js',
-    'words.js')
+    'around.css', 'around.js', 'around_link.js', 'base.css', 'elements.js', 'gamepad.js',
+    'hands.js', 'icon.svg', 'link.js', 'look.js', 'map.js', 'picture.js', 'player.css',
+    'player.js', 'socket.js', 'timeline.js', 'viewer.css', 'viewer.js', 'words.js')
 PAGE = {'/': ('index.html', 'text/html'),
         **{f'/{name}': (name, KINDS[Path(name).suffix]) for name in FILES}}
 MAX_REQUEST_BYTES = 2048
@@ -58,6 +58,7 @@ class Server:
             *(web.get(url, self._get_page) for url in PAGE),
             web.get('/login', self._get_login), web.post('/login', self._post_login),
             web.get('/map', self._get_map), web.get('/map.webp', self._get_map_picture),
+            web.get('/timeline', self._get_timeline),
             web.get('/stream', self._stream), web.get('/around', self._around)])
 
     async def _get_page(self, request: web.Request) -> web.Response:
@@ -90,7 +91,8 @@ class Server:
         hub = self._hub
 
         async def show(viewer: web.WebSocketResponse) -> None:
-            link = ViewerLink(viewer, self._settings.max_mbit, hub.update_wanted, hub.clock)
+            link = ViewerLink(viewer, self._settings.max_mbit, hub.update_wanted, hub.clock,
+                              hub.command)
             hub.add(link)
             try:
                 await viewer.send_json({
@@ -120,6 +122,11 @@ class Server:
         if plan is None:
             raise web.HTTPNotFound(text=self._surroundings.why)
         return web.Response(body=plan.picture, content_type='image/webp')
+
+    async def _get_timeline(self, request: web.Request) -> web.Response:
+        if self._hub.playback is None:
+            raise web.HTTPNotFound(text='what is shown is no bag')
+        return web.json_response(self._hub.playback.timeline.describe())
 
     async def _around(self, request: web.Request) -> web.WebSocketResponse:
         where = self._hub.where

@@ -32,18 +32,19 @@ class ViewerLink:
 
     A picture that waits is replaced by a newer one: a slow viewer gets fewer pictures, never
     older ones, and smaller ones where full ones take too long. `on_change` is called when the
-    viewer needs other things than before.
+    viewer needs other things than before, `command` with what it wants of a bag.
     """
 
     def __init__(self, socket: web.WebSocketResponse, max_mbit: float,
-                 on_change: Callable[[], None], clock: Clock) -> None:
-        self.confidence = False
+                 on_change: Callable[[], None], clock: Clock,
+                 command: Callable[[dict[str, Any]], None] = lambda asked: None) -> None:
+        self.confidence, self.beside = False, ''
         # Until the viewer says otherwise: it asks for the time first.
         self.paused = True
         self.sent = 0
         self._socket = socket
         self._bytes_per_s = max_mbit * 1e6 / 8
-        self._on_change = on_change
+        self._on_change, self._command = on_change, command
         self._clock = clock
         self._picture: EncodedPicture | None = None
         self._status: str | None = None
@@ -107,12 +108,12 @@ class ViewerLink:
             await self._send_picture(picture)
 
     async def _send_picture(self, picture: EncodedPicture) -> None:
-        message = picture.message(self.confidence, self.small)
+        message = picture.message(self.confidence, self.small, self.beside)
         now = self._clock.now()
         if self._bytes_per_s:
             self._free_at = now + len(message) / self._bytes_per_s
         self._on_the_way[picture.seq] = _Sent(
-            now, len(message) / len(picture.message(self.confidence, small=False)))
+            now, len(message) / len(picture.message(self.confidence, False, self.beside)))
         self.sent += 1
         await self._socket.send_bytes(message)
 
@@ -126,8 +127,11 @@ class ViewerLink:
         if 'round_trip' in asked:
             self._pace.round_trip_s = min(max(
                 float(asked['round_trip']) / 1e3, 0.0), MOST_ROUND_TRIP_S)
-        if 'confidence' in asked or 'paused' in asked:
+        if 'player' in asked:
+            self._command(dict(asked['player']))
+        if not {'confidence', 'paused', 'beside'}.isdisjoint(asked):
             self.confidence = bool(asked.get('confidence', self.confidence))
+            self.beside = str(asked.get('beside', self.beside))
             self._pause(bool(asked.get('paused', self.paused)))
             self._on_change()
             self._work.set()

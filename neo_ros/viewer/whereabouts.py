@@ -45,6 +45,8 @@ class Whereabouts:
         self.thresholds = thresholds
         # How many ask where the camera is; without any, sources need not know.
         self.wanted = 0
+        # While a bag is paused: the clock's time of the picture that is shown.
+        self.stands: float | None = None
         self._busy = threading.Lock()
         self.forget()
 

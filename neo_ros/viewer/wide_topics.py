@@ -14,7 +14,7 @@ import numpy as np
 MAX_COMPRESSED_BYTES = 16 * 1024 * 1024
 # Where only the share of the last seconds is known: less is no recognised place.
 LEAST_GUIDED = 0.5
-GUIDED_SHARE, GUIDED = 'guided by the scene memory', 'guided'
+GUIDED_SHARE, GUIDED, REJECTED = 'guided by the scene memory', 'guided', 'rejected'
 IN_SCENE, LATENCY = 'in the trained scene', 'latency total median/p95/max [ms]'
 
 
@@ -143,17 +143,26 @@ class NodeDiagnosis:
         SourceState; empty where no status is the node's. Of single images their own status says
         more; then nothing is said here of `recognised`.
         """
-        nodes = {status.name: status for status in statuses
-                 if status.name.endswith(f'fov_extrapolator: {WIDENING}')}
-        self._heard |= set(nodes)
-        alone = next(iter(self._heard)) if len(self._heard) == 1 else ''
-        status = nodes.get(self._own if self._own in self._heard else alone)
+        status = self._status(statuses)
         if status is None:
             return {}
         found = _read_status(status)
         self._memory = found['recognised'] is not None
         return {key: value for key, value in found.items()
                 if key != 'recognised' or not (self._memory and self._by_frame)}
+
+    def rejected(self, statuses: Sequence[Any]) -> int | None:
+        """Return how many images the node has rejected so far; None where it does not say."""
+        status = self._status(statuses)
+        values = {entry.key: entry.value for entry in status.values} if status else {}
+        return int(values[REJECTED]) if values.get(REJECTED, '').isdecimal() else None
+
+    def _status(self, statuses: Sequence[Any]) -> Any | None:
+        nodes = {status.name: status for status in statuses
+                 if status.name.endswith(f'fov_extrapolator: {WIDENING}')}
+        self._heard |= set(nodes)
+        alone = next(iter(self._heard)) if len(self._heard) == 1 else ''
+        return nodes.get(self._own if self._own in self._heard else alone)
 
 
 def _read_status(status: Any) -> Mapping[str, Any]:

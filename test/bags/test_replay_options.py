@@ -142,8 +142,9 @@ def test_truth_is_found_by_its_size_but_not_in_what_a_model_made(
         tmp_path, walk_bag, extrapolator) -> None:
     replay(walk_bag, extrapolator, tmp_path / 'out')
     with BagReader(tmp_path / 'out') as reader:
-        camera = find_camera(reader, EXPANSION.source, None)
-        truth = find_truth_topic(reader, camera, EXPANSION.target)
+        camera = find_camera(reader, EXPANSION.source, None).image
+        truth = find_truth_topic(reader, camera,
+                                 (EXPANSION.target.width, EXPANSION.target.height))
         assert truth is not None and truth.name == '/camera/wide/image_raw'
 
 

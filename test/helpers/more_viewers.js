@@ -7,7 +7,7 @@ async () => {
         socket.onmessage = ({ data }) => {
             if (typeof data === 'string') return;
             const length = new DataView(data).getUint32(0, true);
-            const meta = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 8, length)));
+            const meta = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 12, length)));
             socket.send(JSON.stringify({ shown: meta.seq }));
             counts[i] += 1;
         };

@@ -14,6 +14,8 @@
     seen.forEach(([one, a], i) => seen.slice(i + 1).forEach(([other, b]) => {
         if (one.contains(other) || other.contains(one)
             || one.parentElement.contains(other) && one.matches('fieldset input')) return;
+        // The time line lies under its slider.
+        if (one.id === 'timeline' && other.id === 'seek') return;
         // The sign over a stale picture is meant to cover it, and only it.
         if (one.matches('canvas') && other.closest('#stale-sign')) return;
         const width = Math.min(a.right, b.right) - Math.max(a.left, b.left);

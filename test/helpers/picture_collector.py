@@ -10,8 +10,10 @@ from neo_ros.viewer.whereabouts import Whereabouts
 class Collector:
     """Stands for the hub: keeps what it gets, and ends the source after some pictures."""
 
-    def __init__(self, count: int, confidence: bool = True) -> None:
-        self.wanted = Wanted(True, confidence)
+    def __init__(self, count: int, again: bool = False) -> None:
+        self.wanted = Wanted(True, True)
+        self.playback: Any = None
+        self.changes, self._again = 0, again
         self.where = Whereabouts()
         self.pictures: list = []
         self.times: list[float] = []
@@ -32,9 +34,17 @@ class Collector:
     def report(self, state) -> None:
         self.at_pictures[len(self.pictures) - 1] = state
         self.states.append(state)
+        if self._again and state.playback and state.playback['ended']:
+            self.playback.command({'play': True})
+
+    @property
+    def numbers(self) -> list[float]:
+        """When the pictures were recorded, in seconds from the start."""
+        return [round(picture.recorded - self.states[0].span[0], 3) for picture in self.pictures]
 
 
-def collect(source: Source, count: int, confidence: bool = True) -> Collector:
-    hub: Any = Collector(count, confidence)
+def collect(source: Source, count: int, again: bool = False) -> Collector:
+    """Take so many pictures; `again`: at the end of a bag begin anew."""
+    hub: Any = Collector(count, again)
     source.run(hub, hub.stop)
     return hub

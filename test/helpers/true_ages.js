@@ -9,7 +9,7 @@ window.WebSocket = class extends Socket {
         this.addEventListener('message', ({ data }) => {
             if (typeof data === 'string') return;
             const length = new DataView(data).getUint32(0, true);
-            const meta = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 8, length)));
+            const meta = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 12, length)));
             window.arrivals.push(performance.timeOrigin + performance.now() - meta.captured);
         });
     }

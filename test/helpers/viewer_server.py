@@ -69,9 +69,15 @@ async def receive_picture(socket: ClientWebSocketResponse, confirm: bool = True
 
 def split(data: bytes) -> tuple[dict[str, Any], bytes, bytes]:
     """Return meta, image and confidence of a message."""
-    first, second = struct.unpack_from('<II', data)
-    return (json.loads(data[8:8 + first]), data[8 + first:8 + first + second],
-            data[8 + first + second:])
+    meta, image, confidence, _ = split_all(data)
+    return meta, image, confidence
+
+
+def split_all(data: bytes) -> tuple[dict[str, Any], bytes, bytes, bytes]:
+    """Return meta, image, confidence and what is beside it of a message."""
+    first, second, third = (12 + end for end in
+                            np.cumsum(struct.unpack_from('<III', data)).tolist())
+    return json.loads(data[12:first]), data[first:second], data[second:third], data[third:]
 
 
 async def until(condition: Callable[[], Any]) -> None:

@@ -4,8 +4,8 @@ from array import array
 from box_room import apart, box_walk, EXPANSION, planar, view, write_box_model
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped
-from live_node import Camera, NODE, node_beside
-from nav_msgs.msg import Odometry
+from live_node import Camera, NODE, node_beside, set_parameter
+from nav_msgs.msg import OccupancyGrid, Odometry
 from neo_ros.geometry import CameraPose
 from neo_ros.geometry.camera_pose import quaternion_from_rotation, T_BODY_OPTICAL
 from neo_ros.messages import image_fields
@@ -15,6 +15,7 @@ from neo_ros.node.robot_frames import moved_covariance
 import numpy as np
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import Image, PointCloud2
 from std_srvs.srv import Trigger
 
@@ -140,3 +141,28 @@ def test_a_base_far_from_the_camera_is_known_less_exactly():
     assert np.allclose(base[:3, 3:], np.cov(np.hstack([moved, samples[:, 3:]]).T)[:3, 3:],
                        atol=4e-6)
     assert np.array_equal(base[3:, 3:], camera[3:, 3:])
+
+
+def test_the_map_is_latched_and_comes_once_somebody_listens(tmp_path, graph):
+    camera = Camera(graph)
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    camera.start_node(write_box_model(tmp_path), 'scene_frame:=flat')
+    camera.wait_for_node()
+    for _ in range(2):  # The second one comes late.
+        maps = graph.collect(OccupancyGrid, '/robot/wide/map', latched)
+        graph.spin_until(lambda maps=maps: maps)
+        grid, = maps
+        assert grid.header.frame_id == 'flat' and grid.info.resolution > 0
+        cells = np.array(grid.data, np.int8).reshape(grid.info.height, grid.info.width)
+        # Where the camera walks there is floor.
+        for pose in box_walk(4):
+            x, y = pose.position[:2]
+            column = int((x - grid.info.origin.position.x) / grid.info.resolution)
+            row = int((y - grid.info.origin.position.y) / grid.info.resolution)
+            assert cells[row, column] == 0
+        assert set(np.unique(cells)) <= {-1, 0, 100}
+        stamp = grid.header.stamp
+    assert maps[0].header.stamp == stamp, 'it is drawn once'
+    # A new frame is a new map.
+    assert set_parameter(graph, 'scene_frame', 'map').successful
+    graph.spin_until(lambda: maps[-1].header.frame_id == 'map')

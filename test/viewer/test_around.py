@@ -5,7 +5,6 @@ from contextlib import asynccontextmanager
 import json
 import math
 from pathlib import Path
-import struct
 from typing import Any
 
 from aiohttp import ClientWebSocketResponse, WSMsgType
@@ -27,7 +26,7 @@ from neo_ros.viewer.whereabouts import Place
 import numpy as np
 import pytest
 from tiny_model import write_tiny_model
-from viewer_server import origin, run, WAIT_S
+from viewer_server import origin, run, split, WAIT_S
 
 HERE = planar(1.9, 1.7, 30)
 LOOK = {'yaw': math.radians(60), 'pitch': 0.0, 'hfov': math.radians(90), 'width': 160,
@@ -72,11 +71,9 @@ async def receive(socket: ClientWebSocketResponse, kind: str
         if message.type is WSMsgType.TEXT:
             about = json.loads(message.data)
         else:
-            first, second = struct.unpack_from('<II', message.data)
-            about = json.loads(message.data[8:8 + first])
-            image, kinds = (cv2.imdecode(np.frombuffer(part, np.uint8), flags) for part, flags in (
-                (message.data[8 + first:8 + first + second], cv2.IMREAD_COLOR),
-                (message.data[8 + first + second:], cv2.IMREAD_UNCHANGED)))
+            about, *parts = split(message.data)
+            image, kinds = (cv2.imdecode(np.frombuffer(part, np.uint8), flags) for part, flags in
+                            zip(parts, (cv2.IMREAD_COLOR, cv2.IMREAD_UNCHANGED)))
             image = image[..., ::-1]
         if 'seq' in about:
             await socket.send_json({'got': about['seq']})

@@ -50,7 +50,8 @@ def test_the_places_are_those_of_the_walk(folder: Path, bag: str) -> None:
             stop.set()
 
     hub: Any = SimpleNamespace(where=where, clock=HandClock(), wanted=Wanted(True),
-                               publish=publish, report=lambda state: None)
+                               publish=publish, report=lambda state: None, changes=0,
+                               playback=None)
     source = BagSource(folder / bag, None, folder / 'box.onnx')
     source.run(hub, stop)
     assert (source.model is None) == (bag == 'wide')

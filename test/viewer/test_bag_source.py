@@ -11,7 +11,7 @@ from neo_ros.errors import BagError, ConfigError
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.messages import read_image
 from neo_ros.runtime import FovExtrapolator
-from neo_ros.viewer.bag_source import BagSource, LATE_S, LEAST_ROUND_S
+from neo_ros.viewer.bag_source import BagSource, LATE_S
 from neo_ros.viewer.hub import Wanted
 import numpy as np
 from picture_collector import collect, Collector
@@ -65,17 +65,17 @@ def test_a_camera_is_widened_as_the_replay_does(walk_bag, wide_bag, model):
         assert np.array_equal(EXPANSION.crop(picture.image), EXPANSION.crop(truth))
 
 
-def test_timing_and_rounds(wide_bag, model):
-    hub = collect(BagSource(wide_bag, None, model, rate=2.0), 2 * FRAMES, confidence=False)
-    # 10 Hz twice as fast, by the clock; the next round begins with the last picture.
+def test_timing_by_the_clock_and_once_more(wide_bag, model):
+    hub = collect(BagSource(wide_bag, None, model, rate=2.0), 2 * FRAMES, again=True)
+    # 10 Hz twice as fast.
     for times in (hub.times[:FRAMES], hub.times[FRAMES:]):
         assert np.allclose(np.diff(times), 0.05)
-    assert all(picture.confidence is None and picture.timed for picture in hub.pictures)
+    assert all(picture.timed for picture in hub.pictures)
     assert [picture.captured for picture in hub.pictures] == hub.times
 
 
 def test_pictures_that_would_come_late_are_left_out(wide_bag, model):
-    hub: Any = Collector(4)
+    hub: Any = Collector(4, again=True)
     hub.work_s = 0.35  # of what comes every 0.1 s
     BagSource(wide_bag, None, model).run(hub, hub.stop)
     late = [shown - picture.captured for picture, shown in zip(hub.pictures, hub.times)]
@@ -94,7 +94,7 @@ def test_nothing_is_widened_while_nobody_watches(walk_bag, model, monkeypatch):
     assert hub.pictures == []
 
 
-def test_a_late_viewer_gets_what_the_camera_said_at_the_beginning(model, tmp_path):
+def test_who_jumps_gets_what_the_camera_said_at_the_beginning(model, tmp_path):
     wider = ViewExpansion.to_size(Intrinsics.from_hfov(64, 48, math.radians(100)), 128, 96)
     bag, infos = tmp_path / 'once', 0
     with BagReader(write_walk_bag(tmp_path / 'walk', wider, FRAMES)) as reader, (
@@ -108,17 +108,18 @@ def test_a_late_viewer_gets_what_the_camera_said_at_the_beginning(model, tmp_pat
                 writer.write_cdr(topics[name], message.stamp_ns, message.cdr)
     source = BagSource(bag, None, model)
     hub: Any = Collector(1)
-    hub.wanted = Wanted()
-    hub.clock.at(0.25, lambda: setattr(hub, 'wanted', Wanted(True)))
+    hub.clock.at(0.0, lambda: hub.playback.command({'seek': 0.3}))
     source.run(hub, hub.stop)
     assert hub.pictures[0].image.shape == (48, 64, 3)
     assert not any(state.message for state in hub.states)
 
 
-def test_a_bag_of_one_picture_is_not_opened_all_the_time(model, tmp_path):
-    bag = write_walk_bag(tmp_path / 'walk', EXPANSION, 1)
-    hub = collect(BagSource(bag, None, model), 3)
-    assert np.allclose(np.diff(hub.times), LEAST_ROUND_S)
+def test_a_bag_waits_for_its_first_viewer(wide_bag, model):
+    hub: Any = Collector(1)
+    hub.wanted = Wanted()
+    hub.clock.at(7.0, lambda: setattr(hub, 'wanted', Wanted(True)))
+    BagSource(wide_bag, None, model).run(hub, hub.stop)
+    assert hub.numbers == [0.0] and hub.times[0] - 1000 == pytest.approx(7.0, abs=0.1)
 
 
 def test_what_cannot_be_shown_is_named(walk_bag, model, tmp_path):

@@ -49,7 +49,7 @@ def wide_bag(camera_bag, model, tmp_path_factory):
 def test_an_unknown_place_is_named_in_every_round(camera_bag, wide_bag, model, replayed):
     count = KNOWN + FOREIGN
     source = BagSource(wide_bag if replayed else camera_bag, None, model)
-    hub: Any = collect(source, count + 1)
+    hub: Any = collect(source, count + 1, again=True)
     # The state at each picture: what was told last before the next one.
     verdicts = [hub.at_pictures[number] for number in range(count + 1)]
     assert [state.recognised for state in verdicts[1:KNOWN]] == (KNOWN - 1) * [True]

@@ -74,7 +74,7 @@ def test_status_and_clock():
                 assert status == {
                     'type': 'status', 'name': '/wide/image', 'waiting': 'waiting', 'level': 2,
                     'message': 'lens covered', 'out_of_scene': True, 'node_ms': 12.5,
-                    'recognised': None, 'span': None, 'viewers': 1, 'rate': 0.0}
+                    'recognised': None, 'span': None, 'playback': None, 'viewers': 1, 'rate': 0.0}
                 assert isinstance(hub.clock, HandClock)
                 hub.clock.turn(0.25)
                 await socket.send_json({'ping': 17.5})
@@ -197,10 +197,13 @@ def test_message_layout():
                              80, with_confidence=True)
     plain, full = encoded.message(False), encoded.message(True)
     length = int.from_bytes(plain[:4], 'little')
-    assert int.from_bytes(plain[4:8], 'little') == 4 and plain[8 + length:] == b'JPEG'
-    assert json.loads(plain[8:8 + length]) == {
+    assert int.from_bytes(plain[4:8], 'little') == 4 and plain[8:12] == bytes(4)
+    assert plain[12 + length:] == b'JPEG'
+    assert json.loads(plain[12:12 + length]) == {
         'seq': 7, 'captured': 1500.0, 'timed': False, 'seen': None, 'recorded': None,
         'small': False}
-    assert full.startswith(plain) and full[len(plain):].startswith(b'\xff\xd8\xff')
+    assert full[:8] == plain[:8] and full[12:].startswith(plain[12:])
+    assert full[len(plain):].startswith(b'\xff\xd8\xff')
+    assert int.from_bytes(full[8:12], 'little') == len(full) - len(plain)
     without = EncodedPicture(7, SourcePicture(b'JPEG', 1.5, False), 80, with_confidence=True)
     assert without.message(True) == without.message(False)

@@ -440,7 +440,8 @@ def test_contrast_names_and_widths(browser: Any, viewer: Viewer, scheme: str) ->
     for element in page.query_selector_all('button:visible, fieldset label'):
         box = element.bounding_box()
         assert box['height'] >= 44 and box['width'] >= 44
-    names = page.evaluate("""() => [...document.querySelectorAll('button, input, canvas, section')
+    names = page.evaluate("""() => [...document.querySelectorAll(
+        'button, input, canvas:not([aria-hidden]), section')
         ].map((e) => e.ariaLabel || e.labels?.[0]?.textContent || e.textContent)""")
     assert all(name.strip() for name in names)
     viewer.tell({'out_of_scene': False, 'level': 0, 'message': ''})

@@ -1,6 +1,7 @@
 // Where the camera is, and looking away from it: what is known of both, and how it is shown.
 import { AroundLink } from './around_link.js';
 import { contentOf, find } from './elements.js';
+import { Gamepads } from './gamepad.js';
 import { Hands } from './hands.js';
 import { coverOf, Direction, paintLook } from './look.js';
 import { Map } from './map.js';
@@ -15,9 +16,9 @@ const DISTANCE_MS = 8000;
 
 export class Around {
   // `now()`: the server's clock in ms; `delay()`: ms that a message takes; `redraw()`: called
-  // when the live picture has another size on the page.
-  constructor({ now, delay, redraw }) {
-    Object.assign(this, { now, redraw });
+  // when the live picture has another size on the page; `standing()`: a recording is paused.
+  constructor({ now, delay, redraw, standing }) {
+    Object.assign(this, { now, redraw, standing });
     this.way = 'outline';
     this.place = this.direction = this.look = this.map = null;
     this.pictured = 0;
@@ -34,6 +35,7 @@ export class Around {
       },
     }, delay);
     this.hands = new Hands(this);
+    this.gamepads = new Gamepads(this);
     document.addEventListener('fullscreenchange', () => {
       (document.fullscreenElement ? find('stage') : find('where-home')).append(find('where'));
       this.paint();
@@ -192,7 +194,7 @@ export class Around {
     find('place').textContent = !place ? 'The place has not been recognised yet.'
       : lost ? `Place not recognised for ${ago.toFixed(0)} s; this was the last one.`
         : `x ${place.position[0].toFixed(1)}${unit}, y ${place.position[1].toFixed(1)}${unit}, `
-          + `${ago.toFixed(1)} s ago`;
+          + (this.standing() ? 'paused' : `${ago.toFixed(1)} s ago`);
     this.map?.paint(this.direction, lost);
   }
 

@@ -20,7 +20,7 @@ export class Link {
   // `events`: onOpen(), onClosed('full', 'asleep' or 'lost'), onHello(hello), onStatus(status), onPicture(picture).
   constructor(events) {
     this.events = events;
-    this.asked = { confidence: false, paused: true };
+    this.asked = { confidence: false, beside: '', paused: true };
     this.answers = 0;
     this.attempt = 0;
     this.checking = false;
@@ -41,7 +41,7 @@ export class Link {
     return performance.now() + (this.offset ?? 0);
   }
 
-  // Ask for other things than before: { confidence: bool } or { paused: bool }.
+  // Ask for other things than before: { confidence: bool }, { beside: string } or { paused: bool }.
   ask(wanted) {
     Object.assign(this.asked, wanted);
     this.send(this.asked);
@@ -99,11 +99,11 @@ export class Link {
 
   async receive(buffer) {
     this.heard = performance.now();
-    const { meta, image, more } = unpack(buffer);
+    const { meta, ...blobs } = unpack(buffer);
     try {
-      const [bitmap, sureness] = await Promise.all([
-        createImageBitmap(image), more && createImageBitmap(more)]);
-      this.events.onPicture({ ...meta, bitmap, sureness });
+      const [bitmap, sureness, other] = await Promise.all(
+        [blobs.image, blobs.more, blobs.other].map((blob) => blob && createImageBitmap(blob)));
+      this.events.onPicture({ ...meta, bitmap, sureness, other });
     } catch {
       // A picture that the browser cannot decode; without its confirmation no other would come.
     }

@@ -15,13 +15,14 @@ export function say(socket, message) {
   if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message));
 }
 
-// Unpack two little-endian uint32, the lengths of the next two parts; a JSON object; a picture; a
-// second one, which may be missing.
+// Unpack three little-endian uint32, the lengths of the next three parts; a JSON object; a picture;
+// a second and a third one, which may be missing.
 export function unpack(buffer) {
   const view = new DataView(buffer);
-  const [about, first] = [view.getUint32(0, true), view.getUint32(4, true)];
-  const [start, middle] = [8 + about, 8 + about + first];
-  const meta = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 8, about)));
-  return { meta, image: new Blob([new Uint8Array(buffer, start, first)]),
-    more: buffer.byteLength > middle ? new Blob([new Uint8Array(buffer, middle)]) : null };
+  const [about, first, second] = [0, 4, 8].map((at) => view.getUint32(at, true));
+  const [start, middle, last] = [12 + about, 12 + about + first, 12 + about + first + second];
+  const meta = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 12, about)));
+  const blob = (at, length) => (length ? new Blob([new Uint8Array(buffer, at, length)]) : null);
+  return { meta, image: blob(start, first), more: blob(middle, second),
+    other: blob(last, buffer.byteLength - last) };
 }

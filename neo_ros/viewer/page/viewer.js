@@ -2,6 +2,7 @@
 import { Around } from './around.js';
 import { find, set, write } from './elements.js';
 import { Link } from './link.js';
+import { Player } from './player.js';
 import { paint, snapshot, tintOf } from './picture.js';
 import { bagTime, complaint, EXPLANATIONS, explanation, judge, plays, seconds } from './words.js';
 
@@ -25,28 +26,42 @@ const state = {
 const link = new Link({
   onOpen() { state.connected = true; around.open(); },
   onClosed(reason) { around.close(); state.connected = false; state.closed = reason; tick(); },
-  onHello(hello) { state.staleMs = hello.stale_ms; state.newest = 0; },
-  onStatus(status) { state.status = status; showStatus(); },
+  onHello(hello) { state.staleMs = hello.stale_ms; state.newest = 0; state.fresh = true; },
+  onStatus(status) {
+    state.status = status;
+    player.update(status, state.fresh);
+    if (player.able) state.fresh = false;  // The source may not have opened its bag yet.
+    showStatus();
+  },
   onPicture(picture) { showPicture(picture); },
 });
 
 const around = new Around({
   now: () => link.now(), delay: () => link.roundTrip / 2, redraw: () => draw(),
+  standing: () => player.standing,
+});
+
+const player = new Player({
+  ask: (wanted) => (wanted.player ? link.send(wanted) : link.ask(wanted)), redraw: () => draw(),
+  say: (words) => write('announcer', words),
 });
 
 function showPicture(picture) {
   if (picture.seq < state.newest) {  // Decoding may overtake.
     picture.bitmap.close();
     picture.sureness?.close();
+    picture.other?.close();
     return;
   }
   state.newest = picture.seq;
   state.picture?.bitmap.close();
+  state.picture?.other?.close();
   state.picture = picture;
   picture.tint = picture.sureness && tintOf(picture.sureness);
   picture.sureness?.close();
   draw();
   around.onPicture(picture.captured);
+  player.onPicture(picture);
   const now = performance.now();
   state.shown.push(now);
   state.latencies.push(link.now() - picture.captured);
@@ -118,14 +133,14 @@ function showReadings(verdict) {
   state.verdict = verdict.name;
   state.nextReadings = now + READINGS_EVERY_MS;
   state.shown = state.shown.filter((time) => time > now - RATE_WINDOW_MS);
-  write('age', old === null ? '–' : seconds(Math.max(old, 0)));
+  write('age', old === null || player.standing ? '–' : seconds(Math.max(old, 0)));
   const rate = state.shown.length / (RATE_WINDOW_MS / 1000);
   const offered = state.status.rate ?? 0;
-  write('rate', offered > 1.25 * rate + 1 ? `${rate.toFixed(1)} of ${offered.toFixed(1)} /s`
+  write('rate', player.standing ? '–' : offered > 1.25 * rate + 1 ? `${rate.toFixed(1)} of ${offered.toFixed(1)} /s`
     : `${rate.toFixed(1)} /s`);
   const sorted = [...state.latencies].sort((a, b) => a - b);
   const median = sorted[sorted.length >> 1];
-  write('latency', median === undefined ? '–'
+  write('latency', median === undefined || player.standing ? '–'
     : `${Math.max(median, 0).toFixed(0)} ms${state.picture?.timed ? '' : ' (link)'}`);
   write('bag-time', bagTime(state));
 }
@@ -140,7 +155,7 @@ function showStatus() {
     write('size', `${bitmap.width} × ${bitmap.height}`
       + (small ? ' (thin link: smaller picture)' : ''));
   }
-  set(find('bag-time-reading'), 'hidden', !status.span);
+  set(find('bag-time-reading'), 'hidden', !status.span || player.able);
   stage.setAttribute('aria-label', status.span ? 'Recorded picture' : 'Live picture');
   canvas.setAttribute('aria-label', `${status.span ? 'Recorded' : 'Live'} picture of the robot's `
     + 'camera, widened');

@@ -26,6 +26,10 @@ export function judge(state, age) {
     const { title, text } = CLOSED[state.closed];
     return { name: state.closed, title, text: state.closed === 'lost' ? text + old : text };
   }
+  if (age !== null && state.status.playback && !state.status.playback.playing) {
+    return state.status.playback.ended ? { name: 'ended', title: 'End of the recording', text: '' }
+      : { name: 'paused', title: 'Paused', text: '' };
+  }
   if (age !== null && age <= state.staleMs) {
     return state.status.span ? { name: 'recording', title: 'Recording', text: '' }
       : { name: 'live', title: 'Live', text: '' };
@@ -39,7 +43,7 @@ export function judge(state, age) {
 
 // Whether pictures come as they should.
 export function plays(verdict) {
-  return verdict.name === 'live' || verdict.name === 'recording';
+  return ['live', 'recording', 'paused', 'ended'].includes(verdict.name);
 }
 
 // What the node complains of, in words; empty when all is well.
@@ -65,7 +69,7 @@ export function seconds(ms) {
   return `${(ms / 1000).toFixed(1)} s`;
 }
 
-function clockTime(s) {
+export function clockTime(s) {
   const minutes = Math.floor(s / 60);
   return `${minutes}:${(s - 60 * minutes).toFixed(1).padStart(4, '0')}`;
 }

@@ -1,0 +1,80 @@
+"""
+A panorama out of the field with few rays: on a surface depth goes on from ray to ray.
+
+One ray in every block of pixels is cast first. Where the depths of those around a pixel differ, at
+edges and in thin things, every pixel has a ray of its own; in between depth is interpolated.
+"""
+from neo_ros.field.kernels import FAST
+from neo_ros.field.radiance_field import RadianceField
+from neo_ros.field.rendering import render_rays
+from neo_ros.machine.compiled import njit
+from numba import prange
+import numpy as np
+
+
+def render_band(field: RadianceField, position: np.ndarray, rays: np.ndarray, block: int,
+                wraps: bool, one_surface: float, least_coverage: float
+                ) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return depth float32 (h, w), metres along the ray, 0 = unknown, and colours float32 (h, w, 3).
+
+    rays (h, w, 3), whole blocks of `block` squared pixels; wraps: the last column is a neighbour
+    of the first; one_surface: depths that differ by less than this share are of one surface;
+    least_coverage: of a pixel, for its depth to be known.
+    """
+    def cast(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        found = render_rays(field, position, directions)
+        known = found.coverage > least_coverage
+        return np.where(known, found.depth, 0).astype(np.float32), found.image
+
+    first = block // 2
+    few_depths, few_colours = cast(rays[first::block, first::block])
+    if block == 1:
+        return few_depths, few_colours
+    depth = np.empty(rays.shape[:2], np.float32)
+    colours = np.empty(rays.shape, np.float32)
+    rough = np.empty(rays.shape[:2], np.bool_)
+    _interpolate(few_depths, few_colours, _smooth(few_depths, wraps, one_surface), block, wraps,
+                 depth, colours, rough)
+    depth[rough], colours[rough] = cast(rays[rough])
+    return depth, colours
+
+
+def _smooth(depths: np.ndarray, wraps: bool, one_surface: float) -> np.ndarray:
+    """Tell of every 2x2 depths, and of those around them, whether all are of one surface."""
+    padded = np.pad(depths, ((1, 2), (0, 0)), mode='edge')
+    padded = np.pad(padded, ((0, 0), (1, 2)), mode='wrap' if wraps else 'edge')
+    windows = np.lib.stride_tricks.sliding_window_view(padded, (4, 4))
+    nearest, farthest = windows.min((2, 3)), windows.max((2, 3))
+    smooth: np.ndarray = nearest >= (1 - one_surface) * farthest
+    return smooth
+
+
+@njit(parallel=True, **FAST)
+def _interpolate(depths, colours, smooth, block, wraps, depth, all_colours, rough):
+    """Fill depth and all_colours from those of every block where `smooth`; rough: where not."""
+    high, wide = depths.shape
+    for i in prange(depth.shape[0]):
+        y = (i - block // 2) / block
+        i0 = min(max(int(np.floor(y)), 0), max(high - 2, 0))
+        i1, t = min(i0 + 1, high - 1), np.float32(y - i0)
+        for j in range(depth.shape[1]):
+            x = (j - block // 2) / block
+            j0 = int(np.floor(x))
+            if not wraps:
+                j0 = min(max(j0, 0), max(wide - 2, 0))
+            s = np.float32(x - j0)
+            j1 = (j0 + 1) % wide if wraps else min(j0 + 1, wide - 1)
+            j0 = j0 % wide
+            rough[i, j] = not smooth[i0, j0]
+            if rough[i, j]:
+                continue
+            a, b, c, d = (1 - s) * (1 - t), s * (1 - t), (1 - s) * t, s * t
+            depth[i, j] = 0
+            if depths[i0, j0] > 0:
+                # On a plane one over the depth changes evenly, but for the turn of the rays.
+                depth[i, j] = 1 / (a / depths[i0, j0] + b / depths[i0, j1]
+                                   + c / depths[i1, j0] + d / depths[i1, j1])
+            for k in range(3):
+                all_colours[i, j, k] = (a * colours[i0, j0, k] + b * colours[i0, j1, k]
+                                        + c * colours[i1, j0, k] + d * colours[i1, j1, k])

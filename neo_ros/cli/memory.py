@@ -1,0 +1,96 @@
+"""`neo memory`: what a model has learnt of its scene since it was trained."""
+from pathlib import Path
+from typing import Annotated, TYPE_CHECKING
+
+import typer
+
+if TYPE_CHECKING:
+    from neo_ros.memory.patch import Patch
+
+memory = typer.Typer(no_args_is_help=True, help=(
+    'What a model has learnt of its scene since it was trained (neo replay --learn, or learn of '
+    'the node): info tells, compact takes out what was replaced, forget deletes it.'))
+Model = Annotated[Path, typer.Argument(help='Model file (.onnx), its scene memory beside it.')]
+
+
+@memory.command()
+def info(model: Model) -> None:
+    """Tell what the journal beside a scene memory holds."""
+    import datetime
+
+    from neo_ros.memory.journal import most_bytes
+    import rich
+    from rich.markup import escape
+    from rich.table import Table
+
+    memory_file, journal, patches = _journal(model)
+    size = journal.stat().st_size if journal.exists() else 0
+    table = Table('scene memory', escape(str(memory_file)))
+    table.add_row('its size', f'{memory_file.stat().st_size / 1e6:.2f} MB')
+    table.add_row('journal', escape(str(journal)) if size else 'none: nothing was learnt')
+    if size:
+        table.add_row('its size', f'{size / 1e6:.2f} MB, at most '
+                      f'{most_bytes(memory_file.stat().st_size) / 1e6:.2f} MB')
+        table.add_row('patches', f'{len(patches)}, of {len({one.batch for one in patches})} times')
+    for name, patch in zip(('first learnt', 'last learnt'), (*patches[:1], *patches[-1:])):
+        seen = datetime.datetime.fromtimestamp(patch.stamp_ns / 1e9)
+        table.add_row(name, f'{seen:%Y-%m-%d %H:%M:%S}')
+    rich.print(table)
+
+
+@memory.command()
+def forget(model: Model) -> None:
+    """Delete what was learnt: the scene is shown as it was trained."""
+    from neo_ros.errors import ModelError
+    import rich
+    from rich.markup import escape
+
+    journal = _places(model)[1]
+    try:
+        journal.unlink(missing_ok=True)
+    except OSError as error:
+        raise ModelError(f'{journal}: cannot delete: {error.strerror}') from error
+    rich.print(f'Forgotten: {escape(str(journal))}')
+
+
+@memory.command()
+def compact(model: Model) -> None:
+    """Take out of the journal what later patches have replaced."""
+    from neo_ros.memory.changes import without_replaced
+    from neo_ros.memory.journal import JournalWriter, most_bytes, write_journal
+    import rich
+    from rich.markup import escape
+
+    memory_file, journal, sha256 = _places(model)
+    if not journal.exists():
+        rich.print('Nothing was learnt.')
+        return
+    # Nobody may learn meanwhile.
+    writer = JournalWriter(journal, sha256, most_bytes(memory_file.stat().st_size))
+    before, kept = journal.stat().st_size, without_replaced(writer.patches)
+    write_journal(journal, sha256, kept)
+    writer.close()
+    rich.print(f'{escape(str(journal))}: {len(kept)} of {len(writer.patches)} patches kept, '
+               f'{before / 1e6:.2f} MB are {journal.stat().st_size / 1e6:.2f} MB now')
+
+
+def _places(model: Path) -> tuple[Path, Path, str]:
+    """Return memory, journal, and the memory's checksum; raises ModelError."""
+    from neo_ros.errors import ModelError
+    from neo_ros.memory.journal import journal_path
+    from neo_ros.runtime.fov_extrapolator import memory_path
+    from neo_ros.runtime.model_file import open_model
+
+    card = open_model(model)[1]
+    if card.memory is None:
+        raise ModelError(f'{model}: expected a model with a scene memory; it has none, so it '
+                         'cannot learn')
+    path = memory_path(model, card.memory)
+    return path, journal_path(path), card.memory.sha256
+
+
+def _journal(model: Path) -> tuple[Path, Path, 'list[Patch]']:
+    from neo_ros.memory.journal import read_journal
+
+    memory_file, journal, sha256 = _places(model)
+    return memory_file, journal, read_journal(journal, sha256)

@@ -1,0 +1,180 @@
+"""The journal beside a scene memory: what has changed since it was made, record by record."""
+from collections.abc import Iterable
+import fcntl
+import logging
+import os
+from pathlib import Path
+import struct
+import zlib
+
+from neo_ros.errors import ModelError
+from neo_ros.machine.files import whole_file
+from neo_ros.machine.regular_file import read_model_bytes
+from neo_ros.memory.patch import BROKEN, Patch
+
+logger = logging.getLogger(__name__)
+SUFFIX = '.journal'
+MAGIC = b'neo_ros journal 1\n'
+# Behind them the SHA-256 of the memory that it belongs to.
+HEADER_BYTES = len(MAGIC) + 32
+# Of a record: bytes of its content, and their CRC-32, which goes on from the record before: so
+# none can be taken out, or put elsewhere.
+_RECORD = struct.Struct('<2I')
+# A journal grows no larger than this share of its memory, or so many bytes if that is more.
+SHARE, LEAST_BYTES, MOST_BYTES = 0.2, 1 << 20, 64 << 20
+# Of all its pictures together: a few kilobytes can hold very large ones.
+MOST_PIXELS = 1 << 25
+
+
+def journal_path(memory: Path) -> Path:
+    """Return where the journal of a memory lies."""
+    return memory.with_name(memory.name + SUFFIX)
+
+
+def most_bytes(memory_bytes: int) -> int:
+    """Return how large the journal of a memory of this size may grow."""
+    return min(max(int(SHARE * memory_bytes), LEAST_BYTES), MOST_BYTES)
+
+
+def read_journal(path: Path, memory_sha256: str) -> list[Patch]:
+    """
+    Return what a journal holds, up to the last whole record; nothing where there is none.
+
+    One that is of another memory, or no journal, is left aside: the memory works without. Why,
+    and what was lost, is logged.
+    """
+    if not path.exists():
+        return []
+    try:
+        patches, end, size = _read(path, memory_sha256)
+    except ModelError as error:
+        logger.warning('%s; the memory works without it, neo memory forget deletes it', error)
+        return []
+    if end < size:
+        logger.warning('%s: the last %d bytes are no whole record: they are left out', path,
+                       size - end)
+    return patches
+
+
+def write_journal(path: Path, memory_sha256: str, patches: Iterable[Patch]) -> None:
+    """Write a journal anew, whole or not at all; raises ModelError."""
+    try:
+        with whole_file(path) as partial:
+            partial.write_bytes(_framed(MAGIC + bytes.fromhex(memory_sha256), patches)[0])
+    except OSError as error:
+        raise _cannot_write(path, error) from error
+
+
+class JournalWriter:
+    """
+    Appends to the journal of one memory; what was cut off at its end is taken away first.
+
+    Raises ModelError where it cannot be written, is no journal of this memory, or another process
+    writes it. `full` tells that it has reached its size.
+    """
+
+    def __init__(self, path: Path, memory_sha256: str, most: int) -> None:
+        self.path, self._most = path, most
+        try:
+            self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NONBLOCK, 0o644)
+        except OSError as error:
+            raise _cannot_write(path, error) from error
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            header = MAGIC + bytes.fromhex(memory_sha256)
+            self.patches: list[Patch] = []
+            size = os.fstat(self._file).st_size
+            if size < HEADER_BYTES and header.startswith(os.pread(self._file, size, 0)):
+                os.ftruncate(self._file, 0)  # New, or cut off while it was begun.
+                os.pwrite(self._file, header, 0)
+                self._end, self._check = HEADER_BYTES, zlib.crc32(header)
+            else:
+                self.patches, self._end, _ = _read(path, memory_sha256)
+                self._check = _framed(header, self.patches)[1]
+                os.ftruncate(self._file, self._end)
+        except BlockingIOError:
+            os.close(self._file)
+            raise ModelError(f'{path}: another process learns into this journal; let one node '
+                             'learn, or give each a copy of the model') from None
+        except OSError as error:
+            os.close(self._file)
+            raise _cannot_write(path, error) from error
+        except ModelError as error:
+            os.close(self._file)
+            raise ModelError(f'{error}; neo memory forget deletes it') from None
+
+    @property
+    def full(self) -> bool:
+        """Whether nothing more is taken."""
+        return self._end >= self._most
+
+    def append(self, patches: Iterable[Patch]) -> list[Patch]:
+        """Add patches as far as there is room, and see them to the disk; returns those added."""
+        added = []
+        for patch in patches:
+            content, check = _record(patch, self._check)
+            if self._end + len(content) > self._most:
+                self._most = self._end
+                logger.warning('%s: the journal is full (%d kB), nothing more is learnt; neo '
+                               'memory compact makes room', self.path, self._end >> 10)
+                break
+            os.pwrite(self._file, content, self._end)
+            self._end, self._check = self._end + len(content), check
+            added.append(patch)
+        os.fsync(self._file)
+        return added
+
+    def close(self) -> None:
+        """Let others write; it may be called twice."""
+        if self._file >= 0:
+            os.close(self._file)
+        self._file = -1
+
+
+def _read(path: Path, memory_sha256: str) -> tuple[list[Patch], int, int]:
+    """Return patches, the end of the last whole record, and the size; raises ModelError."""
+    content = read_model_bytes(path, 'journal')
+    header = MAGIC + bytes.fromhex(memory_sha256)
+    if not content.startswith(MAGIC):
+        raise ModelError(f'{path}: expected a journal, got something else')
+    if content[:HEADER_BYTES] != header:
+        raise ModelError(f'{path}: expected the journal of the memory with sha256 '
+                         f'{memory_sha256}, got one of another memory')
+    patches: list[Patch] = []
+    end, check, pixels = HEADER_BYTES, zlib.crc32(header), 0
+    while end + _RECORD.size <= min(len(content), MOST_BYTES):
+        size, expected = _RECORD.unpack_from(content, end)
+        body = content[end + _RECORD.size:end + _RECORD.size + size]
+        if len(body) < size or zlib.crc32(body, check) != expected:
+            break
+        try:
+            patch = Patch.from_bytes(body)
+            pixels += patch.camera.width * patch.camera.height
+            if pixels > MOST_PIXELS:
+                break
+            patch.pictures  # Decoded once, and kept.
+        except BROKEN:
+            break
+        patches.append(patch)
+        end, check = end + _RECORD.size + size, expected
+    return patches, end, len(content)
+
+
+def _record(patch: Patch, check: int) -> tuple[bytes, int]:
+    body = patch.to_bytes()
+    check = zlib.crc32(body, check)
+    return _RECORD.pack(len(body), check) + body, check
+
+
+def _framed(header: bytes, patches: Iterable[Patch]) -> tuple[bytes, int]:
+    """Return the bytes of a whole journal, and the checksum that goes on from it."""
+    parts, check = [header], zlib.crc32(header)
+    for patch in patches:
+        content, check = _record(patch, check)
+        parts.append(content)
+    return b''.join(parts), check
+
+
+def _cannot_write(path: Path, error: OSError) -> ModelError:
+    return ModelError(f'{path}: cannot write the journal: {error.strerror}; copy model and memory '
+                      'to a folder that can be written')

@@ -1,0 +1,219 @@
+"""Learn while driving what has changed: images that contradict the memory become patches."""
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from dataclasses import dataclass
+import logging
+import os
+import threading
+import time
+from typing import Literal, NamedTuple, TYPE_CHECKING
+
+import cv2
+from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
+from neo_ros.geometry.camera_pose import rotation_angle
+from neo_ros.memory.changes import Changes
+from neo_ros.memory.contradiction import contradicted, contradiction, ContradictionThresholds
+from neo_ros.memory.journal import JournalWriter
+from neo_ros.memory.patch import Patch
+from neo_ros.memory.stereo import confirm, find_depth, Shot, StereoThresholds
+import numpy as np
+
+if TYPE_CHECKING:
+    from neo_ros.memory.scene_memory import SceneMemory
+
+logger = logging.getLogger(__name__)
+# Beside the images, which does not hold them up, or at once, which gives the same every time.
+Learn = Literal['never', 'beside', 'at once']
+
+
+@dataclass(frozen=True)
+class LearningThresholds:
+    """Which images are learnt from, and when."""
+
+    # They are at most so wide, pixels: as textures of a keyframe, hardly finer.
+    widest: int = 256
+    # One is kept if the camera has moved so far since the one before, metres or radians.
+    metres: float = 0.04
+    radians: float = 0.05
+    # Each time that there are so many new ones they are looked at, together with those before.
+    batch: int = 36
+    window: int = 108
+    # Images of which more than this share contradicts are of a pose that is wrong.
+    most_contradicted: float = 0.5
+    least_agreement: float = 0.7
+    # Pixels that a patch has at least.
+    least_pixels: int = 24
+    # Nanoseconds after which another visit begins: images of before say nothing about now.
+    pause_ns: int = 600 * 10 ** 9
+    contradiction: ContradictionThresholds = ContradictionThresholds()
+    stereo: StereoThresholds = StereoThresholds()
+
+
+class Learnt(NamedTuple):
+    """Patches that were found, and the changes of the memory with them."""
+
+    patches: list[Patch]
+    changes: Changes
+
+
+class Learner:
+    """
+    Follows the images of one camera, and changes the memory that they contradict.
+
+    Beside the images: on a thread of low priority, and what comes while it works waits; else at
+    once, which holds the images up, and gives the same result for the same images.
+    """
+
+    def __init__(self, memory: 'SceneMemory', expansion: ViewExpansion,
+                 open_journal: Callable[[], JournalWriter], beside: bool,
+                 thresholds: LearningThresholds = LearningThresholds()) -> None:
+        self.thresholds = thresholds
+        self._memory, self._open_journal, self._beside = memory, open_journal, beside
+        # Opened when there is something to write: who had it before may still hold it.
+        self._journal: JournalWriter | None = None
+        self._closed = threading.Event()
+        self._observed = expansion.observed
+        source = expansion.source
+        self._camera = source.scaled(min(1.0, thresholds.widest / source.width))
+        self._rays = self._camera.pixel_rays()
+        self._shots: list[Shot] = []
+        self._depths: dict[Shot, np.ndarray] = {}
+        self._new = 0
+        self._changes = memory.changes or Changes(())
+        self._batch = 1 + max((patch.batch for patch in self._changes.patches), default=-1)
+        self._pending: Future[Learnt] | None = None
+
+    def see(self, image: np.ndarray, shown: np.ndarray, depth: np.ndarray, pose: CameraPose,
+            gain: np.ndarray, agreement: float) -> None:
+        """
+        Take in an image uint8 RGB (h, w, 3) and its wide view of the memory.
+
+        shown float32 RGB (H, W, 3), in the image's exposure, which is the memory's times gain
+        (3,); depth float32 (H, W) metres, 0 = unknown. Nothing of it is kept.
+        """
+        self._take_up()
+        limits = self.thresholds
+        now = time.time_ns()
+        if agreement < limits.least_agreement or (
+                self._shots and not self._moved(pose, self._shots[-1].pose)):
+            return
+        shot = self._shot(image, shown[self._observed], depth[self._observed], pose, gain, now)
+        if shot.contradicted.mean() > limits.most_contradicted:
+            return
+        if self._shots and now - self._shots[-1].stamp_ns > limits.pause_ns:
+            self._shots, self._new = [], 0
+        self._shots = [*self._shots, shot][-limits.window:]
+        self._new += 1
+        if self._new >= limits.batch:
+            self._begin()
+
+    def finish(self) -> None:
+        """Look at what is left, wait for it, and let others write the journal."""
+        self._take_up(wait=True)
+        if self._new:
+            self._begin()
+            self._take_up(wait=True)
+        self.close()
+
+    def close(self) -> None:
+        """Let others write the journal; what was not looked at yet is forgotten."""
+        self._closed.set()
+        if self._pending is None and self._journal is not None:
+            self._journal.close()
+
+    def _moved(self, pose: CameraPose, other: CameraPose) -> bool:
+        T = other.inverse() @ pose.T_world_cam
+        return bool(np.linalg.norm(T[:3, 3]) > self.thresholds.metres
+                    or rotation_angle(T[:3, :3]) > self.thresholds.radians)
+
+    def _shot(self, image: np.ndarray, shown: np.ndarray, depth: np.ndarray, pose: CameraPose,
+              gain: np.ndarray, stamp_ns: int) -> Shot:
+        size = (self._camera.width, self._camera.height)
+        if size != image.shape[1::-1]:
+            image, shown = (cv2.resize(one, size, interpolation=cv2.INTER_AREA)
+                            for one in (image, shown))
+            depth = cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST_EXACT)
+        now, before = image.astype(np.float32) / gain, shown / gain
+        limits = self.thresholds.contradiction
+        score = contradiction(now, before, depth > 0, limits)
+        return Shot(pose, now, before, np.array(depth), contradicted(score, limits), score,
+                    stamp_ns)
+
+    def _begin(self) -> None:
+        """Have the new images looked at; while the last ones are looked at, they wait."""
+        if self._pending is not None:
+            return
+        shots, new, self._new = self._shots, min(self._new, len(self._shots)), 0
+        if not any(shot.contradicted.any() for shot in shots[-new:]):
+            return
+        self._pending = Future()
+        work = (self._pending, shots, new, self._changes, self._batch)
+        self._batch += 1
+        if self._beside:
+            # A daemon: what it has not written yet is lost with the process, and no more.
+            threading.Thread(target=self._work, args=work, name='learn', daemon=True).start()
+        else:
+            self._work(*work)
+
+    def _work(self, pending: 'Future[Learnt]', shots: Sequence[Shot], new: int,
+              changes: Changes, batch: int) -> None:
+        if self._beside and hasattr(os, 'setpriority'):
+            # On Linux a thread has a priority of its own.
+            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 19)
+        try:
+            patches = find_patches(shots, new, self._camera, self._rays, batch, self._depths,
+                                   self.thresholds)
+            if self._journal is None:
+                self._journal = self._open_journal()
+            patches = self._journal.append(patches)
+            pending.set_result(Learnt(patches, changes.with_more(patches)))
+        except Exception as error:
+            pending.set_exception(error)
+        if self._closed.is_set() and self._journal is not None:
+            self._journal.close()
+
+    def _take_up(self, wait: bool = False) -> None:
+        """Let the memory show what was found meanwhile."""
+        if self._pending is None or not (wait or self._pending.done()):
+            return
+        pending, self._pending = self._pending, None
+        try:
+            learnt = pending.result()
+        except Exception as error:  # A full disk must not end the camera.
+            logger.warning('learning: %s: %s', type(error).__name__, error)
+            return
+        if learnt.patches:
+            self._changes = learnt.changes
+            self._memory.change(learnt.changes)
+
+
+def find_patches(shots: Sequence[Shot], new: int, camera: Intrinsics, rays: np.ndarray,
+                 batch: int, known: dict[Shot, np.ndarray],
+                 thresholds: LearningThresholds = LearningThresholds()) -> list[Patch]:
+    """
+    Return what the last `new` images show of changes that others confirm, the oldest first.
+
+    known: depths of earlier images; what is found now is added, what is not asked for taken out.
+    """
+    limits = thresholds.stereo
+    for shot in set(known).difference(shots):
+        del known[shot]
+    for index, shot in enumerate(shots):
+        if shot not in known:
+            depth, error = find_depth(shots, index, camera, rays, limits)
+            known[shot] = np.where(error < limits.most_error, depth, 0)
+    stacked = np.stack([known[shot] for shot in shots])
+    patches = []
+    for index in range(len(shots) - new, len(shots)):
+        depth = confirm(shots, index, stacked, camera, rays, limits)
+        if (depth > 0).sum() < thresholds.least_pixels:
+            continue
+        rows, columns = (np.flatnonzero(depth.any(axis)) for axis in (1, 0))
+        top, left = int(rows[0]), int(columns[0])
+        height, width = int(rows[-1]) + 1 - top, int(columns[-1]) + 1 - left
+        part = (slice(top, top + height), slice(left, left + width))
+        patches.append(Patch.of(
+            shots[index].pose, camera.cropped(left, top, width, height),
+            np.clip(shots[index].image[part] + 0.5, 0, 255).astype(np.uint8), depth[part],
+            shots[index].stamp_ns, batch))
+    return patches

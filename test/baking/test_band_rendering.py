@@ -1,0 +1,64 @@
+"""A panorama with few rays shows what one with a ray a pixel shows."""
+from typing import Any
+
+from neo_ros.baking.band_rendering import render_band
+from neo_ros.geometry import Band
+import numpy as np
+import pytest
+
+BAND = Band(top=0.6, bottom=-0.6, low=0.0, width=2 * np.pi)
+POSITION = np.array([0.3, -0.2, 0.1], np.float32)
+
+
+class Room:
+    """A box room with a thin pole in it; counts the rays."""
+
+    def __init__(self, has_sky: bool = False) -> None:
+        self.has_sky, self.rays = has_sky, 0
+
+    def render(self, origins: np.ndarray, directions: np.ndarray, background: Any) -> np.ndarray:
+        self.rays += len(directions)
+        with np.errstate(divide='ignore'):
+            away = np.where(directions > 0, (2 - origins) / directions,
+                            (-2 - origins) / directions)
+        depth = away.min(1)
+        across = origins[:, :2] - [1.0, 0.5]
+        along = directions[:, :2]
+        a, b = (along ** 2).sum(1), (across * along).sum(1)
+        root = b ** 2 - a * ((across ** 2).sum(1) - 0.03 ** 2)
+        pole = (-b - np.sqrt(np.maximum(root, 0))) / a
+        hit = (root > 0) & (pole > 0) & (pole < depth)
+        out = np.empty((len(depth), 6), np.float32)
+        out[:, 3], out[:, 4] = np.where(hit, pole, depth), 1.0
+        out[:, :3] = np.where(hit[:, None], 0.0, np.abs(directions))
+        out[:, 5] = 1.0
+        sky = self.has_sky & (directions[:, 2] > 0.3)
+        out[sky, 4:] = 0.0
+        return out
+
+
+def drawn(room: Any, block: int) -> tuple[np.ndarray, np.ndarray]:
+    rays = BAND.rays(240, 1260)
+    return render_band(room, POSITION, rays, block, BAND.wraps, 0.1, 0.5)
+
+
+@pytest.mark.parametrize('block', [2, 3])
+@pytest.mark.parametrize('has_sky', [False, True])
+def test_few_rays_show_what_all_show(block: int, has_sky: bool) -> None:
+    few, every = Room(has_sky), Room(has_sky)
+    depth, colours = drawn(few, block)
+    true_depth, true_colours = drawn(every, 1)
+    assert few.rays < 0.55 * every.rays
+    known = true_depth > 0
+    assert np.array_equal(depth > 0, known)
+    assert np.abs(depth / np.where(known, true_depth, 1) - 1)[known].max() < 0.011  # In corners.
+    assert np.abs(colours - true_colours)[known].max() < 0.01
+    assert has_sky == (not known.all())
+
+
+def test_the_pole_is_as_sharp_as_with_all_rays() -> None:
+    depth, _ = drawn(Room(), 3)
+    true, _ = drawn(Room(), 1)
+    pole = true < 1.1
+    assert pole.sum() > 2000
+    assert np.abs(depth - true)[pole].max() < 0.002

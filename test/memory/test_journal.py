@@ -1,0 +1,162 @@
+"""The journal of a memory: whole records only, of this memory alone, whatever the file holds."""
+from pathlib import Path
+import struct
+import zlib
+
+from hypothesis import given, settings, strategies as st
+from neo_ros.errors import ModelError
+from neo_ros.geometry import CameraPose, Intrinsics
+from neo_ros.memory.journal import (
+    HEADER_BYTES, JournalWriter, MAGIC, most_bytes, read_journal, write_journal)
+from neo_ros.memory.patch import Patch
+import numpy as np
+import pytest
+
+MEMORY, OTHER = 'ab' * 32, 'cd' * 32
+CAMERA = Intrinsics(20, 12, 16.0, 16.0, 10.0, 6.0)
+
+
+def patch(number: int, batch: int = 0) -> Patch:
+    random = np.random.default_rng(number)
+    image = np.full((12, 20, 3), random.integers(30, 220), np.uint8)
+    depth = np.where(random.random((12, 20)) < 0.7, 2.0 + number, 0).astype(np.float32)
+    return Patch.of(CameraPose.from_planar(number, 1, 1.5, 0.3), CAMERA, image, depth, number,
+                    batch)
+
+
+PATCHES = [patch(number) for number in range(4)]
+
+
+def written(path: Path, patches: list[Patch]) -> list[Patch]:
+    writer = JournalWriter(path, MEMORY, 1 << 20)
+    try:
+        assert writer.append(patches) == patches
+        return writer.patches
+    finally:
+        writer.close()
+
+
+def stamps(path: Path, memory: str = MEMORY) -> list[int]:
+    return [one.stamp_ns for one in read_journal(path, memory)]
+
+
+def test_what_is_appended_is_read_again(tmp_path: Path) -> None:
+    path = tmp_path / 'a.journal'
+    assert read_journal(path, MEMORY) == []
+    assert written(path, PATCHES[:2]) == []
+    assert [one.stamp_ns for one in written(path, PATCHES[2:])] == [0, 1]
+    found = read_journal(path, MEMORY)
+    assert [one.stamp_ns for one in found] == [0, 1, 2, 3]
+    image, depth = found[3].pictures
+    assert np.abs(image.astype(int) - PATCHES[3].pictures[0]).max() < 3
+    np.testing.assert_allclose(depth[depth > 0], 5.0, rtol=0.02)
+    assert found[3].camera == CAMERA
+    np.testing.assert_array_equal(found[3].pose.T_world_cam, PATCHES[3].pose.T_world_cam)
+
+
+@settings(max_examples=40, deadline=None)
+@given(share=st.floats(0, 1))
+def test_cut_anywhere_it_holds_the_whole_records(tmp_path_factory: pytest.TempPathFactory,
+                                                 share: float) -> None:
+    path = tmp_path_factory.mktemp('cut') / 'a.journal'
+    ends = [HEADER_BYTES]
+    for one in PATCHES:
+        written(path, [one])
+        ends.append(path.stat().st_size)
+    content = path.read_bytes()
+    path.write_bytes(content[:max(int(share * len(content)), 1)])
+    whole = sum(end <= path.stat().st_size for end in ends[1:])
+    assert stamps(path) == list(range(whole))
+    # What is learnt next stands behind the last whole record.
+    written(path, [patch(9)])
+    assert stamps(path) == [*range(whole), 9]
+
+
+@pytest.mark.parametrize('at', [HEADER_BYTES + 2, HEADER_BYTES + 40, -5])
+def test_a_flipped_bit_ends_it(tmp_path: Path, at: int) -> None:
+    path = tmp_path / 'a.journal'
+    written(path, PATCHES)
+    content = bytearray(path.read_bytes())
+    content[at] ^= 16
+    path.write_bytes(content)
+    assert stamps(path) == ([] if at > 0 else [0, 1, 2])
+
+
+def test_a_record_that_was_put_elsewhere_ends_it(tmp_path: Path) -> None:
+    path = tmp_path / 'a.journal'
+    ends = [HEADER_BYTES]
+    for one in PATCHES:
+        written(path, [one])
+        ends.append(path.stat().st_size)
+    content = path.read_bytes()
+    path.write_bytes(content[:ends[1]] + content[ends[2]:])
+    assert stamps(path) == [0]
+
+
+def hostile(tmp_path: Path, body: bytes) -> Path:
+    """Write a journal with right checksums around any content."""
+    header = MAGIC + bytes.fromhex(MEMORY)
+    path = tmp_path / 'h.journal'
+    path.write_bytes(header + struct.pack(
+        '<2I', len(body), zlib.crc32(body, zlib.crc32(header))) + body)
+    return path
+
+
+def test_right_checksums_do_not_make_nonsense_right(tmp_path: Path) -> None:
+    good = PATCHES[0].to_bytes()
+    assert len(read_journal(hostile(tmp_path, good), MEMORY)) == 1
+    pose = 12  # Behind stamp and batch.
+    broken = {
+        'short': good[:50], 'long': good + b'x',
+        'pose': good[:pose] + struct.pack('<d', np.nan) + good[pose + 8:],
+        'size': good[:pose + 96] + struct.pack('<H', 4000) + good[pose + 98:],
+        'focal length': good[:pose + 100] + struct.pack('<d', -1) + good[pose + 108:],
+        'image': good.replace(PATCHES[0].texture, b'\xff\xd8' + bytes(
+            len(PATCHES[0].texture) - 2)),
+        'depth': good.replace(PATCHES[0].depths[40:60], bytes(20))}
+    for name, body in broken.items():
+        assert read_journal(hostile(tmp_path, body), MEMORY) == [], name
+
+
+def test_another_memorys_is_left_aside(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = tmp_path / 'a.journal'
+    written(path, PATCHES)
+    assert stamps(path, OTHER) == [] and 'another memory' in caplog.text
+    with pytest.raises(ModelError, match='another memory.*neo memory forget'):
+        JournalWriter(path, OTHER, 1 << 20)
+    assert len(stamps(path)) == 4
+    path.write_bytes(b'something else')
+    assert stamps(path) == []
+    path.unlink()
+    path.mkdir()
+    assert stamps(path) == []
+
+
+def test_it_is_bounded(tmp_path: Path) -> None:
+    path = tmp_path / 'a.journal'
+    size = len(PATCHES[0].to_bytes()) + 8
+    writer = JournalWriter(path, MEMORY, HEADER_BYTES + int(2.5 * size))
+    assert writer.append(PATCHES) == PATCHES[:2] and writer.full
+    assert writer.append(PATCHES) == []
+    writer.close()
+    assert stamps(path) == [0, 1]
+    assert most_bytes(14 << 20) == int(0.2 * (14 << 20)) and most_bytes(1 << 40) == 64 << 20
+
+
+def test_one_process_learns_at_a_time(tmp_path: Path) -> None:
+    path = tmp_path / 'a.journal'
+    writer = JournalWriter(path, MEMORY, 1 << 20)
+    with pytest.raises(ModelError, match='another process'):
+        JournalWriter(path, MEMORY, 1 << 20)
+    writer.close()
+    writer.close()
+    JournalWriter(path, MEMORY, 1 << 20).close()
+
+
+def test_written_anew_it_is_whole(tmp_path: Path) -> None:
+    path = tmp_path / 'a.journal'
+    written(path, PATCHES)
+    write_journal(path, MEMORY, PATCHES[1:3])
+    assert stamps(path) == [1, 2]
+    written(path, [patch(7)])
+    assert stamps(path) == [1, 2, 7]

@@ -1,0 +1,177 @@
+"""What a camera shows consistently becomes part of the memory; what moves while it is seen not."""
+from collections.abc import Callable
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import time
+
+from box_room import box_memory, EXPANSION, planar, SOURCE, view, write_box_model
+from neo_ros.cli.main import app
+from neo_ros.geometry import CameraPose, Intrinsics
+from neo_ros.memory.changes import Changes, without_replaced
+from neo_ros.memory.journal import journal_path, JournalWriter, read_journal
+from neo_ros.memory.learning import Learner, LearningThresholds
+from neo_ros.memory.patch import Patch
+from neo_ros.memory.rendering import MemoryRenderer
+from neo_ros.memory.scene_memory import SceneMemory
+from neo_ros.runtime import FovExtrapolator, read_model_card
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+WALL = 3.6  # metres along x, where a board stands that the memory does not know
+DRIVE = [planar(1.5 + 0.02 * step, 1.2 + 0.04 * step, 8) for step in range(20)]
+Where = Callable[[int], float]
+
+
+def with_board(pose: CameraPose, camera: Intrinsics, middle: float = 1.8
+               ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return image, depth, and where the board is: bool (H, W)."""
+    image, depth = view(pose, camera)
+    image, rays = image.copy(), camera.pixel_rays() @ pose.T_world_cam[:3, :3].T
+    with np.errstate(divide='ignore'):
+        z = (WALL - pose.position[0]) / rays[..., 0]
+    point = pose.position + rays * z[..., None]
+    board = ((z > 0) & (z < depth) & (np.abs(point[..., 1] - middle) < 0.5)
+             & (np.abs(point[..., 2] - 1.3) < 0.5))
+    pattern = 128 + 110 * np.sign(np.sin(17 * point[..., 1]) * np.sin(15 * point[..., 2] + 1))
+    image[board] = np.stack([pattern, 255 - pattern, np.full_like(pattern, 40)], -1)[board]
+    return image, np.where(board, z, depth).astype(np.float32), board
+
+
+def learnt(folder: Path, where: Where) -> tuple[SceneMemory, Path]:
+    """Drive past a board whose middle a frame's number tells; return memory and journal."""
+    memory, journal = box_memory(), folder / 'a.journal'
+    learner = Learner(memory, EXPANSION, lambda: JournalWriter(journal, 'ab' * 32, 1 << 20),
+                      False, LearningThresholds(batch=10, window=20, metres=0.01))
+    renderer = MemoryRenderer(memory)
+    for number, pose in enumerate(DRIVE):
+        shown = renderer.render(pose, EXPANSION.target)
+        learner.see(with_board(pose, SOURCE, where(number))[0], shown.image, shown.depth, pose,
+                    np.ones(3, np.float32), 0.9)
+    learner.finish()
+    return memory, journal
+
+
+def error(memory: SceneMemory, middle: float = 1.8) -> tuple[float, float]:
+    """Return the mean error of the board and of the rest, from a pose beside the drive."""
+    pose = planar(1.8, 1.7, 12)
+    truth, _, board = with_board(pose, EXPANSION.target, middle)
+    off = np.abs(MemoryRenderer(memory).render(pose, EXPANSION.target).image - truth).mean(-1)
+    return float(off[board].mean()), float(off[~board].mean())
+
+
+def true_patch(pose: CameraPose, batch: int = 0) -> Patch:
+    image, depth, board = with_board(pose, SOURCE)
+    return Patch.of(pose, SOURCE, image, np.where(board, depth, 0), 0, batch)
+
+
+def test_a_patch_changes_its_surface_and_nothing_else() -> None:
+    memory = box_memory()
+    before, rest = error(memory)
+    memory.change(Changes([true_patch(DRIVE[10])]))
+    after, rest_after = error(memory)
+    assert before > 60 and after < 0.5 * before and rest_after < rest + 0.5
+    # Seen through later, it is gone.
+    empty = DRIVE[12]
+    image, depth = view(empty, SOURCE)
+    memory.change(Changes([true_patch(DRIVE[10]), Patch.of(
+        empty, SOURCE, image, depth.astype(np.float32), 1, 1)]))
+    assert error(memory)[0] > 0.9 * before
+    memory.change(None)
+    assert error(memory) == (before, rest)
+
+
+def test_what_stays_is_learnt(tmp_path: Path) -> None:
+    before, rest = error(box_memory())
+    memory, journal = learnt(tmp_path, lambda number: 1.8)
+    after, rest_after = error(memory)
+    assert after < 0.65 * before and rest_after < rest + 1
+    again = box_memory()
+    again.change(Changes(read_journal(journal, 'ab' * 32)))
+    assert error(again) == pytest.approx((after, rest_after), abs=0.3)
+
+
+def test_what_moves_is_not_learnt(tmp_path: Path) -> None:
+    before, rest = error(box_memory())
+    memory, _ = learnt(tmp_path, lambda number: 0.4 + 0.15 * number)
+    after, rest_after = error(memory)
+    assert after > 0.8 * before and rest_after < rest + 1
+
+
+def test_what_agrees_teaches_nothing(tmp_path: Path) -> None:
+    memory, journal = learnt(tmp_path, lambda number: 99)
+    assert memory.changes is None and not journal.exists()
+
+
+def test_what_later_visits_saw_is_left_out() -> None:
+    first, second, same = true_patch(DRIVE[10]), true_patch(DRIVE[10], 1), true_patch(DRIVE[11], 1)
+    assert without_replaced([first, second, same]) == [second, same]
+    assert without_replaced([second, same]) == [second, same]
+
+
+def checksum(model: Path) -> str:
+    memory = read_model_card(model).memory
+    assert memory is not None
+    return memory.sha256
+
+
+def test_the_command_tells_compacts_and_forgets(tmp_path: Path) -> None:
+    model = write_box_model(tmp_path)
+    sha256 = checksum(model)
+    journal = journal_path(tmp_path / 'box.memory')
+    run = CliRunner().invoke
+    assert 'nothing was learnt' in run(app, ['memory', 'info', str(model)]).output
+    writer = JournalWriter(journal, sha256, 1 << 20)
+    writer.append([true_patch(DRIVE[10]), true_patch(DRIVE[10], 1)])
+    writer.close()
+    assert '2, of 2 times' in run(app, ['memory', 'info', str(model)]).output
+    assert '1 of 2 patches kept' in run(app, ['memory', 'compact', str(model)]).output.replace(
+        '\n', ' ')
+    assert len(read_journal(journal, sha256)) == 1
+    assert run(app, ['memory', 'forget', str(model)]).exit_code == 0 and not journal.exists()
+
+
+def test_a_model_shows_what_its_journal_holds(tmp_path: Path) -> None:
+    model = write_box_model(tmp_path)
+    pose = planar(1.8, 1.7, 12)
+    image, _, board = with_board(pose, EXPANSION.target)
+    seen = np.ascontiguousarray(EXPANSION.crop(image))
+    untaught = FovExtrapolator.load(model).expand(seen).guide
+    writer = JournalWriter(journal_path(tmp_path / 'box.memory'), checksum(model), 1 << 20)
+    writer.append([true_patch(one) for one in DRIVE[6:14]])
+    writer.close()
+    taught = FovExtrapolator.load(model).expand(seen).guide
+    assert untaught is not None and taught is not None
+    off = [np.abs(one.image[board] - image[board]).mean() for one in (untaught, taught)]
+    assert off[1] < 0.5 * off[0]
+
+
+def kill_once(folder: Path, after: float) -> int:
+    """Kill a process that appends patches after so many seconds; return how many are whole."""
+    journal = folder / 'k.journal'
+    code = ('import sys; sys.path[:0] = ["test/memory", "test/helpers"]\n'
+            'from test_journal import JournalWriter, MEMORY, patch\nfrom pathlib import Path\n'
+            f'writer = JournalWriter(Path({str(journal)!r}), MEMORY, 1 << 30)\n'
+            'patches = [patch(n) for n in range(50)]\nprint(flush=True)\n'
+            'while True:\n    writer.append(patches)\n')
+    process = subprocess.Popen([sys.executable, '-c', code], stdout=subprocess.PIPE)
+    assert process.stdout and process.stdout.readline()
+    time.sleep(after)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    process.stdout.close()
+    found = read_journal(journal, 'ab' * 32)
+    # Whatever was cut off, the next process goes on behind the last whole record.
+    writer = JournalWriter(journal, 'ab' * 32, 1 << 30)
+    assert len(writer.patches) == len(found) and len(writer.append([true_patch(DRIVE[0])])) == 1
+    writer.close()
+    assert len(read_journal(journal, 'ab' * 32)) == len(found) + 1
+    journal.unlink()
+    return len(found)
+
+
+@pytest.mark.parametrize('after', [0.0, 0.003, 0.02, 0.05])
+def test_killed_at_any_moment_it_holds_whole_patches(tmp_path: Path, after: float) -> None:
+    assert kill_once(tmp_path, after) >= 0
