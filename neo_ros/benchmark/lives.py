@@ -155,6 +155,7 @@ def measure(frames: Path, visits: int, driven: int) -> list[dict[str, Any]]:
             drive(model, Walks(path.images[:driven], path.T[:driven], path.walk[:driven]))
             none, as_trained = score(untaught, test, before)
             learnt, taught = score(model, test, before)
+            learnt['contradiction_auroc'] = None  # What was learnt contradicts no more.
             for mode, scores in (('none', none), ('learn', learnt)):
                 kept = journal.stat().st_size if mode == 'learn' and journal.exists() else 0
                 rows.append({

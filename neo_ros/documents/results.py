@@ -149,7 +149,7 @@ TABLES: dict[str, Rows] = {
                            lambda row: row['depth_error_median'] is not None),
     'predicted_looks': Rows('predicted_looks', LOOKS),
     'imports': Rows('imports', IMPORTS), 'building': Rows('building', BUILDING),
-    'minutes': Rows('minutes', MINUTES),
+    'lives': Rows('lives', LIVES), 'minutes': Rows('minutes', MINUTES),
     'hard_times': Rows('hard_times', HARD), 'out_of_scene': Rows('out_of_scene', OUTSIDE),
 }
 # Over all scenes of a suite: the key of a row, its format and a factor.

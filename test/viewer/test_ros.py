@@ -2,7 +2,6 @@
 from array import array
 import asyncio
 import json
-import struct
 import time
 
 import aiohttp
@@ -15,6 +14,7 @@ import pytest
 from ros_graph import ros_graph, WAIT_S
 from sensor_msgs.msg import CompressedImage, Image
 from tiny_model import TINY_EXPANSION, write_tiny_model
+from viewer_server import split
 
 SOURCE, TARGET = TINY_EXPANSION.source, TINY_EXPANSION.target
 PORT_ARGUMENTS = ('--ros-args', '-r', '__ns:=/robot', '-p', 'port:=0')
@@ -58,11 +58,9 @@ class Watcher:
                 content = json.loads(message.data)
                 self.status = content if content['type'] == 'status' else self.status
                 continue
-            first, second = struct.unpack_from('<II', message.data)
-            meta = json.loads(message.data[8:8 + first])
+            meta, *pictures = split(message.data)
             meta['age_ms'] = 1e3 * time.monotonic() - meta['captured']
-            body = message.data[8 + first:]
-            self.pictures.append((meta, body[:second], body[second:]))
+            self.pictures.append((meta, *pictures))
             await self.socket.send_str(json.dumps({'shown': meta['seq']}))
 
     def send(self, message):

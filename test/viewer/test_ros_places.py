@@ -1,7 +1,6 @@
 """Where the camera is, from a ROS graph, and what the map and looks make of it."""
 import asyncio
 import json
-import struct
 
 import aiohttp
 from box_room import EXPANSION, planar, view, write_box_model
@@ -12,6 +11,7 @@ import numpy as np
 from ros_graph import ros_graph, WAIT_S
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
+from viewer_server import split
 
 HERE = planar(1.9, 1.7, 30)
 LOOK = {'yaw': 2.0, 'pitch': 0.0, 'hfov': 1.2, 'width': 160, 'height': 120}
@@ -37,8 +37,7 @@ async def look(url, send):
                     place = json.loads(message.data)
                     await around.send_json({'got': place['seq'], 'look': LOOK})
                     continue
-                length, = struct.unpack_from('<I', message.data)
-                return plan, place, json.loads(message.data[8:8 + length])
+                return plan, place, split(message.data)[0]
     raise AssertionError('no look came')
 
 
