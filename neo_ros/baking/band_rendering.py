@@ -14,10 +14,12 @@ import numpy as np
 
 def render_band(field: RadianceField, position: np.ndarray, rays: np.ndarray, block: int,
                 wraps: bool, one_surface: float, least_coverage: float
-                ) -> tuple[np.ndarray, np.ndarray]:
+                ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
-    Return depth float32 (h, w), metres along the ray, 0 = unknown, and colours float32 (h, w, 3).
+    Return depth float32 (h, w), metres along the ray, 0 = unknown, colours float32 (h, w, 3).
 
+    And bool (h, w), which pixels had a ray of their own: those where depth leaps, and the
+    `block_centres`.
     rays (h, w, 3), whole blocks of `block` squared pixels; wraps: the last column is a neighbour
     of the first; one_surface: depths that differ by less than this share are of one surface;
     least_coverage: of a pixel, for its depth to be known.
@@ -27,17 +29,22 @@ def render_band(field: RadianceField, position: np.ndarray, rays: np.ndarray, bl
         known = found.coverage > least_coverage
         return np.where(known, found.depth, 0).astype(np.float32), found.image
 
-    first = block // 2
-    few_depths, few_colours = cast(rays[first::block, first::block])
+    few_depths, few_colours = cast(block_centres(rays, block))
     if block == 1:
-        return few_depths, few_colours
+        return few_depths, few_colours, np.ones(rays.shape[:2], np.bool_)
     depth = np.empty(rays.shape[:2], np.float32)
     colours = np.empty(rays.shape, np.float32)
     rough = np.empty(rays.shape[:2], np.bool_)
     _interpolate(few_depths, few_colours, _smooth(few_depths, wraps, one_surface), block, wraps,
                  depth, colours, rough)
     depth[rough], colours[rough] = cast(rays[rough])
-    return depth, colours
+    block_centres(rough, block)[:] = True
+    return depth, colours, rough
+
+
+def block_centres(pixels: np.ndarray, block: int) -> np.ndarray:
+    """Return a view of the pixel in the middle of each block, (h / block, w / block, ...)."""
+    return pixels[block // 2::block, block // 2::block]
 
 
 def _smooth(depths: np.ndarray, wraps: bool, one_surface: float) -> np.ndarray:

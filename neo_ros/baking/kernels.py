@@ -2,6 +2,7 @@
 import math
 from typing import NamedTuple
 
+from neo_ros.baking.band_rendering import block_centres
 from neo_ros.field.kernels import FAST
 from neo_ros.machine.compiled import njit
 from numba import prange
@@ -98,12 +99,12 @@ def _sees(depth, u, v, length, coarser):
 
 
 @njit(parallel=True, **FAST)
-def choose_photos(panorama, posed, which, cost):
+def choose_photos(panorama, posed, own, which, cost):
     """
-    Choose, for every pixel of a panorama, the photos that see its point most nearly alike.
+    Choose, for every own pixel of a panorama, the photos that see its point most nearly alike.
 
-    Takes PanoramaPixels and PhotoArrays; fills which int32 (h, w, BLENDED), -1 = none, and cost
-    float64 of that shape, radians, the least first.
+    Takes PanoramaPixels, PhotoArrays and own bool (h, w); fills which int32 (h, w, BLENDED),
+    -1 = none, and cost float64 of that shape, radians, the least first; others have none.
     """
     position, rays, depth, _ = panorama
     photos, photo_depth, rotations, positions, _, fx, fy, cx, cy = posed
@@ -122,7 +123,7 @@ def choose_photos(panorama, posed, which, cost):
             chosen[:] = -1
             score[:] = 1e9
             d = depth[i, j]
-            if d <= 0:
+            if d <= 0 or not own[i, j]:
                 continue
             # Most photos are too far aside: the angle alone, squared, tells with few operations.
             least = SLACK * LEAST_COSINE ** 2
@@ -260,9 +261,20 @@ def blend_photos(panorama, posed, which, cost, wraps, one_surface, out):
 
 
 def colour_from_photos(panorama: PanoramaPixels, posed: PhotoArrays, wraps: bool,
-                       one_surface: float, out: np.ndarray) -> None:
-    """Colour `out`, uint8 (n h, n w, 3), see `choose_photos` and `blend_photos`."""
+                       one_surface: float, out: np.ndarray, own: np.ndarray | None = None,
+                       block: int = 1) -> None:
+    """
+    Colour `out`, uint8 (n h, n w, 3), see `choose_photos` and `blend_photos`.
+
+    own: bool (h, w), pixels that photos are chosen for; others take those of the middle of their
+    block of `block` squared pixels. None: all.
+    """
     which = np.empty((*panorama.depth.shape, BLENDED), np.int32)
     cost = np.empty(which.shape)
-    choose_photos(panorama, posed, which, cost)
+    if own is None:
+        own = np.ones(panorama.depth.shape, np.bool_)
+    choose_photos(panorama, posed, own, which, cost)
+    for chosen in (which, cost):
+        middle = block_centres(chosen, block).repeat(block, 0).repeat(block, 1)
+        np.copyto(chosen, middle, where=~own[..., None])
     blend_photos(panorama, posed, which, cost, wraps, one_surface, out)

@@ -246,8 +246,8 @@ def _bake_keyframe(field: RadianceField, photos: Photos, seen: np.ndarray, gains
     height, width, finer = keyframe_size(band, focal, rules)
     dense = min(finer, rules.dense)
     rays = band.rays(height * dense, width * dense)
-    depth, colours = render_band(field, position, rays, dense, band.wraps, rules.one_surface,
-                                 rules.least_coverage)
+    depth, colours, own = render_band(field, position, rays, dense, band.wraps,
+                                      rules.one_surface, rules.least_coverage)
     texture = np.empty((height * finer, width * finer, 3), np.uint8)
     centres = photos.T_world_cam[:, :3, 3]
     near = np.sort(np.argsort(np.linalg.norm(centres - position, axis=1),
@@ -259,7 +259,7 @@ def _bake_keyframe(field: RadianceField, photos: Photos, seen: np.ndarray, gains
                     np.ascontiguousarray(photos.T_world_cam[near, :3, :3], np.float32),
                     centres[near].astype(np.float32), gains[near],
                     camera.fx, camera.fy, camera.cx, camera.cy),
-        band.wraps, rules.one_surface, texture)
+        band.wraps, rules.one_surface, texture, own, dense)
     return Keyframe(position, mesh_depth(depth, dense, rules.one_surface), texture)
 
 

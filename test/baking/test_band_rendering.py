@@ -1,7 +1,7 @@
 """A panorama with few rays shows what one with a ray a pixel shows."""
 from typing import Any
 
-from neo_ros.baking.band_rendering import render_band
+from neo_ros.baking.band_rendering import block_centres, render_band
 from neo_ros.geometry import Band
 import numpy as np
 import pytest
@@ -37,7 +37,7 @@ class Room:
         return out
 
 
-def drawn(room: Any, block: int) -> tuple[np.ndarray, np.ndarray]:
+def drawn(room: Any, block: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     rays = BAND.rays(240, 1260)
     return render_band(room, POSITION, rays, block, BAND.wraps, 0.1, 0.5)
 
@@ -46,9 +46,10 @@ def drawn(room: Any, block: int) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize('has_sky', [False, True])
 def test_few_rays_show_what_all_show(block: int, has_sky: bool) -> None:
     few, every = Room(has_sky), Room(has_sky)
-    depth, colours = drawn(few, block)
-    true_depth, true_colours = drawn(every, 1)
+    depth, colours, own = drawn(few, block)
+    true_depth, true_colours, _ = drawn(every, 1)
     assert few.rays < 0.55 * every.rays
+    assert own.sum() <= few.rays and block_centres(own, block).all()
     known = true_depth > 0
     assert np.array_equal(depth > 0, known)
     assert np.abs(depth / np.where(known, true_depth, 1) - 1)[known].max() < 0.011  # In corners.
@@ -57,8 +58,8 @@ def test_few_rays_show_what_all_show(block: int, has_sky: bool) -> None:
 
 
 def test_the_pole_is_as_sharp_as_with_all_rays() -> None:
-    depth, _ = drawn(Room(), 3)
-    true, _ = drawn(Room(), 1)
+    depth, _, _ = drawn(Room(), 3)
+    true, _, _ = drawn(Room(), 1)
     pole = true < 1.1
     assert pole.sum() > 2000
     assert np.abs(depth - true)[pole].max() < 0.002

@@ -3,7 +3,7 @@ from pathlib import Path
 
 from box_room import BAND, cast, EXPANSION, HEIGHT, planar, SOURCE, view
 import cv2
-from neo_ros.baking import keyframes
+from neo_ros.baking import band_rendering, keyframes
 from neo_ros.baking.glances import glance_rotations
 from neo_ros.baking.kernels import colour_from_photos, PanoramaPixels, PhotoArrays
 from neo_ros.baking.keyframes import (
@@ -158,8 +158,10 @@ def look(T_world_cam: np.ndarray, camera: Intrinsics) -> np.ndarray:
 def stand_in_field(field: VoxelField, origin: np.ndarray, rays: np.ndarray) -> Rendering:
     """Render like a field with exact depth, poor colours, and no idea of what is far below."""
     assert field.near == 0.5, 'keyframes leave out what views do'
+    if rays.ndim == 2:
+        return Rendering(*(layer[0] for layer in stand_in_field(field, origin, rays[None])))
     colour, depth = cast_with_post(origin, rays)
-    poor = 20.0 * (-1.0) ** np.arange(rays.shape[1])[:, None]
+    poor = 20.0 * (-1.0) ** np.floor(500 * rays[..., :1])
     return Rendering(((colour + poor) / 255).astype(np.float32), depth.astype(np.float32),
                      np.ones(depth.shape, np.float32), (rays[..., 2] > -0.8).astype(np.float32))
 
@@ -180,6 +182,7 @@ def bake_with_post(work: Path, person: bool = False, masked: bool = False) -> Sc
                           (HEIGHT, 0.0))
     field = VoxelField.empty(8, POSITION, np.ones(3), 0.2, 0, near=0.5)
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(band_rendering, 'render_rays', stand_in_field)
         patch.setattr(keyframes, 'render_rays', stand_in_field)
         memory = bake_memory(field, photos, EXPANSION, sampler, MemoryConfig(), 0, work)
     return memory
@@ -218,7 +221,8 @@ def test_a_baked_keyframe_has_the_depths_of_the_scene(baked: SceneMemory) -> Non
     samples = truth.reshape(height, finer, width, finer).swapaxes(1, 2).reshape(
         height, width, finer * finer)
     nearness = np.divide(1, depth, out=np.zeros_like(depth), where=depth > 0)
-    assert (np.abs(nearness[..., None] - 1 / samples).min(-1) < 1e-3).all()
+    off = np.abs(nearness[..., None] - 1 / samples).min(-1)
+    assert np.quantile(off, 0.99) < 1e-3 and off.max() < 0.01  # In corners.
     assert 0.02 < (depth == 0).mean() < 0.2
     # Blocks that an edge of the post cuts in two.
     assert (np.ptp(1 / samples, axis=-1) > 0.5).sum() > 20
