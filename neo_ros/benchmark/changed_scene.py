@@ -13,8 +13,8 @@ from pathlib import Path
 import sys
 
 from neo_ros.evaluation.metrics import auroc, psnr
-from neo_ros.flat.demo_flat import (
-    build_demo_flat, DemoFlat, MOVED_CHAIRS, walking_paths, with_chairs_moved)
+from neo_ros.flat.demo_flat import build_demo_flat, DemoFlat, walking_paths
+from neo_ros.flat.visits import CHAIRS, changed_flat
 from neo_ros.geometry import CameraPose
 from neo_ros.runtime import FovExtrapolator
 import numpy as np
@@ -56,7 +56,7 @@ def score_change(extrapolator: FovExtrapolator, walks: list[list[CameraPose]],
                  rules: ChangeRules = ChangeRules()) -> ChangeScores:
     """Widen the walks before and after the chairs are moved; ValueError where none is crossed."""
     before = build_demo_flat()
-    after = with_chairs_moved(before)
+    after = changed_flat(before, CHAIRS)
     pairs = list(zip(*(_walk(extrapolator, flat, walks, rules.nearest)
                        for flat in (before, after))))
     expansion = extrapolator.expansion
@@ -90,7 +90,7 @@ def score_change(extrapolator: FovExtrapolator, walks: list[list[CameraPose]],
 def _walk(extrapolator: FovExtrapolator, flat: DemoFlat, walks: list[list[CameraPose]],
           nearest: float) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, bool]]:
     """Return truth, wide image, confidence and whether it was guided, of all frames in order."""
-    moved = np.array([np.add(place, by) for place, _, by in MOVED_CHAIRS])
+    moved = np.array([chair.goal for chair in CHAIRS])
     frames = []
     for walk in walks:
         extrapolator.reset()

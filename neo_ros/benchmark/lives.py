@@ -18,8 +18,8 @@ import tempfile
 from typing import Any
 
 from neo_ros.evaluation.metrics import auroc, psnr
-from neo_ros.flat.demo_flat import build_demo_flat, MOVED_CHAIRS, walking_paths
-from neo_ros.flat.visits import changed_flat, PLANT, VISITS
+from neo_ros.flat.demo_flat import build_demo_flat, walking_paths
+from neo_ros.flat.visits import CHAIRS, changed_flat, PLANT, VISITS
 from neo_ros.geometry import CameraPose
 from neo_ros.machine.files import share_dir, write_bytes
 from neo_ros.machine.host import commit, host
@@ -58,8 +58,7 @@ def walks_of(visit: int, seed: int, count: int, camera: Any, folder: Path) -> Wa
     path = folder / f'frames_{visit}_{seed}.npz'
     if not path.exists():
         flat, paths = build_demo_flat(), []
-        off = np.array([*(np.add(place, by) for place, _, by in MOVED_CHAIRS),
-                        np.add(PLANT.place, PLANT.by[:2])])
+        off = np.array([one.goal for one in (*CHAIRS, PLANT)])
         for number, walk in enumerate(walking_paths(flat, count, 25, seed)):
             paths += [(number, pose) for pose in walk if np.linalg.norm(
                 off - pose.position[:2], axis=1).min() >= RULES.nearest]

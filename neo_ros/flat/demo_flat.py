@@ -1,5 +1,5 @@
 """The built-in demo scene: a small furnished flat, cast exactly at any pose and field of view."""
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 from neo_ros.flat.light import demo_light, LightMap
@@ -17,10 +17,6 @@ import numpy as np
 SAMPLES = 3  # rays per pixel and axis; odd, so that one goes through the centre
 EXPOSURE = np.float32(1.6)
 WHITE_POINT = np.float32(3.6)  # exposed radiance that becomes pure white
-# Chairs that somebody moves after the training: where they stand, how far around that their parts
-# reach, and by how much they are moved, all x, y in metres.
-MOVED_CHAIRS = (((0.75, 3.0), 0.55, (0.15, -0.85)), ((8.6, 1.55), 0.4, (-0.9, 0.35)),
-                ((4.2, 1.62), 0.28, (-0.9, 0.6)), ((4.88, 1.66), 0.28, (0.3, 0.9)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,18 +87,6 @@ class DemoFlat:
 def build_demo_flat() -> DemoFlat:
     """Build the one demo flat; a process builds it once."""
     return DemoFlat(demo_solids(), demo_light())
-
-
-def with_chairs_moved(flat: DemoFlat) -> DemoFlat:
-    """Return the flat after somebody moved four chairs; their shadows stay where they were."""
-    solids = flat.solids
-    centre = solids.centre.copy()
-    for place, reach, by in MOVED_CHAIRS:
-        parts = (np.linalg.norm(solids.centre[:, :2] - place, axis=1) + 0.3 *
-                 np.linalg.norm(solids.half[:, :2], axis=1) < reach) & (solids.lower[:, 2] > -0.01)
-        parts &= (solids.upper[:, 2] < 1.2) & (solids.upper[:, 2] > 0.02)
-        centre[parts, :2] += by
-    return replace(flat, solids=replace(solids, centre=centre))
 
 
 def sample_training_poses(flat: DemoFlat, n: int, seed: int) -> list[CameraPose]:

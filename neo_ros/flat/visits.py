@@ -1,7 +1,7 @@
 """The demo flat on the days after the training: chairs, pictures, a plant and a rug change."""
 from dataclasses import dataclass, replace
 
-from neo_ros.flat.demo_flat import DemoFlat, MOVED_CHAIRS
+from neo_ros.flat.demo_flat import DemoFlat
 import numpy as np
 
 # Where solids are put that somebody took away: nobody sees it there.
@@ -22,6 +22,11 @@ class Moved:
     heights: tuple[float, float]
     by: tuple[float, float, float]
 
+    @property
+    def goal(self) -> np.ndarray:
+        """Where it stands afterwards, x, y."""
+        return np.add(self.place, self.by[:2])
+
 
 @dataclass(frozen=True)
 class Repainted:
@@ -32,7 +37,9 @@ class Repainted:
 
 
 Change = Moved | Repainted
-CHAIRS = tuple(Moved(place, reach, (-0.01, 1.2), (*by, 0.0)) for place, reach, by in MOVED_CHAIRS)
+CHAIRS = tuple(Moved(place, reach, (-0.01, 1.2), by) for place, reach, by in (
+    ((0.75, 3.0), 0.55, (0.15, -0.85, 0.0)), ((8.6, 1.55), 0.4, (-0.9, 0.35, 0.0)),
+    ((4.2, 1.62), 0.28, (-0.9, 0.6, 0.0)), ((4.88, 1.66), 0.28, (0.3, 0.9, 0.0))))
 PLANT = Moved((5.68, 3.35), 0.45, (-0.01, 1.4), (3.9, -2.3, 0.0))
 RUG = Moved((2.2, 2.43), 0.6, (-0.001, 0.013), AWAY)
 PICTURES = (Repainted('portrait_b', 'abstract_c'), Repainted('landscape_c', 'landscape_a'))

@@ -5,8 +5,9 @@ from typing import Any
 from neo_ros.benchmark.true_depth import is_demo_flat
 from neo_ros.captures.scene_copying import import_transforms
 from neo_ros.errors import SceneError
-from neo_ros.flat.demo_flat import build_demo_flat, with_chairs_moved
+from neo_ros.flat.demo_flat import build_demo_flat
 from neo_ros.flat.scene_writing import fingerprint, write_demo_scene
+from neo_ros.flat.visits import CHAIRS, changed_flat
 from neo_ros.geometry import Intrinsics
 from neo_ros.scenes.scene import read_scene
 import numpy as np
@@ -94,7 +95,7 @@ def test_the_fingerprint_is_that_of_what_is_seen():
     pose = np.eye(4)
     same = fingerprint(flat, [pose])
     assert fingerprint(flat, [pose + 1e-9]) == same != fingerprint(flat, [pose + 1e-4])
-    assert fingerprint(with_chairs_moved(flat), [pose]) != same
+    assert fingerprint(changed_flat(flat, CHAIRS), [pose]) != same
 
 
 def test_an_unwritable_folder_is_named(tmp_path):

@@ -2,7 +2,8 @@
 import math
 
 from box_room import BAND, box_memory, EXPANSION, keyframe, planar, SOURCE, view
-from neo_ros.flat.demo_flat import build_demo_flat, walking_paths, with_chairs_moved
+from neo_ros.flat.demo_flat import build_demo_flat, walking_paths
+from neo_ros.flat.visits import CHAIRS, changed_flat
 from neo_ros.geometry import CameraPose
 from neo_ros.machine.files import share_dir
 from neo_ros.memory.look_around import Direction, LookAround, outline, RECENT, SeenImage
@@ -150,7 +151,7 @@ def test_two_of_three_distances_in_the_flat_are_as_near_as_told() -> None:
 @pytest.mark.slow
 def test_a_chair_that_was_just_seen_moved_is_shown_moved() -> None:
     around, flat = demo_around(), build_demo_flat()
-    moved = with_chairs_moved(flat)
+    moved = changed_flat(flat, CHAIRS)
     position = np.array([3.2, 2.4, 1.5])
     look = Direction(math.radians(-45), math.radians(-15), math.radians(70), 160, 120)
     camera = around.expansion.source
