@@ -130,6 +130,6 @@ def test_status_of_a_camera():
 
 def test_a_real_models_lines_are_explained(tmp_path):
     values = SimpleNamespace(model=str(write_tiny_model(tmp_path / 'tiny.onnx')), threads=1,
-                             providers=['cuda', 'cpu'], rectify=False)
+                             providers=['cuda', 'cpu'], rectify=False, learn=False)
     lines = load_model(cast(NodeParameters, values)).description
     assert {f'model {key}' for key in lines} <= KEYS.keys()
