@@ -22,14 +22,12 @@ from neo_ros.speed.runtime import size_name
 import numpy as np
 
 RATE_HZ = 30.0
-VGA_CAMERA = Intrinsics.from_hfov(640, 480, np.pi / 2)
-VGA_VIEW = ViewExpansion.horizontal(VGA_CAMERA, 960)
-LARGE_VIEW = ViewExpansion.to_size(VGA_CAMERA, 1280, 960)
+VGA_VIEW = ViewExpansion.horizontal(Intrinsics.from_hfov(640, 480, np.pi / 2), 960)
 STAGES = ('queue', 'decode', 'infer', 'check', 'publish', 'total')
 
 
 def measure_node(model: Path, machine: Machine, effort: Effort) -> Iterator[Record]:
-    """Run the node at 30 Hz with the given model, with stand-ins, and with guided ones."""
+    """Run the node at 30 Hz with the given model, with stand-ins of two sizes, and guided."""
     if find_spec('rclpy') is None:
         yield Record('node', 'node', skipped='rclpy is not installed')
         return
@@ -45,25 +43,20 @@ def measure_node(model: Path, machine: Machine, effort: Effort) -> Iterator[Reco
             record = measure_graph(stand_in, machine, effort)
         record.name = name
         yield record
-    yield from _measure_guided(machine, effort)
-
-
-def _measure_guided(machine: Machine, effort: Effort) -> Iterator[Record]:
-    """Run the node with stand-ins that are guided; the outputs of the memory at the first size."""
+    name = f'{size_name(PAPER_VIEW)}, 30 Hz, guided'
     try:
         from neo_ros.speed.guided import write_guided_stand_in
     except ModuleNotFoundError as error:
-        yield Record('node', '30 Hz, guided', skipped=f'{error.name} is not installed: '
-                                                      "pip install '.[train]' in a checkout")
+        yield Record('node', name, skipped=f'{error.name} is not installed: '
+                                           "pip install '.[train]' in a checkout")
         return
-    for view in (PAPER_VIEW, VGA_VIEW, LARGE_VIEW):
-        with tempfile.TemporaryDirectory() as folder:
-            model = write_guided_stand_in(Path(folder), view, walk_at_30_hz(effort.frames))
-            record = measure_graph(model, machine, effort)
-            outputs = list(measure_outputs(model, effort)) if view is PAPER_VIEW else []
-        record.name = f'{size_name(view)}, 30 Hz, guided'
-        yield record
-        yield from outputs
+    with tempfile.TemporaryDirectory() as folder:
+        model = write_guided_stand_in(Path(folder), PAPER_VIEW, walk_at_30_hz(effort.frames))
+        record = measure_graph(model, machine, effort)
+        outputs = list(measure_outputs(model, effort))
+    record.name = name
+    yield record
+    yield from outputs
 
 
 def measure_outputs(model: Path, effort: Effort) -> Iterator[Record]:
