@@ -27,10 +27,9 @@ class AlignmentRules:
     likely: float = 0.004
 
 
-def aligned_pose(field: RadianceField, image: np.ndarray, usable: np.ndarray | None,
-                 camera: Intrinsics, T_world_cam: np.ndarray, gain: np.ndarray,
-                 random: np.random.Generator, rules: AlignmentRules = AlignmentRules()
-                 ) -> np.ndarray:
+def aligned_pose(field: RadianceField, image: np.ndarray, camera: Intrinsics,
+                 T_world_cam: np.ndarray, gain: np.ndarray, random: np.random.Generator,
+                 rules: AlignmentRules = AlignmentRules()) -> np.ndarray:
     """
     Return T_world_cam (4, 4) at which the field looks most like an image uint8 (H, W, 3).
 
@@ -40,7 +39,7 @@ def aligned_pose(field: RadianceField, image: np.ndarray, usable: np.ndarray | N
     photo = cv2.GaussianBlur(image, (0, 0), 0.7).astype(np.float32) / 255
     across = cv2.Sobel(photo, cv2.CV_32F, 1, 0, scale=1 / 8)
     down = cv2.Sobel(photo, cv2.CV_32F, 0, 1, scale=1 / 8)
-    rows, columns = _telling_pixels(np.abs(across) + np.abs(down), usable, random, rules.pixels)
+    rows, columns = _telling_pixels(np.abs(across) + np.abs(down), random, rules.pixels)
     rays = camera.pixel_rays()[rows, columns].astype(np.float64)
     T = T_world_cam.copy()
     for _ in range(rules.rounds):
@@ -58,16 +57,13 @@ def aligned_pose(field: RadianceField, image: np.ndarray, usable: np.ndarray | N
     return _bounded(T_world_cam, T, float(np.median(points[:, 2])), rules)
 
 
-def _telling_pixels(change: np.ndarray, usable: np.ndarray | None, random: np.random.Generator,
-                    count: int) -> tuple[np.ndarray, np.ndarray]:
+def _telling_pixels(change: np.ndarray, random: np.random.Generator, count: int
+                    ) -> tuple[np.ndarray, np.ndarray]:
     """Draw rows and columns of pixels where a photo's colours change (H, W, 3)."""
     height, width = change.shape[:2]
     rows, columns = (random.integers(1, size - 1, size=4 * count) for size in (height, width))
     strength = change[rows, columns].sum(-1)
-    if usable is not None:
-        strength[~usable[rows, columns]] = -1
     best = np.argsort(-strength, kind='stable')[:count]
-    best = best[strength[best] >= 0]
     return rows[best], columns[best]
 
 

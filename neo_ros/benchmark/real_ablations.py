@@ -97,7 +97,7 @@ def _aligned(run: TrainingRun, field: RadianceField) -> dict[bytes, CameraPose]:
     random, found = np.random.default_rng(0), {}
     for image, camera, pose in views:
         shown = 255 * render_view(field, camera, pose, 1).image
-        T = aligned_pose(field, image, None, camera, pose.T_world_cam,
+        T = aligned_pose(field, image, camera, pose.T_world_cam,
                          exposure_gain(shown, image), random)
         found[pose.T_world_cam.tobytes()] = CameraPose.nearest(T)
     return found

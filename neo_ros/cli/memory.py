@@ -1,11 +1,8 @@
 """`neo memory`: what a model has learnt of its scene since it was trained."""
 from pathlib import Path
-from typing import Annotated, TYPE_CHECKING
+from typing import Annotated
 
 import typer
-
-if TYPE_CHECKING:
-    from neo_ros.memory.patch import Patch
 
 memory = typer.Typer(no_args_is_help=True, help=(
     'What a model has learnt of its scene since it was trained (neo replay --learn, or learn of '
@@ -18,12 +15,13 @@ def info(model: Model) -> None:
     """Tell what the journal beside a scene memory holds."""
     import datetime
 
-    from neo_ros.memory.journal import most_bytes
+    from neo_ros.memory.journal import most_bytes, read_journal
     import rich
     from rich.markup import escape
     from rich.table import Table
 
-    memory_file, journal, patches = _journal(model)
+    memory_file, journal, sha256 = _places(model)
+    patches = read_journal(journal, sha256)
     size = journal.stat().st_size if journal.exists() else 0
     table = Table('scene memory', escape(str(memory_file)))
     table.add_row('its size', f'{memory_file.stat().st_size / 1e6:.2f} MB')
@@ -87,10 +85,3 @@ def _places(model: Path) -> tuple[Path, Path, str]:
                          'cannot learn')
     path = memory_path(model, card.memory)
     return path, journal_path(path), card.memory.sha256
-
-
-def _journal(model: Path) -> tuple[Path, Path, 'list[Patch]']:
-    from neo_ros.memory.journal import read_journal
-
-    memory_file, journal, sha256 = _places(model)
-    return memory_file, journal, read_journal(journal, sha256)

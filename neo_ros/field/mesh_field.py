@@ -2,12 +2,12 @@
 from collections.abc import Iterable
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 from zipfile import BadZipFile
 
-from neo_ros.errors import ConfigError, SceneError
+from neo_ros.errors import ConfigError
 from neo_ros.field.mesh_file import ColouredMesh, NEEDS
-from neo_ros.machine.files import whole_file
+from neo_ros.field.voxel_field import write_field
 import numpy as np
 import torch
 
@@ -105,16 +105,11 @@ class MeshField:
         return cells
 
     def save(self, path: Path) -> None:
-        """Write the field as .npz; a kill or a full disk in between leaves the old file whole."""
+        """Write the field as .npz, see `write_field`."""
         mesh = self.mesh
-        arrays: dict[str, Any] = {
-            f'picture_{i:06d}': one for i, one in enumerate(mesh.textures)}
-        try:
-            with whole_file(path) as partial, partial.open('wb') as file:
-                np.savez(file, corners=mesh.corners, colours=mesh.colours, uv=mesh.uv,
-                         texture_of=mesh.texture_of, seen=self.seen, near=self.near, **arrays)
-        except OSError as error:
-            raise SceneError(f'{path}: cannot write the field: {error.strerror}') from error
+        write_field(path, corners=mesh.corners, colours=mesh.colours, uv=mesh.uv,
+                    texture_of=mesh.texture_of, seen=self.seen, near=self.near,
+                    **{f'picture_{i:06d}': one for i, one in enumerate(mesh.textures)})
 
     @classmethod
     def load(cls, path: Path) -> 'MeshField | None':

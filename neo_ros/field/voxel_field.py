@@ -218,15 +218,11 @@ class VoxelField:
         return self
 
     def save(self, path: Path) -> None:
-        """Write the field as .npz; a kill or a full disk in between leaves the old file whole."""
-        try:
-            with whole_file(path) as partial, partial.open('wb') as file:
-                np.savez(file, grid=self.grid, kept=packed(self.row_of), shape=self.shape,
-                         centre=self.centre, half_extent=self.half_extent,
-                         seen=np.packbits(self.seen),
-                         settings=[self.shell, self.step, self.near, self.initial_alpha])
-        except OSError as error:
-            raise SceneError(f'{path}: cannot write the field: {error.strerror}') from error
+        """Write the field as .npz, see `write_field`."""
+        write_field(path, grid=self.grid, kept=packed(self.row_of), shape=self.shape,
+                    centre=self.centre, half_extent=self.half_extent,
+                    seen=np.packbits(self.seen),
+                    settings=[self.shell, self.step, self.near, self.initial_alpha])
 
     @classmethod
     def load(cls, path: Path) -> 'VoxelField':
@@ -248,6 +244,15 @@ class VoxelField:
                              'field again') from error
         result.update_occupancy()
         return result
+
+
+def write_field(path: Path, **arrays: Any) -> None:
+    """Write arrays as .npz; a kill or a full disk in between leaves the old file whole."""
+    try:
+        with whole_file(path) as partial, partial.open('wb') as file:
+            np.savez(file, **arrays)
+    except OSError as error:
+        raise SceneError(f'{path}: cannot write the field: {error.strerror}') from error
 
 
 def _check_shapes(arrays: dict[str, np.ndarray]) -> None:

@@ -14,6 +14,7 @@ from typing import Any
 
 from neo_ros.bags import BagReader
 from neo_ros.bags.demo_bag import TRUTH_TOPIC
+from neo_ros.evaluation.metrics import psnr
 from neo_ros.geometry import CameraPose
 from neo_ros.machine.result_rows import ResultRows
 from neo_ros.memory.look_around import Direction, LookAround, SeenImage
@@ -65,8 +66,8 @@ def measure(walk: Sequence[tuple[float, CameraPose, np.ndarray]], looks: LookAro
                 direction = Direction(yaw, 0.0, HFOV, SIDE, SIDE)
                 truth = looks.draw(pose.position, direction, live).image
                 for name, place in places.items():
-                    scores[name].append(_psnr(truth, looks.draw(place, direction, None,
-                                                                [last]).image))
+                    shown = looks.draw(place, direction, None, [last]).image
+                    scores[name].append(psnr(truth, shown))
         rows.append({'delay_s': delay, 'looks': len(scores['as_came']), **{
             f'{name}_{key}': float(np.median(values)) * factor
             for key, found, factor in (('position_cm', errors, 100), ('psnr', scores, 1))
@@ -90,11 +91,6 @@ def read_walk(bag: Path, images_of: str = TRUTH_TOPIC
 
 def _seen(looks: LookAround, wide: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(looks.expansion.crop(wide))
-
-
-def _psnr(truth: np.ndarray, shown: np.ndarray) -> float:
-    return 10 * math.log10(255 ** 2 / max(
-        float(np.square(truth.astype(np.float32) - shown).mean()), 1e-3))
 
 
 def main() -> None:

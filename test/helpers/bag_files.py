@@ -2,9 +2,11 @@
 from pathlib import Path
 from typing import Any
 
+from box_room import box_walk, EXPANSION, view, write_box_model
 from mcap.writer import CompressionType, Writer as McapWriter
-from neo_ros.bags import BagWriter, write_demo_bag
+from neo_ros.bags import BagWriter, replay, write_demo_bag
 from neo_ros.geometry import CameraPose, ViewExpansion
+from neo_ros.runtime import FovExtrapolator
 import numpy as np
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import get_typestore, Stores
@@ -66,3 +68,12 @@ def walk_frames(expansion: ViewExpansion,
 def write_walk_bag(path: Path, expansion: ViewExpansion, count: int = 5) -> Path:
     write_demo_bag(path, walk_frames(expansion, count), expansion)
     return path
+
+
+def write_box_bags(folder: Path, frames: int, step_s: float) -> None:
+    """Write a walk through the box room with its truth, `camera`, and its replay, `wide`."""
+    model = write_box_model(folder)
+    write_demo_bag(folder / 'camera', [
+        (START_NS + round(i * step_s * 1e9), view(pose, EXPANSION.target)[0], pose)
+        for i, pose in enumerate(box_walk(frames))], EXPANSION)
+    replay(folder / 'camera', FovExtrapolator.load(model), folder / 'wide')

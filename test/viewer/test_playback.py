@@ -3,11 +3,10 @@ from pathlib import Path
 import threading
 from typing import Any
 
-from bag_files import START_NS
-from box_room import box_walk, EXPANSION, view, write_box_model
-from neo_ros.bags import BagReader, BagWriter, replay, write_demo_bag
+from bag_files import write_box_bags
+from box_room import box_walk, EXPANSION
+from neo_ros.bags import BagReader, BagWriter
 from neo_ros.messages import read_image
-from neo_ros.runtime import FovExtrapolator
 from neo_ros.viewer.bag_source import BagSource
 from neo_ros.viewer.hub import Wanted
 from neo_ros.viewer.pictures import CAMERAS, EncodedPicture, TRUTH
@@ -27,11 +26,7 @@ TOPIC = '/camera/wide/image'
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Give `camera`, `wide` (its replay), and `two` (the same under two names)."""
     path = tmp_path_factory.mktemp('playback')
-    model = write_box_model(path)
-    write_demo_bag(path / 'camera', [
-        (START_NS + round(i * STEP_S * 1e9), view(pose, EXPANSION.target)[0], pose)
-        for i, pose in enumerate(box_walk(FRAMES))], EXPANSION)
-    replay(path / 'camera', FovExtrapolator.load(model), path / 'wide')
+    write_box_bags(path, FRAMES, STEP_S)
     with BagReader(path / 'wide') as reader, BagWriter(path / 'two') as writer:
         names = {topic.name: topic for topic in reader.topics if '/wide/' in topic.name}
         for camera in ('front', 'rear'):

@@ -6,10 +6,9 @@ import subprocess
 import sys
 from typing import Any
 
-from bag_files import START_NS
-from box_room import box_walk, EXPANSION, view, write_box_model
-from neo_ros.bags import BagReader, BagWriter, replay, write_demo_bag
-from neo_ros.runtime import FovExtrapolator
+from bag_files import write_box_bags
+from box_room import box_walk, EXPANSION, view
+from neo_ros.bags import BagReader, BagWriter
 import numpy as np
 import pytest
 from viewer_pages import CONTRAST, HELPERS, opened_page, PYTHONPATH, ServerProcess, wait_for
@@ -37,11 +36,7 @@ class BagViewer(ServerProcess):
 @pytest.fixture(scope='module')
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp('player')
-    model = write_box_model(path)
-    write_demo_bag(path / 'camera', [
-        (START_NS + round(i * STEP_S * 1e9), view(pose, EXPANSION.target)[0], pose)
-        for i, pose in enumerate(box_walk(FRAMES))], EXPANSION)
-    replay(path / 'camera', FovExtrapolator.load(model), path / 'wide')
+    write_box_bags(path, FRAMES, STEP_S)
     return path
 
 
