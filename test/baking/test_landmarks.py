@@ -38,7 +38,7 @@ def test_the_photos_landmarks_find_the_camera(
     assert landmarks is not None and len(landmarks.points) > 30
     assert {'features', 'matches'} <= set(said)
     locator = Locator(landmarks, CAMERA)
-    found = locator.locate(locator.features(frames.read(0)[0]))
+    found = next(iter(locator.search(locator.features(frames.read(0)[0]))), None)
     assert found is not None and apart(found.pose, frames.images.poses[0])[0] < 0.05
 
 
