@@ -59,10 +59,10 @@ class PlaceFinder:
 
     def find(self, descriptors: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """
-        Yield the landmarks (K,) at a place, and which features (K,) show them, perhaps.
+        Yield pairs of the landmarks (K,) at a place and of features (K,) that may show them.
 
-        descriptors float32 (N, 128) of the features, of length 1; the places with the most
-        features come first.
+        descriptors float32 (N, 128) of the features, of length 1. The places with the most
+        features come first, and of each place what is most alike.
         """
         if not len(descriptors):
             return
@@ -71,16 +71,13 @@ class PlaceFinder:
         off = np.maximum(STEPS ** 2 - likeness, 1)  # Half the squared distance.
         near = (found >= 0) & (limits.as_near ** 2 * off <= off[:, :1])
         feature, rank = np.nonzero(near)
-        landmark = found[feature, rank]
+        order = np.argsort(off[feature, rank], kind='stable')
+        feature, landmark = feature[order], found[feature, rank][order]
         cells, cell_of = np.unique(self._cells[landmark], axis=0, return_inverse=True)
         share = 1 / near.sum(1)
         votes = np.bincount(cell_of.reshape(-1), share[feature])
         for cell in _best(cells, _around(cells, votes), limits):
-            here = np.flatnonzero((np.abs(self._cells[landmark] - cell) <= 1).all(1))
-            # Of each feature the landmark most like it, of each landmark the feature.
-            here = here[np.unique(feature[here], return_index=True)[1]]
-            here = here[np.argsort(off[feature[here], rank[here]], kind='stable')]
-            here = here[np.unique(landmark[here], return_index=True)[1]]
+            here = (np.abs(self._cells[landmark] - cell) <= 1).all(1)
             yield landmark[here], feature[here]
 
 

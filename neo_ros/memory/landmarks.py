@@ -5,6 +5,7 @@ They are triangulated from the photos. Matched with an image they give its pose,
 from about where the camera is (PnP with RANSAC), and they tell whether a pose found in another
 way can be right: photometric alignment follows a surface that is at a wrong depth.
 """
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -149,18 +150,39 @@ class Locator:
         look alike give several.
         """
         found = list[Location]()
-        for landmarks, seen_at in self._places.find(features.descriptors):
-            if len(landmarks) < self.thresholds.least_hints:
-                continue
-            rough = self._pose(self._points[landmarks], features.points[seen_at],
-                               self.thresholds.least_hints)
-            if rough is None or any(self._alike(rough.pose, other.pose) for other in found):
-                continue
-            location = self.locate(features, rough.pose)
-            if location is not None and not any(
-                    self._alike(location.pose, other.pose) for other in found):
-                found.append(location)
+        for landmarks, shown_by in self._places.find(features.descriptors):
+            for rough in self._poses_at(self._points[landmarks], features.points[shown_by],
+                                        landmarks, shown_by):
+                if any(self._alike(rough.pose, other.pose) for other in found):
+                    continue
+                # Equal rooms behind a wall are in view of a pose, too: then the place alone tells.
+                location = self.locate(features, rough.pose)
+                if location is None and len(rough.points) >= self.thresholds.least_inliers:
+                    location = rough
+                if location is not None and not any(
+                        self._alike(location.pose, other.pose) for other in found):
+                    found.append(location)
         return sorted(found, key=lambda one: -len(one.points))
+
+    def _poses_at(self, points: np.ndarray, pixels: np.ndarray, landmarks: np.ndarray,
+                  shown_by: np.ndarray) -> Iterator[Location]:
+        """
+        Yield the poses that pairs of landmarks and features agree on, at one place.
+
+        points (K, 3), pixels (K, 2) of the pairs, the most alike first. A feature may be in
+        several pairs: where rooms are equal, there is a pose in each of them.
+        """
+        least, left = self.thresholds.least_hints, np.arange(len(points))
+        while len(left) >= least:
+            once = left[_first(shown_by[left])]
+            once = once[_first(landmarks[once])]
+            rough = self._pose(points[once], pixels[once], least)
+            if rough is None:
+                return
+            fits = left[self._fits(rough.pose, points[left], pixels[left])]
+            fits = fits[_first(shown_by[fits])]
+            yield self._pose(points[fits], pixels[fits], least) or rough
+            left = np.setdiff1d(left, fits)
 
     def _match(self, features: Features, around: CameraPose) -> Location | None:
         tried = self._visible(around)
@@ -199,12 +221,17 @@ class Locator:
             if not np.isfinite(T).all():
                 return None
             pose = CameraPose.nearest(np.linalg.inv(T))
-            seen, off = _project(points, pose, self.camera)
-            fits = np.flatnonzero(
-                seen & (((off - pixels) ** 2).sum(1) < limits.inlier_pixels ** 2))
+            fits = np.flatnonzero(self._fits(pose, points, pixels))
         if len(fits) < least:
             return None
         return Location(pose, self.camera, points[fits], pixels[fits], limits)
+
+    def _fits(self, pose: CameraPose, points: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+        """Tell which points (K, 3) are seen at these pixels (K, 2) from a pose, bool (K,)."""
+        seen, off = _project(points, pose, self.camera)
+        fits: np.ndarray = seen & (
+            ((off - pixels) ** 2).sum(1) < self.thresholds.inlier_pixels ** 2)
+        return fits
 
     def _alike(self, one: CameraPose, other: CameraPose) -> bool:
         """Tell whether nearly the same landmarks are in view of two poses."""
@@ -225,6 +252,11 @@ def _project(points: np.ndarray, pose: CameraPose, camera: Intrinsics
     seen = z > NEAREST
     z = np.where(seen, z, 1)
     return seen, np.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], 1)
+
+
+def _first(values: np.ndarray) -> np.ndarray:
+    """Return where each value comes first, in ascending order."""
+    return np.sort(np.unique(values, return_index=True)[1])
 
 
 def _most_of_each(cubes: np.ndarray, photos: np.ndarray) -> np.ndarray:
