@@ -26,7 +26,7 @@ class PlaceThresholds:
     # it in one cell, others count from so large a share on, at most so many.
     cell: float = 2.0
     least_share: float = 0.3
-    most: int = 6
+    most: int = 4
     # Around a pose so many landmarks are tried at most, in tiles of so many metres.
     tried: int = 20_000
     tile: float = 4.0

@@ -38,8 +38,9 @@ class LandmarkThresholds:
     ransac_rounds: int = 300
     # On 369 images of other scenes chance makes 6 at most; on held-out photos it is 24 and more.
     least_inliers: int = 20
-    # That a place, where landmarks look like an image, has to give a first pose; it then has to
-    # convince all landmarks in view.
+    # Of the pairs of landmarks and features that look alike at a place the first pose is made of
+    # those most alike: with all of them fewer are right. So many have to agree on it.
+    most_hints: int = 40
     least_hints: int = 10
     # How far outside the image landmarks are tried, in widths of it.
     margin: float = 0.25
@@ -175,7 +176,7 @@ class Locator:
         least, left = self.thresholds.least_hints, np.arange(len(points))
         while len(left) >= least:
             once = left[_first(shown_by[left])]
-            once = once[_first(landmarks[once])]
+            once = once[_first(landmarks[once])][:self.thresholds.most_hints]
             rough = self._pose(points[once], pixels[once], least)
             if rough is None:
                 return
