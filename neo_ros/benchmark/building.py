@@ -29,13 +29,13 @@ import numpy as np
 import typer
 
 LAYOUTS: Mapping[str, BuildingPlan] = {
+    'a floor of 1': BuildingPlan(rooms=1, seed=1), 'a floor of 3': BuildingPlan(rooms=3, seed=1),
     'all different': BuildingPlan(rooms=12, seed=1),
     'alike to 80 %': BuildingPlan(rooms=12, seed=1, alike=0.8),
     'alike to 95 %': BuildingPlan(rooms=12, seed=1, alike=0.95),
     'twins': BuildingPlan(rooms=12, seed=1, twins=6),
     'twins but one picture': BuildingPlan(rooms=12, seed=1, twins=6, own_picture=True),
-    '1 room': BuildingPlan(rooms=1, seed=1), '3 rooms': BuildingPlan(rooms=3, seed=1),
-    '50 rooms': BuildingPlan(rooms=50, seed=1)}
+    'a floor of 50': BuildingPlan(rooms=50, seed=1)}
 UNMEASURED = ('guided_ring_psnr', 'one_room_ring_psnr', 'guided_share', 'train_minutes')
 
 
