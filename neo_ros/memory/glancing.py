@@ -20,7 +20,9 @@ class GlanceFinder:
         self.poses = glances.T_world_cam
         self._limits = thresholds
         self._size = (pictures.shape[2], pictures.shape[1])
-        self._codes = coded(pictures.reshape(len(pictures), -1))
+        self._codes = np.concatenate([  # As floats all of a building's would be large.
+            coded(pictures[first:first + 4096].reshape(-1, pictures[0].size))
+            for first in range(0, len(pictures), 4096)])
         self._index = InvertedIndex(self._codes)
 
     def find(self, image: np.ndarray, around: CameraPose | None = None) -> list[CameraPose]:
