@@ -35,7 +35,8 @@ class GlanceFinder:
             places, _ = self._most_alike(image)
         else:
             near = np.flatnonzero(self._near(around))
-            places = near[np.argsort(-self._likeness(image, near), kind='stable')]
+            order = np.argsort(-self._likeness(image, near), kind='stable')
+            places = near[order[:self._limits.alike]]
         return [CameraPose(self.poses[index]) for index in self._apart(places)]
 
     def find_rivals(self, image: np.ndarray, found: CameraPose, limits: AmbiguityThresholds
