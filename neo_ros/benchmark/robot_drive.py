@@ -27,7 +27,6 @@ from neo_ros.messages import camera_info_fields, image_fields
 from neo_ros.messages.stamps import NS_PER_S
 from neo_ros.runtime import read_model_card
 import numpy as np
-from rich.progress import track
 
 START_NS = NS_PER_S
 LOCATED_EVERY = 1.0  # seconds
@@ -61,10 +60,11 @@ def _frames(poses: list[CameraPose], times: np.ndarray, lens: Lens, truth: Intri
     T_map_odom, known = np.eye(4), -1
     views = map_in_processes(partial(_views, lens, truth), [pose.T_world_cam for pose in poses],
                              workers)
-    for index, (seen, wide) in enumerate(track(views, 'images', len(poses), transient=True)):
+    for index, (seen, wide) in enumerate(views):
         if located[index] != known:
             known = located[index]
             T_map_odom = T_map_base[index] @ np.linalg.inv(T_odom_base[index])
+        print(f'{index + 1} of {len(poses)} images', end='\r', flush=True)
         gain = exposure.gain(seen, float(times[index]))
         yield RobotFrame(
             START_NS + round(float(times[index]) * NS_PER_S), _yuyv_fields(exposed(seen, gain)),
