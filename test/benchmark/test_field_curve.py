@@ -4,6 +4,7 @@ from functools import partial
 from importlib.util import find_spec
 import json
 import shutil
+from typing import Any
 
 from neo_ros.benchmark import field_curve
 from neo_ros.benchmark.field_curve import measure_field_curve
@@ -124,7 +125,7 @@ def test_masks_leave_pixels_out_of_the_scores_of_held_out_photos_and_test_frames
     scene = read_scene(flat_scene)
     assert scene.test is not None
     plain = TrainingRun(scene, EXPERIMENT, tmp_path, no_stage_progress)
-    masked = {}
+    masked: dict[str, Any] = {}
     for name, images in (('train', scene.train), ('test', scene.test)):
         size = images.intrinsics
         usable = np.ones((size.height, size.width), bool)
