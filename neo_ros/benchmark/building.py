@@ -7,8 +7,10 @@ The memory is made of exact depth and colours, see `true_memory.py`: what is mea
 search, not a field. `before` is the search that believes the best place it finds.
 """
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
 import json
+import multiprocessing
 from pathlib import Path
 import time
 from typing import Annotated, Any, Optional
@@ -79,7 +81,9 @@ def measure_layout(name: str, plan: BuildingPlan, work: Path, searches: int,
     sha256 = _make_memory(building, expansion, path)
     places = list(_places(building, source, searches, rules))
     images = [building.render(source, pose)[0] for pose in places]
-    before = resident_mb('VmRSS')
+    # In a process of its own: the building is no part of it.
+    with ProcessPoolExecutor(1, multiprocessing.get_context('spawn')) as other:
+        resident = other.submit(_resident_mb, path, sha256, expansion).result()
     memory = SceneMemory.read(path, sha256)
     rows = []
     for rivals in (True, False):
@@ -104,7 +108,7 @@ def measure_layout(name: str, plan: BuildingPlan, work: Path, searches: int,
             'door_walks': counts.walks, 'walks_found_right': counts.walks_found_right,
             'walks_ever_wrong': counts.walks_ever_wrong,
             'file_mb': _rounded(path.stat().st_size / 1e6),
-            'resident_mb': _rounded(resident_mb('VmRSS') - before),
+            'resident_mb': _rounded(resident),
             'commit': commit(), 'host': host()})
     return rows[::-1]
 
@@ -119,6 +123,17 @@ def _make_memory(building: Building, expansion: ViewExpansion, path: Path) -> st
     if not note.exists():
         note.write_text(true_memory(building, expansion).write(path))
     return note.read_text()
+
+
+def _resident_mb(path: Path, sha256: str, expansion: ViewExpansion) -> float:
+    """Return by how many MB a process grows that reads a memory and looks at all of it."""
+    before = resident_mb('VmRSS')
+    guide = SceneGuide(SceneMemory.read(path, sha256), expansion, threads=1)
+    guide.warm_up()
+    for position in guide.renderer.memory.positions:
+        pose = CameraPose.from_planar(*position.tolist(), 0.0)
+        guide.renderer.render(pose, expansion.target)
+    return resident_mb('VmRSS') - before
 
 
 def _search(guide: SceneGuide, image: np.ndarray, pose: CameraPose, rules: BuildingRules,

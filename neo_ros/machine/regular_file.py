@@ -1,8 +1,8 @@
 """Read the files that make a model: regular ones of sensible size, each of them once."""
+from io import BufferedReader
 import os
 from pathlib import Path
 import stat
-from typing import BinaryIO
 
 from neo_ros.errors import ModelError
 
@@ -23,7 +23,7 @@ def read_model_bytes(path: Path, what: str = 'model') -> bytes:
             raise ModelError(f'{path}: cannot read the {what}: {error.strerror}') from error
 
 
-def open_model_file(path: Path, what: str, most_bytes: int = MAX_BYTES) -> BinaryIO:
+def open_model_file(path: Path, what: str, most_bytes: int = MAX_BYTES) -> BufferedReader:
     """
     Open a file to read; `what` is what it is called in messages.
 

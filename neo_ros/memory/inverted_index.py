@@ -13,7 +13,7 @@ import numpy as np
 
 
 class InvertedIndex:
-    """Descriptors uint8 (P, D) of one length or nearly so, by how alike they are."""
+    """Descriptors uint8 (P, D), D <= 256, of about one length, by how alike they are."""
 
     def __init__(self, codes: np.ndarray) -> None:
         self._codes = np.ascontiguousarray(codes)
@@ -38,10 +38,11 @@ class InvertedIndex:
 
         Returns numbers int32 (N, most), the most alike first, -1 = none, and the dot products.
         """
-        alike = queries.astype(np.float32) @ self._words.T
+        queries = queries.astype(np.float32)
+        alike = queries @ self._words.T
         chosen = np.argsort(-alike, axis=1, kind='stable')[:, :lists]
         found = np.full((len(queries), most), -1, np.int32)
-        likeness = np.full((len(queries), most), -1, np.int32)
+        likeness = np.full((len(queries), most), -1, np.float32)
         nearest_in_lists(queries, chosen, self._starts, self._numbers, self._codes, found,
                          likeness)
         return found, likeness

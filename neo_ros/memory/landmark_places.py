@@ -17,7 +17,7 @@ class PlaceThresholds:
     """Where the landmarks that look like an image stand close enough together to be a place."""
 
     # Lists of the index that a feature is looked for in, and landmarks that it may be like.
-    lists: int = 16
+    lists: int = 8
     alike: int = 16
     # A landmark may be the one a feature shows if its descriptor is nearly as near as the nearest
     # one: equal rooms have equal landmarks.

@@ -7,10 +7,11 @@ drawn, and the system keeps those it has memory for.
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 import hashlib
+from io import BufferedReader
 import os
 from pathlib import Path
 import struct
-from typing import Any, BinaryIO
+from typing import Any
 import weakref
 from zipfile import ZIP_STORED, ZipFile
 
@@ -30,7 +31,7 @@ _ZIP_HEADER = 30
 class Pieces(Sequence[bytes]):
     """Pieces of an open file that follow one another, read when they are asked for."""
 
-    def __init__(self, file: BinaryIO, path: Path, start: int, sizes: np.ndarray) -> None:
+    def __init__(self, file: BufferedReader, path: Path, start: int, sizes: np.ndarray) -> None:
         self._file, self._path = os.dup(file.fileno()), path
         self._ends, self._sizes = start + np.cumsum(sizes), sizes
         self._as_opened = self._stamp()
@@ -58,7 +59,7 @@ class Pieces(Sequence[bytes]):
 class MemoryFields:
     """The arrays in the file of a scene memory; raises ValueError for what is not as expected."""
 
-    def __init__(self, arrays: Mapping[str, np.ndarray], archive: ZipFile, file: BinaryIO,
+    def __init__(self, arrays: Mapping[str, np.ndarray], archive: ZipFile, file: BufferedReader,
                  path: Path) -> None:
         self._arrays, self._archive, self._file, self._path = arrays, archive, file, path
 

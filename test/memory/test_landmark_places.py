@@ -10,6 +10,7 @@ import numpy as np
 
 CAMERA = Intrinsics.from_hfov(128, 128, math.pi / 2)
 POSE = CameraPose.from_planar(1.0, 2.0, 1.2, 0.3)
+AWAY, ABOVE = np.array([[20, 0, 0], [0, 0, 3]], np.float32)
 A_ROOM = 500  # landmarks
 
 
@@ -53,8 +54,8 @@ def test_a_room_among_many_is_found() -> None:
 
 def test_equal_rooms_are_all_found_also_on_another_floor() -> None:
     points, looks = room(0)
-    twins = building((points, looks), room(1, x=5), (points + np.float32([20, 0, 0]), looks),
-                     (points + np.float32([0, 0, 3]), looks))
+    twins = building((points, looks), room(1, x=5), (points + AWAY, looks),
+                     (points + ABOVE, looks))
     found = Locator(twins, CAMERA).search(seen(points, looks))
     places = sorted(tuple((one.pose.position - POSE.position).round(1) + 0) for one in found)
     assert places == [(0, 0, 0), (0, 0, 3), (20, 0, 0)]
