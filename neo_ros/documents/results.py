@@ -161,7 +161,9 @@ TABLES: dict[str, Rows] = {
     **{name: Rows(name, ABLATION) for name in (
         'compare_ablations', 'compare_ablations_more', 'compare_ablations_redkitchen')},
     'field_curve': Rows('field_curve', FIELD),
-    'node': Rows('node', NODE), 'networks': Rows('networks', TIMED),
+    'node': Rows('node', NODE, lambda row: row['floor_ms'] is not None),
+    'outputs': Rows('node', TIMED[:3], lambda row: row['floor_ms'] is None),
+    'networks': Rows('networks', TIMED),
     'stream': Rows('stream', TIMED), 'soak': Rows('soak', SOAK), 'hogs': Rows('hogs', SOAK),
     'geometry_pose': Rows('geometry', GEOMETRY_POSE),
     'geometry_depth': Rows('geometry', GEOMETRY_DEPTH,
