@@ -130,9 +130,8 @@ def _resident_mb(path: Path, sha256: str, expansion: ViewExpansion) -> float:
     before = resident_mb('VmRSS')
     guide = SceneGuide(SceneMemory.read(path, sha256), expansion, threads=1)
     guide.warm_up()
-    for position in guide.renderer.memory.positions:
-        pose = CameraPose.from_planar(*position.tolist(), 0.0)
-        guide.renderer.render(pose, expansion.target)
+    for x, y, z in guide.renderer.memory.positions.tolist():
+        guide.renderer.render(CameraPose.from_planar(x, y, z, 0.0), expansion.target)
     return resident_mb('VmRSS') - before
 
 
