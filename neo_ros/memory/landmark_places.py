@@ -22,8 +22,8 @@ class PlaceThresholds:
     # A landmark may be the one a feature shows if its descriptor is nearly as near as the nearest
     # one: equal rooms have equal landmarks.
     as_near: float = 0.9
-    # A place is a cube of three cells along each side, metres; with the most features by far for
-    # it in one cell, others count from so large a share on, at most so many.
+    # A place is a cube of three cells along each side, metres. Those with less than this share of
+    # the features of the best one do not count; at most so many are looked at.
     cell: float = 2.0
     least_share: float = 0.3
     most: int = 4
@@ -74,7 +74,7 @@ class PlaceFinder:
         order = np.argsort(off[feature, rank], kind='stable')
         feature, landmark = feature[order], found[feature, rank][order]
         cells, cell_of = np.unique(self._cells[landmark], axis=0, return_inverse=True)
-        share = 1 / near.sum(1)
+        share = 1 / np.maximum(near.sum(1), 1)
         votes = np.bincount(cell_of.reshape(-1), share[feature])
         for cell in _best(cells, _around(cells, votes), limits):
             here = (np.abs(self._cells[landmark] - cell) <= 1).all(1)
