@@ -1,5 +1,7 @@
 """What tests share, and what holds for all: no clock in hypothesis, no logs at home."""
 from collections.abc import Iterable, Iterator
+import gc
+import os
 from pathlib import Path
 import re
 import sys
@@ -44,6 +46,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     Mark tests by what they import and use, and keep those together that share what is dear.
 
     One worker trains the tiny run for all tests that use it; else a file stays with one worker.
+    Where there are several, what is slow comes first: else one would end minutes after the others.
     """
     needs: dict[Path, set[str]] = {}
     for item in items:
@@ -56,6 +59,20 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(mark)
         item.add_marker(pytest.mark.xdist_group(
             'tiny run' if 'tiny_run' in fixtures else str(item.path)))
+    if 'PYTEST_XDIST_WORKER' in os.environ:
+        slow = {item.path for item in items
+                if item.get_closest_marker('slow') or item.get_closest_marker('ros')}
+        items.sort(key=lambda item: (
+            'tiny_run' not in getattr(item, 'fixturenames', ()), item.path not in slow))
+
+
+def pytest_collection_finish() -> None:
+    """
+    Leave what was imported out of every garbage collection to come.
+
+    Each ROS graph of a test begins with one, which would look at all of torch for half a second.
+    """
+    gc.freeze()
 
 
 @pytest.fixture(scope='session', autouse=True)
