@@ -22,7 +22,9 @@ from neo_ros.speed.runtime import size_name
 import numpy as np
 
 RATE_HZ = 30.0
-VGA_VIEW = ViewExpansion.horizontal(Intrinsics.from_hfov(640, 480, np.pi / 2), 960)
+VGA = Intrinsics.from_hfov(640, 480, np.pi / 2)
+VGA_VIEW = ViewExpansion.horizontal(VGA, 960)
+VGA_WIDE_VIEW = ViewExpansion.to_size(VGA, 1280, 960)
 STAGES = ('queue', 'decode', 'infer', 'check', 'publish', 'total')
 
 
@@ -43,20 +45,20 @@ def measure_node(model: Path, machine: Machine, effort: Effort) -> Iterator[Reco
             record = measure_graph(stand_in, machine, effort)
         record.name = name
         yield record
-    name = f'{size_name(PAPER_VIEW)}, 30 Hz, guided'
     try:
         from neo_ros.speed.guided import write_guided_stand_in
     except ModuleNotFoundError as error:
-        yield Record('node', name, skipped=f'{error.name} is not installed: '
-                                           "pip install '.[train]' in a checkout")
+        yield Record('node', 'guided', skipped=f'{error.name} is not installed: '
+                                               "pip install '.[train]' in a checkout")
         return
-    with tempfile.TemporaryDirectory() as folder:
-        model = write_guided_stand_in(Path(folder), PAPER_VIEW, walk_at_30_hz(effort.frames))
-        record = measure_graph(model, machine, effort)
-        outputs = list(measure_outputs(model, effort))
-    record.name = name
-    yield record
-    yield from outputs
+    for view in (PAPER_VIEW, VGA_VIEW, VGA_WIDE_VIEW):
+        with tempfile.TemporaryDirectory() as folder:
+            model = write_guided_stand_in(Path(folder), view, walk_at_30_hz(effort.frames))
+            record = measure_graph(model, machine, effort)
+            outputs = list(measure_outputs(model, effort)) if view is PAPER_VIEW else []
+        record.name = f'{size_name(view)}, 30 Hz, guided'
+        yield record
+        yield from outputs
 
 
 def measure_outputs(model: Path, effort: Effort) -> Iterator[Record]:

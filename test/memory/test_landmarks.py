@@ -22,7 +22,7 @@ PHOTOS, NEW = [WALK[0], WALK[2], WALK[4], WALK[6]], WALK[3]
 
 @pytest.fixture(scope='module')
 def landmarks() -> Landmarks:
-    found = exact_landmarks(FLAT, CAMERA, PHOTOS)
+    found = exact_landmarks(CAMERA, PHOTOS)
     assert found is not None
     return found
 
