@@ -4,6 +4,7 @@ import gc
 import os
 from pathlib import Path
 import re
+import shutil
 import sys
 from typing import Any
 
@@ -104,12 +105,11 @@ def one_thread() -> Iterator[None]:
 
 
 @pytest.fixture(scope='session')
-def tiny_run(tmp_path_factory: pytest.TempPathFactory) -> Any:
+def tiny_run(flat_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Any:
     """Train once, in seconds: the TrainingRun; its scene lies in `scene` beside its `out`."""
-    pytest.importorskip('torch')
-    from tiny_training import train_tiny, write_tiny_scene
+    from tiny_training import train_tiny
     folder = tmp_path_factory.mktemp('tiny_training')
-    write_tiny_scene(folder / 'scene')
+    shutil.copytree(flat_scene, folder / 'scene')
     return train_tiny(folder / 'scene', folder / 'out')
 
 

@@ -201,7 +201,7 @@ def test_photos_alone_are_enough(tiny_run: TrainingRun, tmp_path: Path) -> None:
     for name in ('transforms_test.json', 'walkable.json'):
         (scene / name).unlink()
     experiment = replace(
-        TINY, field=replace(TINY.field, steps=100), view=ViewConfig((16, 32), (32, 32)),
+        TINY, field=replace(TINY.field, steps=200), view=ViewConfig((16, 32), (32, 32)),
         network=NetworkConfig(patch=4, width=4, depth=2, hidden=8),
         outpaint=replace(TINY.outpaint, steps=2),
         sampling=replace(TINY.sampling, interval=0.2))

@@ -16,7 +16,7 @@ from neo_ros.training.time_plan import (
     PLAN_FILE, plan_training, PlanRules, read_plan, share_network_minutes, TimeLeft, TimePlan)
 import numpy as np
 import pytest
-from tiny_training import TINY, write_tiny_scene
+from tiny_training import TINY
 
 # Pixels that a fit takes a second in its first seconds: two cores of a robot's computer.
 RATE = 150_000.0
@@ -143,16 +143,15 @@ def test_the_minutes_left_in_all_are_told_at_every_stage() -> None:
 
 @pytest.mark.slow
 def test_a_training_by_the_minute_leaves_a_whole_model_and_is_not_done_twice(
-        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        flat_scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pipeline, 'plan_training', partial(plan_training, rules=PlanRules(
         measured_seconds=0.5, measured_voxels=20_000, voxels=((0, 20_000),))))
-    write_tiny_scene(tmp_path / 'scene')
     seen: list[str] = []
 
     def note(stage: str, done: int, total: int, note: str = '') -> None:
         seen.append(stage)
 
-    run = train(tmp_path / 'scene', TINY, tmp_path / 'out', note, minutes=0.08)
+    run = train(flat_scene, TINY, tmp_path / 'out', note, minutes=0.08)
     assert run.plan is not None and run.plan.experiment.field.minutes == pytest.approx(0.036)
     model = FovExtrapolator.load(run.model_path)
     assert model.card.memory is not None
@@ -160,6 +159,6 @@ def test_a_training_by_the_minute_leaves_a_whole_model_and_is_not_done_twice(
     order = list(dict.fromkeys(seen))
     assert order.index('plan') < order.index('field') < order.index('keyframes') \
         < order.index('outpainter')
-    again = train(tmp_path / 'scene', TINY, tmp_path / 'out', note, minutes=0.08)
+    again = train(flat_scene, TINY, tmp_path / 'out', note, minutes=0.08)
     assert again.samples == run.samples
     assert again.memory_path.read_bytes() == content[1]
