@@ -50,8 +50,7 @@ def test_from_a_bag_to_the_widened_view(
     from tiny_training import TINY
     monkeypatch.chdir(tmp_path)
     write_drive(Path('drive'))
-    settings = replace(TINY, memory=None, field=replace(TINY.field, steps=100),
-                       outpaint=replace(TINY.outpaint, steps=4))
+    settings = replace(TINY, memory=None, outpaint=replace(TINY.outpaint, steps=4))
     Path('tiny.yaml').write_text(yaml.safe_dump(asdict(settings)))
 
     assert 'Next: neo import drive out/scenes/drive' in run(documented('bag-info'))

@@ -20,12 +20,12 @@ def test_fields_with_depth_and_without_are_scored_and_kept(
     results = tmp_path / 'depth.json'
 
     def measured() -> list[dict]:
-        return measure(tmp_path / 'flat', tiny_run.model_path, tmp_path / 'work', TINY, (60, 300),
+        return measure(tmp_path / 'flat', tiny_run.model_path, tmp_path / 'work', TINY, (200, 300),
                        results)
 
     rows = measured()
     assert [(row['steps'], row['depth']) for row in rows] == [
-        (60, 'measured'), (60, 'none'), (300, 'measured'), (300, 'none')]
+        (200, 'measured'), (200, 'none'), (300, 'measured'), (300, 'none')]
     depth, none = rows[2:]
     assert depth['field_depth_error_median'] < none['field_depth_error_median']
     assert depth['field_ring_psnr'] > 10 and 'guided_ring_psnr' not in rows[0]

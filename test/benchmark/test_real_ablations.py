@@ -13,7 +13,7 @@ pytestmark = pytest.mark.slow
 
 def test_rows_are_measured_once(tiny_run, tmp_path: Path) -> None:
     scene, results = tiny_run.out.parent / 'scene', tmp_path / 'real.json'
-    base = replace(TINY, field=replace(TINY.field, steps=150, exposure=True))
+    base = replace(TINY, field=replace(TINY.field, steps=300, exposure=True))
     two = {name: ABLATIONS[name] for name in ('exposure', 'robust 0.3')}
     rows = measure(scene, base, two, results)
     assert [row['name'] for row in rows] == ['exposure', 'robust 0.3']

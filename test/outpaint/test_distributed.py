@@ -59,7 +59,7 @@ from tiny_training import TINY, train_tiny
 
 fitting.THREADS, folder = 1, Path(sys.argv[1])
 run = train_tiny(Path(sys.argv[2]), folder / 'out', replace(
-    TINY, field=replace(TINY.field, steps=60), memory=None,
+    TINY, field=replace(TINY.field, steps=200), memory=None,
     outpaint=replace(TINY.outpaint, steps=4, validations=2)), cache_gb=1.0)
 (folder / (os.environ['RANK'] + '.json')).write_text(json.dumps(
     {'samples': run.samples, 'figures': run.figures, 'validation': run.log['validation']}))

@@ -158,7 +158,7 @@ def small_network(monkeypatch):
     """Measure the stream beside the training of a network that is as small as can be."""
     pytest.importorskip('torch')
     monkeypatch.setattr('neo_ros.speed.stream.NetworkConfig', lambda: NetworkConfig(
-        patch=4, width=8, hidden=16))
+        width=8, hidden=16))
 
 
 def test_the_field_is_measured_in_a_room_that_is_closed(small_network):
