@@ -72,7 +72,6 @@ def train_naive(run: TrainingRun, rules: NaiveRules = NaiveRules()) -> None:
         run.network_expansion, experiment.network,
         replace(experiment.outpaint, validations=rules.validations, real_centre=0.0),
         experiment.seed, held_out)
-    # The trainer's clock runs: what comes before the first step is part of its time, as NEO's is.
     stream = ResizedPhotos(run.fitted, target.width, target.height, experiment.seed,
                            rules)
     run.seconds += time.monotonic() - started

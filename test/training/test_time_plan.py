@@ -139,6 +139,20 @@ def test_the_minutes_left_in_all_are_told_at_every_stage() -> None:
         '30', '28 dB; 23', '16', '12', '13', '3', '3', '1']
 
 
+def test_keyframes_that_take_longer_than_planned_are_told_of() -> None:
+    now, shown = [0.0], []
+
+    def show(stage: str, done: int, total: int, note: str = '') -> None:
+        shown.append(note)
+
+    tell = TimeLeft(TimePlan(6, Experiment()), show, clock=lambda: now[0])
+    tell('keyframes', 1, 111)
+    now[0] = 270
+    tell('keyframes', 11, 111)  # One takes 27 s, which leaves 45 minutes for 100.
+    tell('keyframes', 11, 12)   # No more are made, for want of time.
+    assert [note.split(' of ')[0] for note in shown] == ['3', '46', '2']
+
+
 @pytest.mark.slow
 def test_a_training_by_the_minute_leaves_a_whole_model_and_is_not_done_twice(
         tmp_path: Path) -> None:
