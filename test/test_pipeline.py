@@ -295,7 +295,7 @@ def test_another_memory_needs_no_other_training(
     shutil.copytree(tiny_run.out, out)
     before = FovExtrapolator.load(tiny_run.model_path).card
     wider = replace(TINY, memory=MemoryConfig(distance=1.5))
-    monkeypatch.setattr(scene_memory, 'MAX_BYTES', 1000)
+    monkeypatch.setattr(scene_memory, 'MOST_BYTES', 1000)
     with pytest.raises(ModelError, match='at most 0 MB, got .* set memory.distance to more'):
         train_tiny(scene, out, wider)
     monkeypatch.undo()

@@ -100,6 +100,15 @@ GEOMETRY_DEPTH = (
     Column('more than 10 % too far', 'depth_too_far_10_percent', '{:.1f} %', 100),
     Column('occupied cells marked', 'occupied_marked', '{:.1f} %', 100),
     Column('free cells marked', 'free_marked_occupied', '{:.1f} %', 100))
+MEASURED_DEPTH = (
+    Column('steps', 'steps', '{:,}'), Column('depth', 'depth'),
+    Column('minutes of the processor', 'cpu_minutes', '{:.1f}'),
+    Column('photos held out, dB', 'field_held_out_psnr', DB),
+    Column("field's ring, dB", 'field_ring_psnr', DB),
+    Column("field's depth off by", 'field_depth_error_median', '{:.1f} %', 100),
+    Column('guided ring, dB', 'guided_ring_psnr', DB),
+    Column('its depth off by', 'guided_depth_error_median', '{:.1f} %', 100),
+    Column('position off by, cm', 'position_cm_median', DB))
 LOOKS = (
     Column('scene', 'scene'), Column('delay, s', 'delay_s', '{:g}'), Column('looks', 'looks'),
     Column('position as it came, cm', 'as_came_position_cm', '{:.0f}'),
@@ -168,6 +177,7 @@ TABLES: dict[str, Rows] = {
     'geometry_pose': Rows('geometry', GEOMETRY_POSE),
     'geometry_depth': Rows('geometry', GEOMETRY_DEPTH,
                            lambda row: row['depth_error_median'] is not None),
+    'measured_depth': Rows('measured_depth', MEASURED_DEPTH),
     'predicted_looks': Rows('predicted_looks', LOOKS),
     'imports': Rows('imports', IMPORTS),
     'building': Rows('building', BUILDING, lambda row: not row['layout'].startswith(A_FLOOR)),
