@@ -206,6 +206,8 @@ class Locator:
     def _pose(self, points: np.ndarray, pixels: np.ndarray, least: int) -> Location | None:
         """Find the pose that at least so many of the points fit; None without one."""
         matrix, limits = self.camera.matrix, self.thresholds
+        if len(points) < least:
+            return None
         found, turn, shift, inliers = cv2.solvePnPRansac(
             points, pixels, matrix, None, iterationsCount=limits.ransac_rounds,
             reprojectionError=limits.inlier_pixels, confidence=0.9999, flags=cv2.SOLVEPNP_AP3P)
