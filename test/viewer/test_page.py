@@ -217,7 +217,7 @@ def test_a_place_that_is_not_recognised(page: Any, viewer: Viewer) -> None:
     assert page.is_hidden('#place-sign'), 'the stronger sign alone'
     viewer.tell({'out_of_scene': False, 'recognised': True})
     wait_for(page, lambda: 'remembers of the room' in page.inner_text('#explanation'))
-    assert page.is_hidden('#place-sign')
+    wait_for(page, lambda: page.is_hidden('#place-sign'))
     viewer.tell({'recognised': None})
 
 
