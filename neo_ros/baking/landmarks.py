@@ -6,6 +6,7 @@ from neo_ros.baking.photo_bank import read_photo_bank
 from neo_ros.baking.sparse_model import read_sparse_model
 from neo_ros.errors import SceneError
 from neo_ros.geometry import Intrinsics
+from neo_ros.machine.evenly import evenly
 from neo_ros.machine.progress import of_stage, StageProgress
 from neo_ros.memory.landmarks import Landmarks, magnification
 from neo_ros.scenes.posed_images import PosedImages
@@ -30,8 +31,7 @@ def find_landmarks(photos: PosedImages, scale: float, source: Intrinsics, work: 
         progress('without landmarks', 0, 1, 'pycolmap is not installed')
         return None
     most_photos = most_photos or _photos_for(photos.T_world_cam[:, :3, 3])
-    chosen = np.linspace(0, len(photos) - 1, min(len(photos), most_photos))
-    photos = photos.subset(chosen.round().astype(int).tolist())
+    photos = photos.subset(evenly(len(photos), most_photos).tolist())
     try:
         bank = read_photo_bank(photos, scale, work / 'features.npz',
                                of_stage(progress, 'features'), magnification(source))

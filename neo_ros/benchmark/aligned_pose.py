@@ -35,8 +35,7 @@ def aligned_pose(field: RadianceField, image: np.ndarray, camera: Intrinsics,
     Return T_world_cam (4, 4) at which the field looks most like an image uint8 (H, W, 3).
 
     gain (3,) takes colours of the field to the photo's. usable: bool (H, W), the pixels that show
-    the scene; None: all. The pose as it came is returned where too
-    little is seen.
+    the scene; None: all. The pose as it came is returned where too little is seen.
     """
     photo = cv2.GaussianBlur(image, (0, 0), 0.7).astype(np.float32) / 255
     across = cv2.Sobel(photo, cv2.CV_32F, 1, 0, scale=1 / 8)

@@ -19,6 +19,7 @@ from neo_ros.experiment import Experiment
 from neo_ros.field.device import chosen_device, field_trainer, on_device
 from neo_ros.field.rendering import render_view
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
+from neo_ros.machine.evenly import evenly
 from neo_ros.machine.files import make_output_folder
 from neo_ros.machine.host import host
 from neo_ros.machine.progress import StageProgress
@@ -123,7 +124,7 @@ def score(run: TrainingRun, render: Renderer, views: int, scorers: Sequence[Scor
         camera = run.held_out.intrinsics.scaled(scale)
         # Of any expansion to the photo: the scores of the whole image are the same.
         photo_view = ViewExpansion.inside(camera, 0, 0, camera.width // 2, camera.height // 2)
-        for index in _spread(len(run.held_out), views):
+        for index in evenly(len(run.held_out), views):
             photo = run.held_out.read_image(index, scale)
             usable = run.held_out.read_usable(index, scale)
             shown = 255 * render(camera, run.held_out.poses[index])
@@ -132,7 +133,7 @@ def score(run: TrainingRun, render: Renderer, views: int, scorers: Sequence[Scor
                            for name, value in scorer(photo, image, photo_view, usable).items()
                            if name.startswith('whole')})
     frames = TruthFrames(run.scene.test, run.expansion)
-    chosen = _spread(len(frames), views)
+    chosen = evenly(len(frames), views)
     for done, index in enumerate(chosen, 1):
         narrow_image, truth = frames.read(index)
         shown = 255 * render(run.expansion.target, frames.images.poses[index])
@@ -167,8 +168,3 @@ def _gained(shown: np.ndarray, window: np.ndarray, observed: np.ndarray,
     if usable is not None:
         window, observed = window[usable], observed[usable]
     return np.clip(shown * exposure_gain(window, observed) + 0.5, 0, 255).astype(np.uint8)
-
-
-def _spread(count: int, most: int) -> list[int]:
-    chosen = np.linspace(0, count - 1, min(count, most)).round().astype(int)
-    return [int(index) for index in chosen]

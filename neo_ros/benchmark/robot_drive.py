@@ -9,7 +9,7 @@ robot that starts and stops, odometry that drifts and a localisation that correc
 second: see `flat/robot_camera.py`. With a model the bag holds the wide truth, too.
 """
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import partial
 import math
 from pathlib import Path
@@ -23,21 +23,24 @@ from neo_ros.flat.walks import DOORWAY, plan_walk_through, STEP
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.geometry.lens import Lens
 from neo_ros.machine.processes import map_in_processes
+from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.messages import camera_info_fields, image_fields
 from neo_ros.messages.stamps import NS_PER_S
 from neo_ros.runtime import read_model_card
 import numpy as np
+from rich.progress import Progress as Bar
 
 START_NS = NS_PER_S
 LOCATED_EVERY = 1.0  # seconds
 
 
 def make_drive(path: Path, seconds: float, rate: float, seed: int, truth: Intrinsics | None = None,
-               lens: Lens = LENS, workers: int = 2) -> int:
+               lens: Lens = LENS, workers: int = 2, progress: Progress = no_progress) -> int:
     """
     Cast a drive through the demo flat and write it as a bag; return the number of images.
 
-    truth: the wide camera whose view is written beside the camera's, if any. Raises BagError
+    truth: the wide camera whose view is written beside the camera's, if any. progress(done,
+    total) counts images. Raises BagError
     where the bag exists or cannot be written, SceneError where no way is found.
     """
     flat, drive = build_demo_flat(), Drive()
@@ -46,30 +49,31 @@ def make_drive(path: Path, seconds: float, rate: float, seed: int, truth: Intrin
     walk = plan_walk_through(walkable, DOORWAY, math.ceil(drive.length(seconds) / STEP) + 2,
                              np.random.default_rng(seed))
     poses = poses_along(walk, drive.distances(times, seconds))
-    return write_robot_bag(path, _frames(poses, times, lens, truth, walkable.camera_height,
-                                         workers), walkable.camera_height)
+    height = walkable.camera_height
+    views = map_in_processes(partial(_views, lens, truth), [pose.T_world_cam for pose in poses],
+                             workers)
+    return write_robot_bag(path, _frames(views, poses, times, lens, height, progress), height)
 
 
-def _frames(poses: list[CameraPose], times: np.ndarray, lens: Lens, truth: Intrinsics | None,
-            height: float, workers: int) -> Iterator[RobotFrame]:
+def _frames(views: Iterable[tuple[np.ndarray, np.ndarray | None]], poses: list[CameraPose],
+            times: np.ndarray, lens: Lens, height: float, progress: Progress
+            ) -> Iterator[RobotFrame]:
     T_optical_base = np.linalg.inv(base_to_optical(height))
     T_map_base = [pose.T_world_cam @ T_optical_base for pose in poses]
     T_odom_base = Drift().odometry(T_map_base)
     located = np.floor(times / LOCATED_EVERY).astype(int)
     exposure, info = AutoExposure(), _camera_info(lens)
     T_map_odom, known = np.eye(4), -1
-    views = map_in_processes(partial(_views, lens, truth), [pose.T_world_cam for pose in poses],
-                             workers)
     for index, (seen, wide) in enumerate(views):
         if located[index] != known:
             known = located[index]
             T_map_odom = T_map_base[index] @ np.linalg.inv(T_odom_base[index])
-        print(f'{index + 1} of {len(poses)} images', end='\r', flush=True)
         gain = exposure.gain(seen, float(times[index]))
         yield RobotFrame(
             START_NS + round(float(times[index]) * NS_PER_S), _yuyv_fields(exposed(seen, gain)),
             info, T_map_odom, T_odom_base[index],
             None if wide is None else exposed(wide, gain))
+        progress(index + 1, len(poses))
 
 
 def _views(lens: Lens, truth: Intrinsics | None, T_world_cam: np.ndarray
@@ -102,7 +106,11 @@ def main() -> None:
     parser.add_argument('--model', type=Path, help='whose wide view is written as the truth')
     given = parser.parse_args()
     truth = None if given.model is None else read_model_card(given.model).expansion.target
-    count = make_drive(given.bag, given.seconds, given.rate, given.seed, truth)
+    with Bar() as bar:
+        task = bar.add_task('images')
+        count = make_drive(
+            given.bag, given.seconds, given.rate, given.seed, truth,
+            progress=lambda done, total: bar.update(task, completed=done, total=total))
     print(f'{given.bag}: {count} images')
 
 

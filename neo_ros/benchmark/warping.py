@@ -14,7 +14,7 @@ from neo_ros.baking.photo_bank import PhotoBank
 from neo_ros.geometry import CameraPose, ViewExpansion
 from neo_ros.memory.local_features import find_features, match_features
 from neo_ros.pictures.exposure import exposure_gain
-from neo_ros.pictures.filling import blend_bands, extend_edges, sample_pixels
+from neo_ros.pictures.filling import blend_bands, extend_edges, sample_mask, sample_pixels
 import numpy as np
 
 
@@ -116,7 +116,7 @@ class Warping:
         # Weights fall off towards the photo's rim, so that it leaves no edge.
         feather = np.clip(np.nan_to_num(rim, nan=-1) / (0.1 * width), 0, 1)
         if self.usable is not None:
-            feather *= sample_pixels(self.usable[index].astype(np.float32), where) > 0.9999
+            feather *= sample_mask(self.usable[index], where)
         if (feather > 0).sum() < 0.01 * feather.size:
             return None
         image = sample_pixels(photo, where).astype(np.float32)

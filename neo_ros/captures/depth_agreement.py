@@ -8,6 +8,7 @@ from neo_ros.captures.depth_writing import OPTION
 from neo_ros.captures.report_measures import apart
 from neo_ros.errors import SceneError
 from neo_ros.geometry import CameraPose, Intrinsics
+from neo_ros.machine.evenly import evenly
 from neo_ros.pictures.depth import MM_PER_M, read_depth
 from neo_ros.scenes.posed_images import PosedImages
 import numpy as np
@@ -44,7 +45,7 @@ def measure_agreement(photos: PosedImages) -> Agreement | None:
     having = [index for index, path in enumerate(photos.depth_paths) if path is not None]
     if not having:
         return None
-    chosen = np.linspace(0, len(having) - 1, min(len(having), PHOTOS)).round().astype(int)
+    chosen = evenly(len(having), PHOTOS)
     camera, sift = photos.intrinsics, cv2.SIFT.create(FEATURES)
     features: dict[int, tuple[np.ndarray, np.ndarray]] = {}
 

@@ -6,6 +6,7 @@ from neo_ros.captures.capture import Capture, CapturedFrame, DepthSource, files_
 from neo_ros.errors import SceneError
 from neo_ros.geometry import Intrinsics
 from neo_ros.geometry.lens import CENTRE, Lens, Straightener
+from neo_ros.machine.evenly import evenly
 from neo_ros.machine.names import listed
 from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.pictures.depth import MM_PER_M, nearest, read_depth, to_millimetres, write_depth
@@ -126,8 +127,8 @@ def _check_unit(middles: Sequence[float], depth: DepthSource | None) -> None:
 
 def _coverage(paths: Sequence[Path], photos: int, pinhole: Intrinsics) -> str:
     """Say how many photos have depth, and of how much of their picture."""
-    chosen = np.unique(np.linspace(0, len(paths) - 1, min(len(paths), MEASURED)).round())
-    maps = [read_depth(paths[int(place)], pinhole.width, pinhole.height) for place in chosen]
+    maps = [read_depth(paths[place], pinhole.width, pinhole.height)
+            for place in evenly(len(paths), MEASURED)]
     known = np.mean([(one > 0).mean() for one in maps])
     depths = np.concatenate([one[one > 0][::16] for one in maps])
     far = f', the median is {np.median(depths) / MM_PER_M:.2f} m' if len(depths) else ''

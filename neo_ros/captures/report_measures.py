@@ -3,6 +3,7 @@ from dataclasses import dataclass
 
 import cv2
 from neo_ros.geometry import Intrinsics, ViewExpansion
+from neo_ros.machine.evenly import evenly
 from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.pictures.sharpness import blur_threshold, relative_sharpness
 from neo_ros.scenes.posed_images import PosedImages
@@ -86,7 +87,7 @@ def measure_capture(scene: Scene, progress: Progress = no_progress) -> CaptureMe
         camera, 2 * camera.width, 2 * camera.height)
     T_world_cam = photos.T_world_cam
     T_cam_world = np.linalg.inv(T_world_cam)
-    measured, viewed = _evenly(len(photos), MOST_PHOTOS), _evenly(len(photos), MOST_VIEWS)
+    measured, viewed = evenly(len(photos), MOST_PHOTOS), evenly(len(photos), MOST_VIEWS)
     steps = len(measured) + len(viewed) + len(photos)
     done = 0
     sharp, bright = np.empty(len(measured)), np.empty(len(measured))
@@ -122,10 +123,6 @@ def apart(T_world_cam: np.ndarray, own: np.ndarray) -> tuple[np.ndarray, np.ndar
     """
     distance = np.linalg.norm(T_world_cam[:, :3, 3] - own[:3, 3], axis=1)
     return distance, np.arccos(np.clip(T_world_cam[:, :3, 2] @ own[:3, 2], -1, 1))
-
-
-def _evenly(count: int, most: int) -> np.ndarray:
-    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))
 
 
 def _near(T_world_cam: np.ndarray, index: int) -> np.ndarray:
@@ -173,7 +170,7 @@ def _walkable_near(scene: Scene) -> float | None:
     if scene.walkable is None:
         return None
     centres = scene.walkable.centres()
-    centres = centres[_evenly(len(centres), 4000)]
+    centres = centres[evenly(len(centres), 4000)]
     positions = scene.train.T_world_cam[:, :2, 3]
     nearest = [np.linalg.norm(positions - centre, axis=1).min() for centre in centres]
     return float((np.array(nearest) <= 1.0).mean())

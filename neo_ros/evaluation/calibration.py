@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from neo_ros.evaluation.evaluate import TruthFrames
-from neo_ros.evaluation.metrics import check_pair, PARTS, scored_parts
+from neo_ros.evaluation.metrics import check_pair
 from neo_ros.geometry import ViewExpansion
 from neo_ros.reports.report import Plot, Section, Series, Table
 from neo_ros.runtime import FovExtrapolator
@@ -42,7 +42,8 @@ class Calibration:
         usable: as in `score_frame`.
         """
         check_pair(truth, wide_image, expansion)
-        ring = scored_parts(expansion, usable)[PARTS.index('ring')]
+        ring = expansion.extrapolated_mask if usable is None else (
+            expansion.extrapolated_mask & usable)
         error = np.abs(truth.astype(np.int64) - wide_image)[ring].sum(-1)
         index = confidence[ring].astype(np.int64) * (_LARGEST + 1) + error
         self.counts += np.bincount(index, minlength=self.counts.size).reshape(self.counts.shape)

@@ -14,7 +14,7 @@ from neo_ros.evaluation.evaluate import run_method, StatefulMethod, TruthFrames
 from neo_ros.geometry import Intrinsics
 from neo_ros.machine.files import whole_file
 from neo_ros.machine.progress import no_progress, Progress
-from neo_ros.pictures.filling import sample_pixels
+from neo_ros.pictures.filling import sample_mask, sample_pixels
 import numpy as np
 
 DepthOf = Callable[[int], np.ndarray]
@@ -58,7 +58,7 @@ class WarpingError:
         T_last_now = images.poses[last[0]].inverse() @ images.poses[index].T_world_cam
         where, visible = follow_points(self.frames.expansion.target, self.depth_of(index),
                                        self.depth_of(last[0]), T_last_now)
-        usable = usable & (sample_pixels(last[2].astype(np.float32), where) > 0.9999)
+        usable = usable & sample_mask(last[2], where)
         counted = visible & usable & self.frames.expansion.extrapolated_mask
         names = ('warping_error', 'truth_warping_error')
         errors = {name: warping_error(image, before, where, counted)

@@ -8,6 +8,7 @@ from neo_ros.flat.building_plan import Placed
 from neo_ros.flat.building_rooms import DOOR
 from neo_ros.flat.walks import connected, Doorway, plan_walk_through
 from neo_ros.geometry import CameraPose
+from neo_ros.machine.evenly import evenly
 from neo_ros.scenes.walkable import WalkableMap
 import numpy as np
 
@@ -41,8 +42,7 @@ def door_walks(building: Building, floor: int, n_frames: int, seed: int
     walkable, walks = building.walkable(floor), []
     wanted = max(WALKS // building.plan.floors, 1)
     rooms = building.rooms(floor)
-    order = np.linspace(0, len(rooms) - 1, min(wanted, len(rooms))).round().astype(int).tolist()
-    for number in order:
+    for number in evenly(len(rooms), wanted):
         door = doorway(rooms[number])
         near = _part(walkable, np.array(door[:2]) - _AROUND, np.array(door[:2]) + _AROUND)
         if near is not None and near.contains(np.array([door[:2]])).all():

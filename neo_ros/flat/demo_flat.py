@@ -123,7 +123,7 @@ def centre_samples(values: np.ndarray, samples: int = SAMPLES) -> np.ndarray:
 def developed(radiance: np.ndarray, intrinsics: Intrinsics, samples: int = SAMPLES) -> np.ndarray:
     """Average the samples (M, 3) of each pixel as a camera would: RGB uint8 (H, W, 3)."""
     shown = _tone(radiance).reshape(intrinsics.height, samples, intrinsics.width, samples, 3)
-    return _encoded(shown.sum(axis=(1, 3)) / np.float32(samples ** 2))
+    return encoded(shown.sum(axis=(1, 3)) / np.float32(samples ** 2))
 
 
 def outside_radiance(rays: np.ndarray) -> np.ndarray:
@@ -140,7 +140,8 @@ def _tone(radiance: np.ndarray) -> np.ndarray:
     return np.minimum(x * (1 + x / (WHITE_POINT * WHITE_POINT)) / (1 + x * np.float32(0.8)), 1)
 
 
-def _encoded(linear: np.ndarray) -> np.ndarray:
+def encoded(linear: np.ndarray) -> np.ndarray:
+    """Return the sRGB values, uint8, of light in [0, 1], float32."""
     srgb = np.where(linear <= 0.0031308, linear * np.float32(12.92),
                     np.float32(1.055) * linear ** np.float32(1 / 2.4) - np.float32(0.055))
     return np.rint(srgb * 255).astype(np.uint8)

@@ -6,9 +6,12 @@ and its odometry drifts until it is located anew.
 """
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 import math
 
 import cv2
+from neo_ros.flat.demo_flat import encoded
+from neo_ros.flat.shapes import srgb
 from neo_ros.flat.walks import STEP
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.geometry.camera_pose import rotation_from_vector, rotation_vector
@@ -18,6 +21,9 @@ import numpy as np
 # 640x480 at 69 degrees, as a depth camera's colour stream; a lens with some barrel distortion.
 LENS = Lens(Intrinsics.from_hfov(640, 480, math.radians(69)),
             (-0.09, 0.03, 0.0006, -0.0004, 0.0))
+
+# How much light sRGB values stand for, 0 ... 1.
+LINEAR = np.array([srgb(f'{value:02x}' * 3)[0] for value in range(256)], np.float32)
 
 
 @dataclass(frozen=True)
@@ -81,7 +87,7 @@ class AutoExposure:
 
     def gain(self, image: np.ndarray, seconds: float) -> float:
         """Return the gain of an image, RGB uint8 (H, W, 3), taken at that time."""
-        wanted = self.TARGET / max(float(_linear(image).mean()), 1e-3)
+        wanted = self.TARGET / max(float(LINEAR[image].mean()), 1e-3)
         if self._last is None:
             gain = wanted
         else:
@@ -93,15 +99,13 @@ class AutoExposure:
 
 def exposed(image: np.ndarray, gain: float) -> np.ndarray:
     """Return an image, RGB uint8 (H, W, 3), with so much more light; what is too bright clips."""
-    linear = np.clip(_linear(np.arange(256)) * gain, 0, 1)
-    curve = np.where(linear <= 0.0031308, linear * 12.92, 1.055 * linear ** (1 / 2.4) - 0.055)
-    return cv2.LUT(image, np.rint(255 * curve).astype(np.uint8))
+    return cv2.LUT(image, encoded(np.clip(LINEAR * np.float32(gain), 0, 1)))
 
 
 def pinhole_around(lens: Lens) -> Intrinsics:
     """Return the pinhole camera, of the same focal length, that sees all that a lens sees."""
     camera = lens.intrinsics
-    points = lens.straighten(_pixels(camera))
+    points = _straight(lens)
     low, high = points.min(0) * (camera.fx, camera.fy), points.max(0) * (camera.fx, camera.fy)
     left, top = (np.ceil(-low) + 2).tolist()
     right, bottom = (np.ceil(high) + 2).tolist()
@@ -111,20 +115,15 @@ def pinhole_around(lens: Lens) -> Intrinsics:
 def through_lens(image: np.ndarray, pinhole: Intrinsics, lens: Lens) -> np.ndarray:
     """Return what a lens makes of the view of `pinhole_around`, uint8 (H, W, 3)."""
     camera = lens.intrinsics
-    points = lens.straighten(_pixels(camera))
-    where = points * (pinhole.fx, pinhole.fy) + (pinhole.cx - CENTRE, pinhole.cy - CENTRE)
+    where = _straight(lens) * (pinhole.fx, pinhole.fy) + (pinhole.cx - CENTRE, pinhole.cy - CENTRE)
     columns, rows = where.astype(np.float32).T.reshape(2, camera.height, camera.width)
     return cv2.remap(image, np.ascontiguousarray(columns), np.ascontiguousarray(rows),
                      cv2.INTER_CUBIC)
 
 
-def _pixels(camera: Intrinsics) -> np.ndarray:
-    """Return the centres of all pixels, row by row, float64 (N, 2)."""
+@lru_cache(maxsize=1)
+def _straight(lens: Lens) -> np.ndarray:
+    """Return where a lens sees its pixels, row by row, float64 (N, 2) on the z = 1 plane."""
+    camera = lens.intrinsics
     x, y = np.meshgrid(np.arange(camera.width) + CENTRE, np.arange(camera.height) + CENTRE)
-    return np.stack([x.ravel(), y.ravel()], 1)
-
-
-def _linear(image: np.ndarray) -> np.ndarray:
-    """Return how much light sRGB values of 0 ... 255 stand for, 0 ... 1."""
-    value = np.asarray(image) / 255
-    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+    return lens.straighten(np.stack([x.ravel(), y.ravel()], 1))

@@ -187,6 +187,7 @@ class Locator:
 
     def _match(self, features: Features, around: CameraPose) -> Location | None:
         tried = self._visible(around)
+        # As floats all of a building's would be large; those in view take a millisecond.
         matches = match_features(features.descriptors,
                                  _unit(self._descriptors[tried].astype(np.float32)),
                                  self.thresholds.ratio)

@@ -109,7 +109,7 @@ def _check(name: str, dtype: np.dtype, shape: tuple[int, ...], expected: type,
 @contextmanager
 def open_memory_file(path: Path, sha256: str) -> Iterator[MemoryFields]:
     """
-    Open what `write_memory_file` wrote, and only that.
+    Open what `SceneMemory.write` wrote, and only that.
 
     Raises ModelError as `open_model_file` does, when it is not the file that `sha256` tells of,
     and for whatever is raised while it is open.

@@ -52,9 +52,8 @@ class CameraProbe:
     With `everything` it subscribes to all that the node offers, sends odometry with each image
     (the camera stands still), now and then a prior, and asks the node to search anew.
     images: uint8 RGB (N, h, w, 3), sent to and fro. `heard` counts messages by topic, `arrivals`
-    holds, per wide image, its stamp
-    and when it came, both in nanoseconds; `beats` when each diagnosis came, in seconds, and the
-    memory of the process `pid` then, in MB.
+    holds, per wide image, its stamp and when it came, both in nanoseconds; `beats` when each
+    diagnosis came, in seconds, and the memory of the process `pid` then, in MB.
     """
 
     def __init__(self, images: np.ndarray, pid: int, everything: bool = False) -> None:

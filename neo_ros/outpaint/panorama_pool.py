@@ -8,6 +8,7 @@ from neo_ros.field.panorama import Panorama, panorama_size, render_panorama, vie
 from neo_ros.field.radiance_field import RadianceField
 from neo_ros.field.view_cutting import view_cutter
 from neo_ros.geometry import Intrinsics
+from neo_ros.machine.evenly import evenly
 from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.outpaint.panorama_cache import DrawnPanorama, PanoramaCache
 from neo_ros.pictures.sharpness import blur_threshold, relative_sharpness
@@ -71,10 +72,10 @@ class PanoramaPool:
         wide view at the place of a photo is, compared with the photo (median): a field is softer
         than photos everywhere, and only what is blurred beyond that says nothing.
         """
-        chosen = _evenly(len(photos), self.rules.measured_photos)
+        chosen = evenly(len(photos), self.rules.measured_photos)
         sharp = np.array([relative_sharpness(photos.read_image(i, scale)) for i in chosen])
         kept = []
-        for place in _evenly(len(chosen), self.rules.rendered_photos):
+        for place in evenly(len(chosen), self.rules.rendered_photos):
             pose = photos.poses[chosen[place]]
             panorama = render_panorama(self.field, pose.position, self.view, self.band)
             view = self.cut_view(panorama, pose.T_world_cam[:3, :3])
@@ -177,7 +178,3 @@ def covered(view: torch.Tensor, rules: PoolRules = PoolRules()) -> bool:
 
 def _sharpness(view: torch.Tensor) -> float:
     return relative_sharpness(view[..., :3].cpu().numpy())
-
-
-def _evenly(count: int, most: int) -> list[int]:
-    return [int(i) for i in np.linspace(0, count - 1, min(count, most)).round()]

@@ -65,6 +65,13 @@ def sample_pixels(image: np.ndarray, where: np.ndarray) -> np.ndarray:
                      borderMode=cv2.BORDER_REPLICATE)
 
 
+def sample_mask(mask: np.ndarray, where: np.ndarray) -> np.ndarray:
+    """Look up a mask, bool (H, W), as `sample_pixels`; True where all that is blended is."""
+    # Weights add up to a little less than 1.
+    whole: np.ndarray = sample_pixels(mask.astype(np.float32), where) > 0.9999
+    return whole
+
+
 def _gaussian(image: np.ndarray) -> list[np.ndarray]:
     levels = [image]
     for _ in range(BANDS):

@@ -5,6 +5,7 @@ from neo_ros.errors import ConfigError
 from neo_ros.field.free_space import find_free_floor
 from neo_ros.field.radiance_field import RadianceField
 from neo_ros.geometry import CameraPose, ViewExpansion
+from neo_ros.machine.evenly import evenly
 from neo_ros.outpaint.pair_stream import PairStream, source_view_enlarged
 from neo_ros.outpaint.panorama_cache import PanoramaCache
 from neo_ros.outpaint.real_centres import RealCentres
@@ -119,7 +120,8 @@ def real_frames(run: TrainingRun, count: int, photos: PosedImages | None = None)
     """
     photos, scale = photos or run.held_out or run.fitted, run.experiment.scale
     window = photos.intrinsics.scaled(scale).window(run.expansion.source)
-    return np.stack([photos.read_image(index, scale)[window] for index in _spread(photos, count)])
+    return np.stack([photos.read_image(index, scale)[window]
+                     for index in evenly(len(photos), count)])
 
 
 def real_usable(run: TrainingRun, count: int, photos: PosedImages) -> np.ndarray | None:
@@ -127,10 +129,8 @@ def real_usable(run: TrainingRun, count: int, photos: PosedImages) -> np.ndarray
     if not any(photos.mask_paths):
         return None
     scale = run.experiment.scale
-    window = photos.intrinsics.scaled(scale).window(run.expansion.source)
-    return np.stack([photos.read_shown(index, scale)[1][window]
-                     for index in _spread(photos, count)])
-
-
-def _spread(photos: PosedImages, count: int) -> np.ndarray:
-    return np.linspace(0, len(photos) - 1, min(count, len(photos))).round().astype(int)
+    camera = photos.intrinsics.scaled(scale)
+    every = np.ones((camera.height, camera.width), bool)
+    masks = [photos.read_usable(index, scale) for index in evenly(len(photos), count)]
+    window = camera.window(run.expansion.source)
+    return np.stack([(every if usable is None else usable)[window] for usable in masks])

@@ -120,13 +120,18 @@ def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:
         plan_training(tmp_path, scene_of(64, 48, 10), Experiment(), 0, lambda text: None)
 
 
-def test_the_minutes_left_in_all_are_told_at_every_stage() -> None:
-    now, shown = [0.0], []
+def telling(minutes: float) -> tuple[TimeLeft, list[float], list[str]]:
+    """Return what tells of a plan, the time that its clock shows, and the notes that it shows."""
+    now, shown = [0.0], list[str]()
 
     def show(stage: str, done: int, total: int, note: str = '') -> None:
         shown.append(note)
 
-    tell = TimeLeft(TimePlan(30, Experiment()), show, clock=lambda: now[0])
+    return TimeLeft(TimePlan(minutes, Experiment()), show, clock=lambda: now[0]), now, shown
+
+
+def test_the_minutes_left_in_all_are_told_at_every_stage() -> None:
+    tell, now, shown = telling(30)
     tell('photos', 1, 9)
     tell('field', 405, 810, '28 dB')
     tell('features', 1, 400)
@@ -142,12 +147,7 @@ def test_the_minutes_left_in_all_are_told_at_every_stage() -> None:
 
 
 def test_keyframes_that_take_longer_than_planned_are_told_of() -> None:
-    now, shown = [0.0], []
-
-    def show(stage: str, done: int, total: int, note: str = '') -> None:
-        shown.append(note)
-
-    tell = TimeLeft(TimePlan(6, Experiment()), show, clock=lambda: now[0])
+    tell, now, shown = telling(6)
     tell('keyframes', 1, 111)
     now[0] = 270
     tell('keyframes', 11, 111)  # One takes 27 s, which leaves 45 minutes for 100.
