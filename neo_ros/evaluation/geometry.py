@@ -74,14 +74,61 @@ class OccupancyGrid:
 
 
 @dataclass
+class DepthScores:
+    """
+    How true the ring's depth was in the frames so far.
+
+    errors: relative, signed; cells: truly occupied that are marked, truly occupied, truly free
+    that are marked, truly free.
+    """
+
+    errors: list[np.ndarray] = field(default_factory=list)
+    cells: list[tuple[int, int, int, int]] = field(default_factory=list)
+
+    def add(self, depth: np.ndarray, true: np.ndarray, pose: CameraPose, found: CameraPose,
+            expansion: ViewExpansion, grid: OccupancyGrid | None) -> None:
+        """
+        Score depth (H, W) of a frame against the true one, both along the optical axis.
+
+        pose: the true one; found: from where the depth is told; grid: where the floor is at z = 0.
+        """
+        ring = expansion.extrapolated_mask
+        known = ring & np.isfinite(depth) & np.isfinite(true)
+        self.errors.append(((depth - true) / true)[known].astype(np.float32))
+        if grid is None:
+            return
+        rays = expansion.target.pixel_rays()
+        occupied = grid.occupied(true[ring], rays[ring], pose, pose.position)
+        marked = grid.occupied(depth[ring], rays[ring], found, pose.position)
+        some = np.zeros_like(ring)
+        some[::grid.every, ::grid.every] = ring[::grid.every, ::grid.every]
+        free = _without(grid.free(true[some], rays[some], pose), occupied)
+        self.cells.append((len(occupied) - len(_without(occupied, marked)), len(occupied),
+                           len(free) - len(_without(free, marked)), len(free)))
+
+    def figures(self) -> dict[str, float]:
+        """Return what was measured under its keys of GEOMETRY_KEYS."""
+        found = {}
+        if self.errors:
+            errors = np.concatenate(self.errors)
+            found['depth_error_median'] = float(np.median(np.abs(errors)))
+            found['depth_within_5_percent'] = float(np.mean(np.abs(errors) <= 0.05))
+            found['depth_too_far_10_percent'] = float(np.mean(errors > 0.1))
+        if self.cells:
+            marked, occupied, wrong, free = np.sum(self.cells, axis=0)
+            found['occupied_marked'] = float(marked / max(occupied, 1))
+            found['free_marked_occupied'] = float(wrong / max(free, 1))
+        return found
+
+
+@dataclass
 class _Scores:
     """Figures of the frames so far."""
 
     position: list[float] = field(default_factory=list)
     rotation: list[float] = field(default_factory=list)
     covered: list[tuple[bool, bool]] = field(default_factory=list)
-    depth: list[np.ndarray] = field(default_factory=list)  # relative errors, signed
-    cells: list[tuple[int, int, int, int]] = field(default_factory=list)
+    depth: DepthScores = field(default_factory=DepthScores)
     milliseconds: list[tuple[float, float, float]] = field(default_factory=list)
 
     def row(self) -> dict[str, float]:
@@ -97,16 +144,7 @@ class _Scores:
         for name, value in zip(('pose_ms', 'depth_ms', 'points_ms'),
                                np.median(self.milliseconds, axis=0)):
             found[name] = float(value)
-        if self.depth:
-            errors = np.concatenate(self.depth)
-            found['depth_error_median'] = float(np.median(np.abs(errors)))
-            found['depth_within_5_percent'] = float(np.mean(np.abs(errors) <= 0.05))
-            found['depth_too_far_10_percent'] = float(np.mean(errors > 0.1))
-        if self.cells:
-            marked, occupied, wrong, free = np.sum(self.cells, axis=0)
-            found['occupied_marked'] = float(marked / max(occupied, 1))
-            found['free_marked_occupied'] = float(wrong / max(free, 1))
-        return found
+        return found | self.depth.figures()
 
 
 def score_geometry(scene: str, frames: TruthFrames, extrapolator: FovExtrapolator,
@@ -120,14 +158,13 @@ def score_geometry(scene: str, frames: TruthFrames, extrapolator: FovExtrapolato
     """
     expansion, scores = frames.expansion, _Scores()
     points = PointMaker(expansion.target, 2)
-    for index, view in _walk(frames, extrapolator):
+    for index, view in follow(frames, extrapolator):
         if view.guide is not None:
             pose = frames.images.poses[index]
             _score_pose(scores, pose, view.guide)
             depth = _timed_depth(scores, view, points)
             if true_depth is not None:
-                _score_depth(scores, depth, true_depth(index), pose, view.guide.pose, expansion,
-                             grid)
+                scores.depth.add(depth, true_depth(index), pose, view.guide.pose, expansion, grid)
         progress(index + 1)
     row: dict[str, Any] = dict.fromkeys(GEOMETRY_KEYS)
     return row | {
@@ -137,7 +174,9 @@ def score_geometry(scene: str, frames: TruthFrames, extrapolator: FovExtrapolato
         'commit': commit(), 'host': host()}
 
 
-def _walk(frames: TruthFrames, extrapolator: FovExtrapolator) -> Iterator[tuple[int, WideView]]:
+def follow(frames: TruthFrames, extrapolator: FovExtrapolator
+           ) -> Iterator[tuple[int, WideView]]:
+    """Yield (index, wide view) of all frames in their order; anew where another walk begins."""
     path_id = None
     for index, (image, _) in enumerate(frames):
         if frames.images.path_ids[index] != path_id:
@@ -171,23 +210,6 @@ def _timed_depth(scores: _Scores, view: WideView, points: PointMaker) -> np.ndar
     scores.milliseconds[-1] = (scores.milliseconds[-1][0], 1e3 * (made - started),
                                1e3 * (done - started))
     return depth
-
-
-def _score_depth(scores: _Scores, depth: np.ndarray, true: np.ndarray, pose: CameraPose,
-                 found: CameraPose, expansion: ViewExpansion, grid: OccupancyGrid | None) -> None:
-    ring = expansion.extrapolated_mask
-    known = ring & np.isfinite(depth) & np.isfinite(true)
-    scores.depth.append(((depth - true) / true)[known].astype(np.float32))
-    if grid is None:
-        return
-    rays = expansion.target.pixel_rays()
-    occupied = grid.occupied(true[ring], rays[ring], pose, pose.position)
-    marked = grid.occupied(depth[ring], rays[ring], found, pose.position)
-    some = np.zeros_like(ring)
-    some[::grid.every, ::grid.every] = ring[::grid.every, ::grid.every]
-    free = _without(grid.free(true[some], rays[some], pose), occupied)
-    scores.cells.append((len(occupied) - len(_without(occupied, marked)), len(occupied),
-                         len(free) - len(_without(free, marked)), len(free)))
 
 
 def _without(cells: np.ndarray, others: np.ndarray) -> np.ndarray:
