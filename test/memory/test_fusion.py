@@ -24,6 +24,7 @@ def guide_of(image: np.ndarray, known: np.ndarray | None = None) -> Guide:
                  np.zeros(RING.shape, bool), POSE, 1.0)
 
 
+@pytest.mark.slow
 def test_a_perfect_guide_stays_as_it_is() -> None:
     wide, error = fuse(NARROW, guide_of(WIDE), NETWORK, EXPANSION)
     assert np.abs(wide.astype(int) - WIDE).max() <= 1
@@ -82,6 +83,7 @@ def test_a_difference_in_exposure_is_healed_at_the_seam() -> None:
     assert np.abs(wide.astype(float) - WIDE)[seam].mean() < 0.5 * shift[seam].mean()
 
 
+@pytest.mark.slow
 def test_a_window_may_lie_across_blocks() -> None:
     odd = ViewExpansion.to_size(Intrinsics.from_hfov(61, 47, np.pi / 2), 123, 99)
     grey = Guide(np.full((99, 123, 3), 90, np.float32), np.ones((99, 123), bool),

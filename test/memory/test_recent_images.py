@@ -237,6 +237,7 @@ def test_a_camera_that_was_lost_begins_anew() -> None:
     assert first.seen_before is None
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(ALL_THREADS < 2, reason='one processor')
 def test_the_number_of_threads_changes_no_bit() -> None:
     seen = []
