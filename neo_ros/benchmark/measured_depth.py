@@ -1,7 +1,7 @@
 """
 What measured depth brings: fields and memories of the demo flat with its depth maps and without.
 
-    neo import demo FLAT --depth
+    neo import demo FLAT --depth --size 256
     python -m neo_ros.benchmark.measured_depth FLAT models/demo_flat.onnx WORK
 
 The depth has the faults of a depth camera (`flat/depth_sensor.py`). Fields of several lengths are
