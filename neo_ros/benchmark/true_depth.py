@@ -22,7 +22,7 @@ def is_demo_flat(scene_folder: Path) -> bool:
 def demo_depth(frames: TruthFrames) -> DepthOf:
     """Cast the flat at the true pose of a frame: exact, metres along the optical axis."""
     flat = build_demo_flat()
-    return lambda index: flat.render(frames.expansion.target, frames.images.poses[index])[1]
+    return lambda index: flat.depth(frames.expansion.target, frames.images.poses[index])
 
 
 def field_depth(frames: TruthFrames, field: RadianceField) -> DepthOf:
