@@ -56,13 +56,12 @@ def poses(count: int, seed: int) -> list[CameraPose]:
 
 
 def drive(count: int = 60) -> list[CameraPose]:
-    """Return poses on an arc around both places, looking at either by turns."""
+    """Return poses on an arc around both places that see them."""
     angles = np.linspace(np.radians(100), np.radians(260), count)
     found = []
-    for number, angle in enumerate(angles):
-        at = BEFORE if number // 6 % 2 else AFTER
+    for angle in angles:
         x, y = np.array([3.5, 2.0]) + np.array([2.3, 1.5]) * [np.cos(angle), np.sin(angle)]
-        found.append(CameraPose.from_planar(x, y, HEIGHT, np.arctan2(at[1] - y, at[0] - x)))
+        found.append(CameraPose.from_planar(x, y, HEIGHT, np.arctan2(2.0 - y, 3.5 - x)))
     return found
 
 
