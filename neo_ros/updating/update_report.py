@@ -29,7 +29,7 @@ def update_sections(bag: str, scene: Scene, expansion: ViewExpansion, drive: Dri
             Table(('place', 'x, m', 'y, m', 'z, m', 'images that say so'), rows, note=(
                 'Boxes around what may have changed; they are larger than the things in them.')),
             Picture('Changed places from above', _plan(scene, drive, space.places), (
-                'Red, with the numbers of the table: what may have changed. Grey: where the photos '
+                'Red, with the numbers of the table: what may have changed. Grey: where photos '
                 'were taken, and where they looked. Pale green: free floor.')),
             *_strips(expansion, drive, before, after)]
 
