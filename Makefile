@@ -9,6 +9,10 @@ PYTHON ?=
 # environment with ROS wheels put into LD_LIBRARY_PATH, would be mixed with its own.
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME \
 	PYTHONPATH RMW_IMPLEMENTATION ROS_DISTRO VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
+# Modules that were compiled once are kept: tests start some hundred interpreters.
+unexport PYTHONDONTWRITEBYTECODE
+# Two at a time, the slowest tests first, see test/conftest.py.
+PYTEST := $(BIN)/python -m pytest -n 2 --dist loadgroup --no-loadscope-reorder
 
 .PHONY: help setup train-setup dev-setup demo check test bench soak fuzz lint docs constraints clean
 help:
@@ -22,11 +26,11 @@ demo: setup  ## a robot's camera widened live, with scores and pictures
 	$(BIN)/neo demo
 
 test: dev-setup  ## all tests
-	$(BIN)/python -m pytest -n 2 --dist loadgroup
+	$(PYTEST)
 
 check: dev-setup  ## what one runs before a commit: style, types, and the quick tests
 	@$(BIN)/mypy & mypy=$$!; $(BIN)/flake8 && \
-	$(BIN)/python -m pytest -q -n 2 --dist loadgroup -m 'not slow and not ros' && wait $$mypy
+	$(PYTEST) -q -m 'not slow and not ros' && wait $$mypy
 
 bench: train-setup  ## speed of every part on this machine, into results/bench.json
 	$(BIN)/neo bench

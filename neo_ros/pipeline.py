@@ -37,7 +37,7 @@ from neo_ros.training.run import TrainingRun
 from neo_ros.training.time_plan import (
     plan_training, read_plan, share_network_minutes, TimeLeft)
 from neo_ros.training.views import (
-    held_out_views, held_out_wide_views, make_stream, note_poses, real_frames)
+    held_out_views, held_out_wide_views, make_stream, note_poses, real_frames, real_usable)
 import numpy as np
 from torch import nn
 
@@ -220,7 +220,8 @@ def export_step(run: TrainingRun, network: nn.Module,
         card, parity=Parity(max_abs_error=worst, share_within_1=share),
         scene_reference=fit_scene_reference(
             real_frames(run, REFERENCE_PHOTOS, run.scene.train),
-            lambda image: extrapolator.expand(image).confidence, run.expansion)))
+            lambda image: extrapolator.expand(image).confidence, run.expansion,
+            real_usable(run, REFERENCE_PHOTOS, run.scene.train))))
 
 
 def score_step(run: TrainingRun) -> Scoring | None:
@@ -230,7 +231,7 @@ def score_step(run: TrainingRun) -> Scoring | None:
     truth = TruthFrames(run.scene.test, run.expansion)
     neo = NeoModel(run.model_path)
     alone: list[Method] = [NeoModel(run.model_path, guided=False)] if neo.guided else []
-    photos = (run.fitted.read_image(i) for i in range(len(run.fitted)))
+    photos = (run.fitted.read_shown(i) for i in range(len(run.fitted)))
     methods: list[Method] = [neo, *alone, EdgeReplication(run.expansion),
                              MeanImage(run.expansion, photos)]
     results = evaluate(run.scene.name, truth, methods, progress=lambda done: run.progress(

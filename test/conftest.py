@@ -1,7 +1,10 @@
 """What tests share, and what holds for all: no clock in hypothesis, no logs at home."""
 from collections.abc import Iterable, Iterator
+import gc
+import os
 from pathlib import Path
 import re
+import shutil
 import sys
 from typing import Any
 
@@ -44,6 +47,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     Mark tests by what they import and use, and keep those together that share what is dear.
 
     One worker trains the tiny run for all tests that use it; else a file stays with one worker.
+    Where there are several, what is slow comes first: else one would end minutes after the others.
     """
     needs: dict[Path, set[str]] = {}
     for item in items:
@@ -56,6 +60,20 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(mark)
         item.add_marker(pytest.mark.xdist_group(
             'tiny run' if 'tiny_run' in fixtures else str(item.path)))
+    if 'PYTEST_XDIST_WORKER' in os.environ:
+        slow = {item.path for item in items
+                if item.get_closest_marker('slow') or item.get_closest_marker('ros')}
+        items.sort(key=lambda item: (
+            'tiny_run' not in getattr(item, 'fixturenames', ()), item.path not in slow))
+
+
+def pytest_collection_finish() -> None:
+    """
+    Leave what was imported out of every garbage collection to come.
+
+    Each ROS graph of a test begins with one, which would look at all of torch for half a second.
+    """
+    gc.freeze()
 
 
 @pytest.fixture(scope='session', autouse=True)
@@ -87,12 +105,11 @@ def one_thread() -> Iterator[None]:
 
 
 @pytest.fixture(scope='session')
-def tiny_run(tmp_path_factory: pytest.TempPathFactory) -> Any:
+def tiny_run(flat_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Any:
     """Train once, in seconds: the TrainingRun; its scene lies in `scene` beside its `out`."""
-    pytest.importorskip('torch')
-    from tiny_training import train_tiny, write_tiny_scene
+    from tiny_training import train_tiny
     folder = tmp_path_factory.mktemp('tiny_training')
-    write_tiny_scene(folder / 'scene')
+    shutil.copytree(flat_scene, folder / 'scene')
     return train_tiny(folder / 'scene', folder / 'out')
 
 

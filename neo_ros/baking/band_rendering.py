@@ -13,7 +13,7 @@ import numpy as np
 
 
 def render_band(field: RadianceField, position: np.ndarray, rays: np.ndarray, block: int,
-                wraps: bool, one_surface: float, least_coverage: float
+                wraps: bool, one_surface: float, far: float, least_coverage: float
                 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
     Return depth float32 (h, w), metres along the ray, 0 = unknown, colours float32 (h, w, 3).
@@ -21,8 +21,9 @@ def render_band(field: RadianceField, position: np.ndarray, rays: np.ndarray, bl
     And bool (h, w), which pixels had a ray of their own: those where depth leaps, and the
     `block_centres`.
     rays (h, w, 3), whole blocks of `block` squared pixels; wraps: the last column is a neighbour
-    of the first; one_surface: depths that differ by less than this share are of one surface;
-    least_coverage: of a pixel, for its depth to be known.
+    of the first; one_surface: depths that differ by less than this share are of one surface, and
+    so are those of which one over the depth differs by less than `far`, 1/m; least_coverage: of a
+    pixel, for its depth to be known.
     """
     def cast(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         found = render_rays(field, position, directions)
@@ -35,8 +36,8 @@ def render_band(field: RadianceField, position: np.ndarray, rays: np.ndarray, bl
     depth = np.empty(rays.shape[:2], np.float32)
     colours = np.empty(rays.shape, np.float32)
     rough = np.empty(rays.shape[:2], np.bool_)
-    _interpolate(few_depths, few_colours, _smooth(few_depths, wraps, one_surface), block, wraps,
-                 depth, colours, rough)
+    _interpolate(few_depths, few_colours, _smooth(few_depths, wraps, one_surface, far), block,
+                 wraps, depth, colours, rough)
     depth[rough], colours[rough] = cast(rays[rough])
     block_centres(rough, block)[:] = True
     return depth, colours, rough
@@ -47,13 +48,14 @@ def block_centres(pixels: np.ndarray, block: int) -> np.ndarray:
     return pixels[block // 2::block, block // 2::block]
 
 
-def _smooth(depths: np.ndarray, wraps: bool, one_surface: float) -> np.ndarray:
+def _smooth(depths: np.ndarray, wraps: bool, one_surface: float, far: float) -> np.ndarray:
     """Tell of every 2x2 depths, and of those around them, whether all are of one surface."""
     padded = np.pad(depths, ((1, 2), (0, 0)), mode='edge')
     padded = np.pad(padded, ((0, 0), (1, 2)), mode='wrap' if wraps else 'edge')
     windows = np.lib.stride_tricks.sliding_window_view(padded, (4, 4))
     nearest, farthest = windows.min((2, 3)), windows.max((2, 3))
-    smooth: np.ndarray = nearest >= (1 - one_surface) * farthest
+    smooth: np.ndarray = ((nearest >= (1 - one_surface) * farthest)
+                          | (farthest - nearest < far * nearest * farthest))
     return smooth
 
 

@@ -15,6 +15,10 @@ BLENDED = 4
 DEPTH_SHARE, DEPTH_METRES = 0.04, 0.02
 # Radians by which a photo may look at a point from further aside than the best photo.
 ANGLE = 0.05
+# One over the distances of two points, 1/m, may differ by so much: half a metre aside that is less
+# than a pixel of 200 a radian. So what is farther than 100 m is one surface, the sky above all,
+# whose depth is chance, and any photo sees it that sees something as far.
+FAR = 0.01
 # How much a photo counts that is so many grey levels away from the field's colour: 1 / e.
 COLOUR = 60.0
 # Farther photos are coarser: so many radians for each time that a photo is farther away.
@@ -86,13 +90,14 @@ def _sees(depth, u, v, length, coarser):
     """
     slack = DEPTH_SHARE * length + DEPTH_METRES
     if not coarser:
-        return abs(depth[int(v), int(u)] - length) <= slack
+        seen = depth[int(v), int(u)]
+        return abs(seen - length) <= max(slack, FAR * seen * length)
     i = min(max(int(v - 0.5), 0), depth.shape[0] - 2)
     j = min(max(int(u - 0.5), 0), depth.shape[1] - 2)
     nearest, farthest = depth[i, j], depth[i, j]
     for k in range(4):
         seen = depth[i + k // 2, j + k % 2]
-        if abs(seen - length) <= slack:
+        if abs(seen - length) <= max(slack, FAR * seen * length):
             return True
         nearest, farthest = min(nearest, seen), max(farthest, seen)
     return nearest < length < farthest and nearest > SLANT * farthest
@@ -219,7 +224,9 @@ def blend_photos(panorama, posed, which, cost, wraps, one_surface, out):
             d = depth[near_i, near_j]
             # On one surface depth and colour of the field go on from pixel to pixel.
             s_in, t_in = min(max(s, 0.0), 1.0), min(max(t, 0.0), 1.0)
-            smooth = min(a, b, e, f) > (1 - one_surface) * max(a, b, e, f)
+            nearest, farthest = min(a, b, e, f), max(a, b, e, f)
+            smooth = (nearest > (1 - one_surface) * farthest
+                      or farthest - nearest < FAR * nearest * farthest)
             if smooth:
                 d = _between(a, b, e, f, s_in, t_in)
             for c in range(3):

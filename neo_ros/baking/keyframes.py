@@ -15,7 +15,7 @@ from zipfile import BadZipFile
 import cv2
 from neo_ros.baking.band_rendering import render_band
 from neo_ros.baking.glances import glance_rotations, keyframe_glances, photo_glances
-from neo_ros.baking.kernels import colour_from_photos, PanoramaPixels, PhotoArrays
+from neo_ros.baking.kernels import colour_from_photos, FAR, PanoramaPixels, PhotoArrays
 from neo_ros.errors import ConfigError, NeoError
 from neo_ros.field.panorama import view_band
 from neo_ros.field.radiance_field import RadianceField
@@ -257,7 +257,7 @@ def bake_keyframe(field: RadianceField, photos: Photos, seen: np.ndarray, gains:
             slice(dense * one.start, dense * one.stop) for one in part)])
     height, width = rays.shape[0] // dense, rays.shape[1] // dense
     depth, colours, own = render_band(field, position, rays, dense, wraps,
-                                      rules.one_surface, rules.least_coverage)
+                                      rules.one_surface, FAR, rules.least_coverage)
     texture = np.empty((height * finer, width * finer, 3), np.uint8)
     centres = photos.T_world_cam[:, :3, 3]
     near = np.sort(np.argsort(np.linalg.norm(centres - position, axis=1),

@@ -11,19 +11,25 @@ from neo_ros.memory.landmarks import Landmarks, magnification
 from neo_ros.scenes.posed_images import PosedImages
 import numpy as np
 
+# A room is seen well in so many photos; a larger floor needs so many a square metre.
+LEAST_PHOTOS, PHOTOS_A_SQUARE_METRE = 400, 12
+FLOOR_HEIGHT = 3.0
+
 
 def find_landmarks(photos: PosedImages, scale: float, source: Intrinsics, work: Path,
-                   progress: StageProgress, most_photos: int = 400) -> Landmarks | None:
+                   progress: StageProgress, most_photos: int | None = None) -> Landmarks | None:
     """
     Triangulate what the photos show at this scale; None where that gives nothing.
 
     source  the camera of the robot, which will look for them
     work    keeps features and matches, so that a run that was broken off goes on
-    most_photos  that are used, evenly chosen: matching takes 10 ms a pair, 15 pairs a photo
+    most_photos  that are used, evenly chosen: matching takes 10 ms a pair, 15 pairs a photo.
+                 None: as many as the floor needs
     """
     if find_spec('pycolmap') is None:
         progress('without landmarks', 0, 1, 'pycolmap is not installed')
         return None
+    most_photos = most_photos or _photos_for(photos.T_world_cam[:, :3, 3])
     chosen = np.linspace(0, len(photos) - 1, min(len(photos), most_photos))
     photos = photos.subset(chosen.round().astype(int).tolist())
     try:
@@ -36,3 +42,9 @@ def find_landmarks(photos: PosedImages, scale: float, source: Intrinsics, work: 
     return Landmarks.from_observations(
         model.points, np.concatenate(model.point_of),
         np.concatenate([one.descriptors for one in bank.features]))
+
+
+def _photos_for(positions: np.ndarray) -> int:
+    """Return how many of photos that were taken at positions (N, 3) landmarks are made of."""
+    squares = np.unique(np.floor(positions / (1.0, 1.0, FLOOR_HEIGHT)), axis=0)
+    return max(LEAST_PHOTOS, PHOTOS_A_SQUARE_METRE * len(squares))

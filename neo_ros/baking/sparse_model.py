@@ -17,6 +17,8 @@ from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.memory.local_features import match_features
 import numpy as np
 
+_AT_ONCE = 500  # Photos that are compared with all others: a building has thousands.
+
 
 @dataclass(frozen=True)
 class MatchRules:
@@ -68,13 +70,17 @@ def choose_pairs(bank: PhotoBank, rules: MatchRules = MatchRules()) -> list[tupl
     """Return the pairs of photos to match: alike, looking the same way, from two places."""
     T_world_cam = bank.photos.T_world_cam
     forward, position = T_world_cam[:, :3, 2], T_world_cam[:, :3, 3]
-    likeness = bank.vectors @ bank.vectors.T
-    likeness[forward @ forward.T < np.cos(np.radians(rules.most_angle_deg))] = -1
-    apart = np.linalg.norm(position[:, None] - position[None], axis=2)
-    likeness[apart < 1e-3] = -1  # nothing can be triangulated
-    order = np.argsort(-likeness, axis=1, kind='stable')[:, :rules.partners]
-    return sorted({(min(i, int(j)), max(i, int(j))) for i in range(len(order))
-                   for j in order[i] if likeness[i, j] > -1})
+    pairs = set[tuple[int, int]]()
+    for first in range(0, len(position), _AT_ONCE):
+        some = slice(first, first + _AT_ONCE)
+        likeness = bank.vectors[some] @ bank.vectors.T
+        likeness[forward[some] @ forward.T < np.cos(np.radians(rules.most_angle_deg))] = -1
+        apart = np.linalg.norm(position[some, None] - position[None], axis=2)
+        likeness[apart < 1e-3] = -1  # nothing can be triangulated
+        order = np.argsort(-likeness, axis=1, kind='stable')[:, :rules.partners]
+        pairs.update((min(first + i, int(j)), max(first + i, int(j)))
+                     for i in range(len(order)) for j in order[i] if likeness[i, j] > -1)
+    return sorted(pairs)
 
 
 def epipolar_distance(camera: Intrinsics, T_b_a: np.ndarray, points_a: np.ndarray,

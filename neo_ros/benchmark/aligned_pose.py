@@ -29,17 +29,23 @@ class AlignmentRules:
 
 def aligned_pose(field: RadianceField, image: np.ndarray, camera: Intrinsics,
                  T_world_cam: np.ndarray, gain: np.ndarray, random: np.random.Generator,
-                 rules: AlignmentRules = AlignmentRules()) -> np.ndarray:
+                 usable: np.ndarray | None = None, rules: AlignmentRules = AlignmentRules(),
+                 ) -> np.ndarray:
     """
     Return T_world_cam (4, 4) at which the field looks most like an image uint8 (H, W, 3).
 
-    gain (3,) takes colours of the field to the photo's. The pose as it came is returned where too
+    gain (3,) takes colours of the field to the photo's. usable: bool (H, W), the pixels that show
+    the scene; None: all. The pose as it came is returned where too
     little is seen.
     """
     photo = cv2.GaussianBlur(image, (0, 0), 0.7).astype(np.float32) / 255
     across = cv2.Sobel(photo, cv2.CV_32F, 1, 0, scale=1 / 8)
     down = cv2.Sobel(photo, cv2.CV_32F, 0, 1, scale=1 / 8)
-    rows, columns = _telling_pixels(np.abs(across) + np.abs(down), random, rules.pixels)
+    change = np.abs(across) + np.abs(down)
+    if usable is not None:  # Blur and slope see three pixels far.
+        left_out = cv2.dilate((~usable).astype(np.uint8), np.ones((7, 7), np.uint8)) > 0
+        change[left_out] = 0
+    rows, columns = _telling_pixels(change, random, rules.pixels)
     rays = camera.pixel_rays()[rows, columns].astype(np.float64)
     T = T_world_cam.copy()
     for _ in range(rules.rounds):

@@ -1,18 +1,21 @@
 """
 Is a room taken for another one that looks alike? Searches in synthetic buildings, in figures.
 
-    python -m neo_ros.benchmark.building --work FOLDER [--out results/building.json]
+    python -m neo_ros.benchmark.building --work FOLDER [--layout NAME]
 
 The memory is made of exact depth and colours, see `true_memory.py`: what is measured is the
 search, not a field. `before` is the search that believes the best place it finds.
 """
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field, replace
 import json
+import multiprocessing
 from pathlib import Path
 import time
-from typing import Annotated, Any
+from typing import Annotated, Any, Optional
 
+from neo_ros.benchmark.method_memory import resident_mb
 from neo_ros.benchmark.true_memory import true_memory
 from neo_ros.flat.building import build_building, Building
 from neo_ros.flat.building_plan import BuildingPlan
@@ -28,13 +31,14 @@ import numpy as np
 import typer
 
 LAYOUTS: Mapping[str, BuildingPlan] = {
+    'a floor of 1': BuildingPlan(rooms=1, seed=1), 'a floor of 3': BuildingPlan(rooms=3, seed=1),
     'all different': BuildingPlan(rooms=12, seed=1),
     'alike to 80 %': BuildingPlan(rooms=12, seed=1, alike=0.8),
     'alike to 95 %': BuildingPlan(rooms=12, seed=1, alike=0.95),
     'twins': BuildingPlan(rooms=12, seed=1, twins=6),
-    'twins but one picture': BuildingPlan(rooms=12, seed=1, twins=6, own_picture=True)}
-UNMEASURED = ('guided_ring_psnr', 'one_room_ring_psnr', 'guided_share', 'follow_ms_p95',
-              'resident_mb', 'train_minutes')
+    'twins but one picture': BuildingPlan(rooms=12, seed=1, twins=6, own_picture=True),
+    'a floor of 50': BuildingPlan(rooms=50, seed=1)}
+UNMEASURED = ('guided_ring_psnr', 'one_room_ring_psnr', 'guided_share', 'train_minutes')
 
 
 @dataclass(frozen=True)
@@ -50,6 +54,21 @@ class BuildingRules:
     walk_frames: int = 25
 
 
+@dataclass
+class Counts:
+    """What became of searches and walks; times of the processor, ms."""
+
+    wrong: int = 0
+    ambiguous: int = 0
+    lost: int = 0
+    by_landmarks: int = 0
+    walks: int = 0
+    walks_found_right: int = 0
+    walks_ever_wrong: int = 0
+    search_ms: list[float] = field(default_factory=list)
+    follow_ms: list[float] = field(default_factory=list)
+
+
 def measure_layout(name: str, plan: BuildingPlan, work: Path, searches: int,
                    rules: BuildingRules = BuildingRules()) -> list[dict[str, Any]]:
     """Search in one building, before and after; keeps light and memory in `work`."""
@@ -58,45 +77,76 @@ def measure_layout(name: str, plan: BuildingPlan, work: Path, searches: int,
     source = Intrinsics.from_hfov(rules.width, rules.width, np.pi / 2)
     expansion = ViewExpansion.to_size(source, 2 * rules.width, 2 * rules.width)
     building = build_building(plan, work / f'{tag}.light.npz', workers=core_count())
-    memory, megabytes = _memory(building, expansion, work / f'{tag}.{rules.width}.memory')
+    path = work / f'{tag}.{rules.width}.memory'
+    sha256 = _make_memory(building, expansion, path)
+    places = list(_places(building, source, searches, rules))
+    images = [building.render(source, pose)[0] for pose in places]
+    # In a process of its own: the building is no part of it.
+    with ProcessPoolExecutor(1, multiprocessing.get_context('spawn')) as other:
+        resident = other.submit(_resident_mb, path, sha256, expansion).result()
+    memory = SceneMemory.read(path, sha256)
     rows = []
-    for rivals in (False, True):
-        limits = AmbiguityThresholds() if rivals else AmbiguityThresholds(starts=0)
-        guide = SceneGuide(memory, expansion, thresholds=replace(
+    for rivals in (True, False):
+        limits = AmbiguityThresholds() if rivals else AmbiguityThresholds(most_rivals=0)
+        guide = SceneGuide(memory, expansion, threads=1, thresholds=replace(
             GuideThresholds(), ambiguity=limits))
         guide.warm_up()
-        counts = {'wrong': 0, 'ambiguous': 0, 'lost': 0}
-        spent = []
-        for pose in _places(building, source, searches, rules):
-            image, _ = building.render(source, pose)
-            guide.reset()
-            started = time.perf_counter()
-            found = guide.guide(image)
-            spent.append(1e3 * (time.perf_counter() - started))
-            if found is None:
-                counts['ambiguous' if guide.ambiguous else 'lost'] += 1
-            else:
-                counts['wrong'] += _is_wrong(found.pose, pose, rules)
-        resolved, wrong, walks = _walk(building, source, guide, rules)
+        counts = Counts()
+        for image, pose in zip(images, places):
+            _search(guide, image, pose, rules, counts)
+        _walk(building, source, guide, rules, counts)
         rows.append({
             'layout': name, 'search': 'compared with rivals' if rivals else 'before',
             'area_m2': round(plan.area), 'floors': plan.floors, 'rooms': plan.rooms,
             'camera': f'{rules.width}x{rules.width}', **dict.fromkeys(UNMEASURED),
-            'found_ms_median': round(float(np.median(spent)), 1),
-            'found_ms_p95': round(float(np.percentile(spent, 95)), 1),
-            'searches': searches, 'wrong_places': counts['wrong'],
-            'ambiguous': counts['ambiguous'], 'lost': counts['lost'],
-            'door_walks': walks, 'walks_found_right': resolved, 'walks_ever_wrong': wrong,
-            'file_mb': round(megabytes, 1), 'commit': commit(), 'host': host()})
-    return rows
+            'follow_ms_p95': (_rounded(np.percentile(counts.follow_ms, 95))
+                              if counts.follow_ms else None),
+            'found_ms_median': _rounded(np.median(counts.search_ms)),
+            'found_ms_p95': _rounded(np.percentile(counts.search_ms, 95)),
+            'searches': searches, 'wrong_places': counts.wrong, 'ambiguous': counts.ambiguous,
+            'lost': counts.lost, 'by_landmarks': counts.by_landmarks,
+            'door_walks': counts.walks, 'walks_found_right': counts.walks_found_right,
+            'walks_ever_wrong': counts.walks_ever_wrong,
+            'file_mb': _rounded(path.stat().st_size / 1e6),
+            'resident_mb': _rounded(resident),
+            'commit': commit(), 'host': host()})
+    return rows[::-1]
 
 
-def _memory(building: Building, expansion: ViewExpansion, path: Path
-            ) -> tuple[SceneMemory, float]:
+def _rounded(value: Any) -> float:
+    return round(float(value), 1)
+
+
+def _make_memory(building: Building, expansion: ViewExpansion, path: Path) -> str:
+    """Write a building's memory, if it is not there; return its checksum."""
     note = path.with_suffix('.sha256')
     if not note.exists():
         note.write_text(true_memory(building, expansion).write(path))
-    return SceneMemory.read(path, note.read_text()), path.stat().st_size / 1e6
+    return note.read_text()
+
+
+def _resident_mb(path: Path, sha256: str, expansion: ViewExpansion) -> float:
+    """Return by how many MB a process grows that reads a memory and looks at all of it."""
+    before = resident_mb('VmRSS')
+    guide = SceneGuide(SceneMemory.read(path, sha256), expansion, threads=1)
+    guide.warm_up()
+    for x, y, z in guide.renderer.memory.positions.tolist():
+        guide.renderer.render(CameraPose.from_planar(x, y, z, 0.0), expansion.target)
+    return resident_mb('VmRSS') - before
+
+
+def _search(guide: SceneGuide, image: np.ndarray, pose: CameraPose, rules: BuildingRules,
+            counts: Counts) -> None:
+    guide.reset()
+    started = time.process_time()
+    found = guide.guide(image)
+    counts.search_ms.append(1e3 * (time.process_time() - started))
+    if found is None:
+        counts.ambiguous += guide.ambiguous
+        counts.lost += not guide.ambiguous
+    else:
+        counts.wrong += _is_wrong(found.pose, pose, rules)
+        counts.by_landmarks += found.found == 'landmarks'
 
 
 def _places(building: Building, source: Intrinsics, count: int, rules: BuildingRules
@@ -111,20 +161,22 @@ def _places(building: Building, source: Intrinsics, count: int, rules: BuildingR
             yield pose
 
 
-def _walk(building: Building, source: Intrinsics, guide: SceneGuide, rules: BuildingRules
-          ) -> tuple[int, int, int]:
-    """Walk 2 m through each of some doors: how often found right at the end, ever wrong."""
-    resolved = wrong = 0
-    walks = door_walks(building, 0, rules.walk_frames, 1)
-    for walk in walks:
+def _walk(building: Building, source: Intrinsics, guide: SceneGuide, rules: BuildingRules,
+          counts: Counts) -> None:
+    """Walk 2 m through each of some doors."""
+    for walk in door_walks(building, 0, rules.walk_frames, 1):
         guide.reset()
         ever, found, pose = False, None, walk[0]
         for pose in walk:
-            found = guide.guide(building.render(source, pose)[0])
+            image = building.render(source, pose)[0]
+            started = time.process_time()
+            found = guide.guide(image)
+            if found is not None and found.found == 'tracked':
+                counts.follow_ms.append(1e3 * (time.process_time() - started))
             ever |= found is not None and _is_wrong(found.pose, pose, rules)
-        resolved += found is not None and not _is_wrong(found.pose, pose, rules)
-        wrong += ever
-    return resolved, wrong, len(walks)
+        counts.walks += 1
+        counts.walks_found_right += found is not None and not _is_wrong(found.pose, pose, rules)
+        counts.walks_ever_wrong += ever
 
 
 def _is_wrong(found: CameraPose, true: CameraPose, rules: BuildingRules) -> bool:
@@ -140,15 +192,22 @@ def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def main(work: Annotated[Path, typer.Option(help='Keeps buildings and memories.')],
+         layouts: Annotated[Optional[list[str]], typer.Option(
+             '--layout', help='Only this one, other rows stay; may be given again. '
+                              + ', '.join(LAYOUTS))] = None,
          out: Annotated[Path, typer.Option(help='JSON file of the rows.')] = Path(
              'results/building.json'),
          searches: Annotated[int, typer.Option(help='In each building.', min=1)] = 100) -> None:
-    """Measure all layouts; a building takes minutes, and is made once."""
-    rows: list[dict[str, Any]] = []
-    for name, plan in LAYOUTS.items():
-        rows += measure_layout(name, plan, work, searches)
-        write_rows(out, rows)
-        for row in rows[-2:]:
+    """Measure all layouts; a building takes minutes, one of 50 rooms 20, and is made once."""
+    known = json.loads(out.read_text()) if out.exists() else []
+    for name in layouts or LAYOUTS:
+        if name not in LAYOUTS:
+            raise typer.BadParameter(f'expected one of {", ".join(LAYOUTS)}, got {name}')
+        rows = measure_layout(name, LAYOUTS[name], work, searches)
+        known = [row for row in known if row['layout'] != name] + rows
+        known.sort(key=lambda row: list(LAYOUTS).index(row['layout']))
+        write_rows(out, known)
+        for row in rows:
             print({key: value for key, value in row.items() if value is not None}, flush=True)
 
 

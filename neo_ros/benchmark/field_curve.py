@@ -125,19 +125,22 @@ def score(run: TrainingRun, render: Renderer, views: int, scorers: Sequence[Scor
         photo_view = ViewExpansion.inside(camera, 0, 0, camera.width // 2, camera.height // 2)
         for index in _spread(len(run.held_out), views):
             photo = run.held_out.read_image(index, scale)
+            usable = run.held_out.read_usable(index, scale)
             shown = 255 * render(camera, run.held_out.poses[index])
-            image = _gained(shown, shown, photo)
+            image = _gained(shown, shown, photo, usable)
             scores.append({name.replace('whole', 'held_out'): value for scorer in scorers
-                           for name, value in scorer(photo, image, photo_view).items()
+                           for name, value in scorer(photo, image, photo_view, usable).items()
                            if name.startswith('whole')})
     frames = TruthFrames(run.scene.test, run.expansion)
     chosen = _spread(len(frames), views)
     for done, index in enumerate(chosen, 1):
         narrow_image, truth = frames.read(index)
         shown = 255 * render(run.expansion.target, frames.images.poses[index])
-        image = _gained(shown, run.expansion.crop(shown), narrow_image)
+        usable = frames.read_usable(index)
+        image = _gained(shown, run.expansion.crop(shown), narrow_image,
+                        None if usable is None else run.expansion.crop(usable))
         scores.append({name: value for scorer in scorers
-                       for name, value in scorer(truth, image, run.expansion).items()})
+                       for name, value in scorer(truth, image, run.expansion, usable).items()})
         run.progress(f'{stage}: views', done, len(chosen), '')
     names = sorted({name for one in scores for name in one})
     return {name: float(np.mean([one[name] for one in scores if name in one])) for name in names}
@@ -158,7 +161,11 @@ def markdown(rows: list[dict[str, Any]]) -> str:
     return '\n'.join(lines)
 
 
-def _gained(shown: np.ndarray, window: np.ndarray, observed: np.ndarray) -> np.ndarray:
+def _gained(shown: np.ndarray, window: np.ndarray, observed: np.ndarray,
+            usable: np.ndarray | None) -> np.ndarray:
+    """Bring what a field shows to the exposure that `window` has in the photo `observed`."""
+    if usable is not None:
+        window, observed = window[usable], observed[usable]
     return np.clip(shown * exposure_gain(window, observed) + 0.5, 0, 255).astype(np.uint8)
 
 

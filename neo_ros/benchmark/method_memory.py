@@ -40,14 +40,14 @@ def main() -> None:
     for module in ('pycolmap', 'scipy.ndimage', 'neo_ros.memory.guided_view'):
         if find_spec(module):
             import_module(module)
-    before = _resident('VmRSS')
+    before = resident_mb('VmRSS')
     method = make_method(name, bench)
     for index in range(min(FRAMES, len(bench.frames))):
         run_method(method, bench.frames, index, bench.frames.read(index)[0])
-    print(max(_resident('VmHWM') - before, 0.0))
+    print(max(resident_mb('VmHWM') - before, 0.0))
 
 
-def _resident(key: str) -> float:
+def resident_mb(key: str) -> float:
     """Return VmRSS (now) or VmHWM (at its peak) of this process, MB; Linux alone tells."""
     found = re.search(rf'{key}:\s*(\d+) kB', Path('/proc/self/status').read_text())
     if found is None:

@@ -42,7 +42,7 @@ def make_method(name: str, bench: Workbench) -> Method:
 def _mean_image(bench: Workbench) -> Method:
     photos, scale = bench.scene.train, bench.base.scale
     return MeanImage(bench.expansion, (
-        photos.read_image(index, scale) for index in range(len(photos))))
+        photos.read_shown(index, scale) for index in range(len(photos))))
 
 
 def _warping(bench: Workbench) -> Method:

@@ -12,6 +12,7 @@ from typing import Any
 import cv2
 from neo_ros.errors import ConfigError
 from neo_ros.outpaint.fitting import OutpaintTrainer
+from neo_ros.pictures.filling import extend_edges
 from neo_ros.pipeline import export_step
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.training.checkpoint import train_with_checkpoints
@@ -30,7 +31,7 @@ class NaiveRules:
 
 
 class ResizedPhotos:
-    """An endless, seeded stream of photos as wide views: RGBA uint8, everything seen."""
+    """An endless, seeded stream of photos as wide views, RGBA uint8; A is 255 where they count."""
 
     def __init__(self, photos: PosedImages, width: int, height: int, seed: int,
                  rules: NaiveRules = NaiveRules()) -> None:
@@ -49,8 +50,7 @@ class ResizedPhotos:
         share = random.uniform(self.zoom, 1)
         w, h = max(round(share * width), 1), max(round(share * height), 1)
         x, y = random.integers(width - w + 1), random.integers(height - h + 1)
-        cut = cv2.resize(image[y:y + h, x:x + w], self.size, interpolation=cv2.INTER_LINEAR)
-        return opaque(cut)
+        return cv2.resize(image[y:y + h, x:x + w], self.size, interpolation=cv2.INTER_LINEAR)
 
 
 def train_naive(run: TrainingRun, rules: NaiveRules = NaiveRules()) -> None:
@@ -65,14 +65,13 @@ def train_naive(run: TrainingRun, rules: NaiveRules = NaiveRules()) -> None:
                           f'one is held out, {run.scene.name} has {len(run.scene.train)}; leave '
                           'naive out of --methods')
     target, experiment = run.network_expansion.target, run.experiment
-    held_out = np.stack([opaque(as_wide(run.held_out, index, target.width, target.height))
+    held_out = np.stack([as_wide(run.held_out, index, target.width, target.height)
                          for index in range(len(run.held_out))])
     started = time.monotonic()
     trainer = OutpaintTrainer(
         run.network_expansion, experiment.network,
         replace(experiment.outpaint, validations=rules.validations, real_centre=0.0),
         experiment.seed, held_out)
-    # The trainer's clock runs: what comes before the first step is part of its time, as NEO's is.
     stream = ResizedPhotos(run.fitted, target.width, target.height, experiment.seed,
                            rules)
     run.seconds += time.monotonic() - started
@@ -100,8 +99,14 @@ def train_naive(run: TrainingRun, rules: NaiveRules = NaiveRules()) -> None:
 
 
 def as_wide(photos: PosedImages, index: int, width: int, height: int) -> np.ndarray:
-    """Read a photo resized to the wide frame; the largest part with its aspect, RGB uint8."""
-    image = photos.read_image(index)
+    """
+    Read a photo resized to the wide frame: the largest part with its aspect, RGBA uint8.
+
+    What a mask leaves out has A 0, and colours of what is beside it.
+    """
+    photo, usable = photos.read_shown(index)
+    filled = np.rint(extend_edges(photo.astype(np.float32), usable)).astype(np.uint8)
+    image = np.dstack([filled, np.where(usable, 255, 0).astype(np.uint8)])
     h, w = image.shape[:2]
     share = min(w / width, h / height)
     cut_w, cut_h = round(share * width), round(share * height)
@@ -109,8 +114,3 @@ def as_wide(photos: PosedImages, index: int, width: int, height: int) -> np.ndar
     shrink = width < cut_w
     return cv2.resize(image[y:y + cut_h, x:x + cut_w], (width, height),
                       interpolation=cv2.INTER_AREA if shrink else cv2.INTER_CUBIC)
-
-
-def opaque(image: np.ndarray) -> np.ndarray:
-    """Add the coverage channel: (H, W, 3) -> (H, W, 4), everything seen."""
-    return np.dstack([image, np.full(image.shape[:2], 255, np.uint8)])

@@ -88,19 +88,27 @@ def measure(scene: Path, base: Experiment = BASE,
 def _aligned(run: TrainingRun, field: RadianceField) -> dict[bytes, CameraPose]:
     """Return by the poses of test frames and held-out photos those that they look most like."""
     frames, scale = TruthFrames(run.scene.test, run.expansion), run.experiment.scale
-    views = [(frames.read(i)[0], run.expansion.source, frames.images.poses[i])
-             for i in range(len(frames))]
+    views = [(frames.read(i)[0], _window_usable(frames, i), run.expansion.source,
+              frames.images.poses[i]) for i in range(len(frames))]
     if run.held_out is not None:
         camera = run.held_out.intrinsics.scaled(scale)
-        views += [(run.held_out.read_image(i, scale), camera, pose)
+        views += [(*run.held_out.read_shown(i, scale), camera, pose)
                   for i, pose in enumerate(run.held_out.poses)]
     random, found = np.random.default_rng(0), {}
-    for image, camera, pose in views:
+    for image, usable, camera, pose in views:
         shown = 255 * render_view(field, camera, pose, 1).image
         T = aligned_pose(field, image, camera, pose.T_world_cam,
-                         exposure_gain(shown, image), random)
+                         exposure_gain(shown[usable], image[usable]), random, usable)
         found[pose.T_world_cam.tobytes()] = CameraPose.nearest(T)
     return found
+
+
+def _window_usable(frames: TruthFrames, index: int) -> np.ndarray:
+    """Return which pixels of a frame's narrow input show the scene, bool (h, w)."""
+    usable = frames.read_usable(index)
+    source = frames.expansion.source
+    return (np.ones((source.height, source.width), bool) if usable is None
+            else frames.expansion.crop(usable))
 
 
 def main() -> None:

@@ -3,7 +3,7 @@ from dataclasses import dataclass
 import math
 
 import cv2
-from neo_ros.baking.glances import glance, GLANCE_WIDTH, keyframe_glances
+from neo_ros.baking.glances import keyframe_glances, photo_glances
 from neo_ros.baking.keyframes import BakingRules, keyframe_positions, keyframe_size, Photos
 from neo_ros.field.panorama import view_band
 from neo_ros.flat.building import Building
@@ -26,7 +26,6 @@ class TrueMemoryRules:
     """How a building is remembered; metres."""
 
     distance: float = 0.7        # from any place to a keyframe: coarser than a scene's, for time
-    landmark_photos: int = 400   # as many as a training uses
     landmark_grid: float = 0.04  # features of photos within one cube are one landmark
 
 
@@ -43,20 +42,20 @@ def true_memory(building: Building, expansion: ViewExpansion,
                 for floor in range(plan.floors)]
     positions = np.concatenate([keyframe_positions(sampler, no_photos, rules.distance)
                                 for sampler in samplers])
-    textures, depths, glances = [], [], [_photo_glances(building, poses, expansion.source)]
+    images, landmarks = _look(building, poses, expansion.source, rules.landmark_grid)
+    textures, depths, glances = [], [], [photo_glances(
+        images, expansion.source, np.stack([pose.T_world_cam for pose in poses]),
+        expansion.source)]
     for position in positions:
         keyframe = _keyframe(building, position, band, expansion.target.fx)
         texture, depth = compress(keyframe)
         textures.append(texture)
         depths.append(depth)
         glances.append(keyframe_glances([keyframe], band, expansion.source, headings))
-    chosen = np.linspace(0, len(poses) - 1, min(len(poses), rules.landmark_photos))
     return SceneMemory(
         positions, band, textures, depths,
         Glances(np.concatenate([part.pictures for part in glances]),
-                np.concatenate([part.T_world_cam for part in glances])),
-        _landmarks(building, [poses[index] for index in chosen.round().astype(int)],
-                   expansion.source, rules.landmark_grid))
+                np.concatenate([part.T_world_cam for part in glances])), landmarks)
 
 
 def _keyframe(building: Building, position: np.ndarray, band: Band, focal: float) -> Keyframe:
@@ -97,20 +96,13 @@ def _sampled(image: np.ndarray, u: np.ndarray, v: np.ndarray, how: int) -> np.nd
     return found.reshape(-1, *image.shape[2:])[:len(u)]
 
 
-def _photo_glances(building: Building, poses: list[CameraPose], source: Intrinsics) -> Glances:
-    small = source.scaled(GLANCE_WIDTH / source.width)
-    fine = small.scaled(4)
-    return Glances(np.stack([glance(building.render(fine, pose, samples=1)[0], small)
-                             for pose in poses]),
-                   np.stack([pose.T_world_cam for pose in poses]))
-
-
-def _landmarks(building: Building, poses: list[CameraPose], camera: Intrinsics, grid: float
-               ) -> Landmarks | None:
-    """Put the features of photos where the exact depth says that they are."""
-    points, descriptors = [], []
+def _look(building: Building, poses: list[CameraPose], camera: Intrinsics, grid: float
+          ) -> tuple[list[np.ndarray], Landmarks | None]:
+    """Take photos, and put their features where the exact depth says that they are."""
+    images, points, descriptors = [], [], []
     for pose in poses:
         image, depth = building.render(camera, pose)
+        images.append(image)
         features = find_features(image, magnification(camera))
         pixels = np.clip(features.points.astype(int), 0, (camera.width - 1, camera.height - 1))
         z = depth[pixels[:, 1], pixels[:, 0]]
@@ -123,5 +115,5 @@ def _landmarks(building: Building, poses: list[CameraPose], camera: Intrinsics, 
                                     return_inverse=True, return_counts=True)
     point_of = point_of.reshape(-1)
     means = np.stack([np.bincount(point_of, places[:, axis]) for axis in range(3)], 1)
-    return Landmarks.from_observations(means / counts[:, None], point_of,
-                                       np.concatenate(descriptors))
+    return images, Landmarks.from_observations(means / counts[:, None], point_of,
+                                               np.concatenate(descriptors))

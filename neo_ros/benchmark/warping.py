@@ -63,6 +63,7 @@ class Warping:
         self.bank, self.expansion, self.rules = bank, expansion, rules
         self.train_minutes = train_minutes
         self.images = bank.photos.read_images(bank.scale)
+        self.usable = bank.photos.read_all_usable(bank.scale)
         files = [path.stat().st_size for path in bank.photos.image_paths]
         self.model_mb: float | None = bank.megabytes + sum(files) / 1e6
         self.uncovered = 1.0
@@ -99,21 +100,23 @@ class Warping:
             wide, other = features.points[matches[:, 0]] + shift, photo.points[matches[:, 1]]
             kept = on_plane(wide, other, self.rules)
             if kept.sum() >= self.rules.least_inliers:
-                one = self._warp(narrow_image, self.images[index], wide[kept], other[kept])
+                one = self._warp(narrow_image, index, wide[kept], other[kept])
                 if one is not None:
                     found.append(one)
         return found
 
-    def _warp(self, narrow_image: np.ndarray, photo: np.ndarray, wide: np.ndarray,
+    def _warp(self, narrow_image: np.ndarray, index: int, wide: np.ndarray,
               other: np.ndarray) -> WarpedPhoto | None:
         """Bring a photo into the wide view by matched pixels (N, 2); None if it does not fit."""
-        target = self.expansion.target
+        photo, target = self.images[index], self.expansion.target
         where = smooth_warp(wide, other, target.width, target.height, self.rules)
         height, width = photo.shape[:2]
         rim = np.minimum(np.minimum(where[..., 0], width - where[..., 0]),
                          np.minimum(where[..., 1], height - where[..., 1]))
         # Weights fall off towards the photo's rim, so that it leaves no edge.
         feather = np.clip(np.nan_to_num(rim, nan=-1) / (0.1 * width), 0, 1)
+        if self.usable is not None:
+            feather *= sample_pixels(self.usable[index].astype(np.float32), where) > 0.9999
         if (feather > 0).sum() < 0.01 * feather.size:
             return None
         image = sample_pixels(photo, where).astype(np.float32)

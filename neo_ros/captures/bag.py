@@ -110,13 +110,8 @@ def read_bag_capture(path: Path, options: BagOptions = BagOptions(),
         source = PoseSource([('--x-forward', T_BODY_OPTICAL), *source.steps])
         notes.append(f'the frame {scan.camera_frame} looks along x, as --x-forward says')
     frames, places, lost = _posed(stamps, source, lens)
-    gaps = '' if source is None else _gaps(source, lost, pose_topics.poses)
-    if not frames:
-        raise BagError(f'{path}: no image of {image.name} has a pose near its stamp; '
-                       f'{gaps or "do images and poses have the same clock?"}')
-    if lost:
-        notes.append(f'{len(lost)} of {len(stamps)} images have no pose near their stamp and are '
-                     f'left out{gaps and "; "}{gaps}')
+    _check_posed(path, image, frames, lost, notes,
+                 '' if source is None else _gaps(source, lost, pose_topics.poses))
     if source is not None and lens is None:
         raise BagError(f'{path}: expected a camera_info beside {image.name}, the poses need the '
                        'calibration that belongs to them; the bag has '
@@ -161,6 +156,17 @@ def _posed(stamps: Sequence[tuple[int, int]], source: PoseSource | None, lens: L
                                     None if T is None else CameraPose(T), lens, 0, stamp_ns))
         places.append(place)
     return frames, places, lost
+
+
+def _check_posed(path: Path, image: BagTopic, frames: Sequence[CapturedFrame],
+                 lost: Sequence[int], notes: list[str], gaps: str) -> None:
+    """Note how many images have no pose, and why; refuse a bag where none has one."""
+    if not frames:
+        raise BagError(f'{path}: no image of {image.name} has a pose near its stamp; '
+                       f'{gaps or "do images and poses have the same clock?"}')
+    if lost:
+        notes.append(f'{len(lost)} of {len(frames) + len(lost)} images have no pose near their '
+                     f'stamp and are left out{gaps and "; "}{gaps}')
 
 
 def _gaps(source: PoseSource, lost: Sequence[int], topics: Sequence[BagTopic]) -> str:

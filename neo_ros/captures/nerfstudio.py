@@ -37,15 +37,8 @@ def read_transforms_capture(source: Path) -> Capture:
     and left out. Raises SceneError that names the frame for anything else that is wrong.
     """
     path = source / TRANSFORMS_FILE if source.is_dir() else source
-    try:
-        document = json.loads(path.read_text('utf-8-sig'))
-        entries = document['frames']
-    except FileNotFoundError as error:
-        raise SceneError(f'{path}: no such file') from error
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise SceneError(f'{path}: expected a JSON object with "frames": {error!r}') from error
-    if not isinstance(entries, list) or not entries:
-        raise SceneError(f'{path}: frames: expected a list with at least one frame')
+    document = _read_document(path)
+    entries = document['frames']
     frames, missing, lost = [], [], []
     no_depth: list[str] = []
     no_mask: list[str] = []
@@ -78,17 +71,27 @@ def read_transforms_capture(source: Path) -> Capture:
             mask=_mask(path, entry, where, no_mask)))
     if not frames:
         raise SceneError(f'{path}: none of the {len(entries)} frames has a pose')
-    notes = []
-    if missing:
-        notes.append(f'{len(missing)} listed images are missing and left out: {listed(missing)}')
-    if lost:
-        notes.append(f'{len(lost)} frames have no finite pose and are left out: {listed(lost)}')
-    if no_mask:
-        notes.append(f'{len(no_mask)} listed masks are missing: {listed(no_mask)}')
-    if no_depth:
-        notes.append(f'{len(no_depth)} listed depth maps are missing: {listed(no_depth)}')
-    return Capture(tuple(frames), tuple(notes), z_up=document.get('z_up') is True,
+    notes = tuple(f'{len(found)} {words}: {listed(found)}' for found, words in (
+        (missing, 'listed images are missing and left out'),
+        (lost, 'frames have no finite pose and are left out'),
+        (no_mask, 'listed masks are missing'),
+        (no_depth, 'listed depth maps are missing')) if found)
+    return Capture(tuple(frames), notes, z_up=document.get('z_up') is True,
                    arbitrary_scale=document.get('arbitrary_scale') is True)
+
+
+def _read_document(path: Path) -> dict[str, Any]:
+    """Read a transforms file that lists at least one frame."""
+    try:
+        document = json.loads(path.read_text('utf-8-sig'))
+        entries = document['frames']
+    except FileNotFoundError as error:
+        raise SceneError(f'{path}: no such file') from error
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise SceneError(f'{path}: expected a JSON object with "frames": {error!r}') from error
+    if not isinstance(entries, list) or not entries:
+        raise SceneError(f'{path}: frames: expected a list with at least one frame')
+    return document
 
 
 def _image_file(path: Path, index: int, entry: Any) -> Path | None:

@@ -15,6 +15,11 @@ from neo_ros.scenes.posed_images import PosedImages, read_rgb_image
 from neo_ros.scenes.scene import clear_earlier_import
 from neo_ros.scenes.transforms_json import read_input_crop, read_transforms, write_transforms
 
+# The transforms files of a folder, and what they are called in a scene.
+SCENE_NAMES = {'transforms_train.json': 'transforms_train.json',
+               'transforms.json': 'transforms_train.json',
+               'transforms_test.json': 'transforms_test.json'}
+
 
 def import_transforms(source: Path, scene: Path,
                       progress: Progress = no_progress) -> None:
@@ -33,15 +38,7 @@ def import_transforms(source: Path, scene: Path,
                          'transforms.json, or the word "demo"')
     if source.resolve() == scene.resolve():
         raise SceneError(f'{scene}: expected another folder than the source')
-    names = {'transforms_train.json': 'transforms_train.json',
-             'transforms.json': 'transforms_train.json',
-             'transforms_test.json': 'transforms_test.json'}
-    present = [name for name in names if (source / name).is_file()]
-    if present[:2] == ['transforms_train.json', 'transforms.json']:
-        present.remove('transforms.json')  # It lists all images, those of the test too.
-    found = {name: read_transforms(source / name) for name in present}
-    if not found.keys() & {'transforms_train.json', 'transforms.json'}:
-        raise SceneError(f'{source}: expected transforms_train.json or transforms.json')
+    found = _read_present(source)
     for images in found.values():
         check_near_origin(images.image_paths, images.poses)
     every = [path for images in found.values() for path in images.image_paths]
@@ -66,8 +63,18 @@ def import_transforms(source: Path, scene: Path,
     if floor.is_file():
         shutil.copyfile(floor, scene / floor.name)
     for name, images in copied.items():
-        write_transforms(scene / names[name], images, read_input_crop(source / name))
+        write_transforms(scene / SCENE_NAMES[name], images, read_input_crop(source / name))
     (scene / NOTE_FILE).unlink(missing_ok=True)
+
+
+def _read_present(source: Path) -> dict[str, PosedImages]:
+    """Read the transforms files of a folder that count, by their names."""
+    present = [name for name in SCENE_NAMES if (source / name).is_file()]
+    if present[:2] == ['transforms_train.json', 'transforms.json']:
+        present.remove('transforms.json')  # It lists all images, those of the test too.
+    if not {'transforms_train.json', 'transforms.json'} & set(present):
+        raise SceneError(f'{source}: expected transforms_train.json or transforms.json')
+    return {name: read_transforms(source / name) for name in present}
 
 
 def _same(path: Path, target: Path) -> bool:

@@ -1,6 +1,6 @@
 """`neo benchmark`: the paper's tables on any scene, rivals and bounds included."""
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated, Any, Optional
 
 import typer
 
@@ -48,7 +48,6 @@ def benchmark(
     goes on with the method it was at.
     """
     from contextlib import nullcontext
-    from dataclasses import asdict, replace
 
     from neo_ros.benchmark.bundle import bundled
     from neo_ros.benchmark.methods import check_methods
@@ -58,8 +57,7 @@ def benchmark(
     from neo_ros.cli.options import refuse
     from neo_ros.cli.progress import stage_progress
     from neo_ros.errors import ConfigError
-    from neo_ros.experiment import read_experiment
-    from neo_ros.machine.files import make_output_folder, write_bytes
+    from neo_ros.machine.files import make_output_folder
     import rich
     from rich.markup import escape
 
@@ -71,8 +69,7 @@ def benchmark(
     else:
         refuse('expected only with --suite', scenes=scenes or None)
     plan = read_suite(suite or 'quarter')
-    # Without the view, whose tuples would come back from JSON as lists.
-    settings = asdict(replace(read_experiment(config), view=None)) if config else None
+    settings = _read_settings(config) if config else None
     names = check_methods(methods.split(',') if methods else plan.methods)
     with stage_progress() as show:
         names = installed(names, show)
@@ -96,8 +93,7 @@ def benchmark(
             table = run_jobs(jobs, names, work, rows_file, name, show, frozen=scene is None)
     print(table)  # As it is: rich would break its lines.
     if whole and out is None:
-        write_bytes(kept.with_suffix('.md'), table.encode())
-        write_bytes(kept, rows_file.read_bytes())
+        _keep(table, rows_file, kept)
         rows_file = kept
     elif scene is None and not whole:
         missing = ', '.join(method for method in plan.methods if method not in names)
@@ -105,3 +101,20 @@ def benchmark(
                    f'({escape(str(kept))} and .md) stays as it was.')
     rich.print(f'Written: {escape(str(rows_file))}, '
                f'{escape(str(work / name))}.md and {escape(str(work / name))}.html')
+
+
+def _read_settings(config: Path) -> dict[str, Any]:
+    """Read an experiment but its view, whose tuples would come back from JSON as lists."""
+    from dataclasses import asdict, replace
+
+    from neo_ros.experiment import read_experiment
+
+    return asdict(replace(read_experiment(config), view=None))
+
+
+def _keep(table: str, rows_file: Path, kept: Path) -> None:
+    """Replace what is kept of a suite by a whole run of it."""
+    from neo_ros.machine.files import write_bytes
+
+    write_bytes(kept.with_suffix('.md'), table.encode())
+    write_bytes(kept, rows_file.read_bytes())

@@ -37,9 +37,9 @@ def evaluate(
     folder = make_output_folder(out or Path(f'evaluation_{scene_data.name}'))
     train = scene_data.train
     with stage_progress() as show:
-        def photos() -> Iterator[np.ndarray]:
+        def photos() -> Iterator[tuple[np.ndarray, np.ndarray]]:
             for index in range(len(train)):
-                yield train.read_image(index)
+                yield train.read_shown(index)
                 show('mean photo', index + 1, len(train))
 
         alone: list[Method] = [NeoModel(model, guided=False)] if neo.guided else []

@@ -78,19 +78,10 @@ def replay(
             lambda done, total: show('replaying, messages', done, total),
             DEFAULT_OUTPUTS if output is None else output, info_topic)
     extrapolator.finish_learning()
-    for damage in result.damages:
-        rich.print(f'[yellow]{escape(str(damage))}[/yellow]')
-    for reason, count in sorted(result.rejected.items()):
-        words = escape(result.words[reason])
-        rich.print(f'[yellow]rejected: {count} x {reason}, the first: {words}[/yellow]')
-    rate = result.frames / result.wall_seconds
-    model_rate = result.frames / result.expand_seconds if result.frames else 0.0
-    rich.print(f'{escape(result.image_topic)}: {result.frames} frames at {rate:.1f} Hz '
-               f'(the model alone: {model_rate:.1f} Hz)')
     guided = None
     if extrapolator.card.memory is not None and result.frames:
         guided = round(result.guided / result.frames, 4)
-        rich.print(f'guided: the memory knew {guided:.0%} of the frames')
+    _print_result(result, guided)
     if scores is not None and scores.rows:
         about = {'bag': bag.name, 'image_topic': result.image_topic, 'truth_topic': truth_topic,
                  'model': model.name, 'scene_id': extrapolator.card.scene_id,
@@ -131,6 +122,24 @@ def _prepare_scores(bag: Path, model: Path, extrapolator: Any, image_topic: str 
     # An extrapolator of its own: the one that widens the bag may remember what it saw.
     other = FovExtrapolator.load(model)
     return BagScores(expansion, lambda image: other.expand(image).wide_image), None
+
+
+def _print_result(result: Any, guided: float | None) -> None:
+    """Print what a ReplayResult holds, and the share of its frames that the memory knew."""
+    import rich
+    from rich.markup import escape
+
+    for damage in result.damages:
+        rich.print(f'[yellow]{escape(str(damage))}[/yellow]')
+    for reason, count in sorted(result.rejected.items()):
+        words = escape(result.words[reason])
+        rich.print(f'[yellow]rejected: {count} x {reason}, the first: {words}[/yellow]')
+    rate = result.frames / result.wall_seconds
+    model_rate = result.frames / result.expand_seconds if result.frames else 0.0
+    rich.print(f'{escape(result.image_topic)}: {result.frames} frames at {rate:.1f} Hz '
+               f'(the model alone: {model_rate:.1f} Hz)')
+    if guided is not None:
+        rich.print(f'guided: the memory knew {guided:.0%} of the frames')
 
 
 def _print_scores(scores: Any, about: dict[str, Any]) -> None:

@@ -143,6 +143,17 @@ BUILDING = (
     Column('right at the end', 'walks_found_right'), Column('ever wrong', 'walks_ever_wrong'),
     Column('search, ms', 'found_ms_median', '{:.0f}'), Column('p95', 'found_ms_p95', '{:.0f}'))
 
+# All rooms of these are different: what grows with the floor is told.
+A_FLOOR = 'a floor of '
+FLOORS = (
+    Column('rooms', 'rooms'), Column('m2', 'area_m2'), Column('searches', 'searches'),
+    Column('found by landmarks', 'by_landmarks'), Column('wrong place believed', 'wrong_places'),
+    Column('ambiguous', 'ambiguous'), Column('not found', 'lost'),
+    Column('search, ms of the processor', 'found_ms_median', '{:.0f}'),
+    Column('p95', 'found_ms_p95', '{:.0f}'), Column('following, p95', 'follow_ms_p95', '{:.0f}'),
+    Column('memory file, MB', 'file_mb', '{:.1f}'),
+    Column('resident, MB', 'resident_mb', '{:.0f}'))
+
 TABLES: dict[str, Rows] = {
     **{name: Rows(name, METHOD) for name in (
         'staircase_60', 'living_room_40', 'redkitchen_30', 'redkitchen_6')},
@@ -151,13 +162,18 @@ TABLES: dict[str, Rows] = {
     **{name: Rows(name, ABLATION) for name in (
         'compare_ablations', 'compare_ablations_more', 'compare_ablations_redkitchen')},
     'field_curve': Rows('field_curve', FIELD),
-    'node': Rows('node', NODE), 'networks': Rows('networks', TIMED),
+    'node': Rows('node', NODE, lambda row: row['floor_ms'] is not None),
+    'outputs': Rows('node', TIMED[:3], lambda row: row['floor_ms'] is None),
+    'networks': Rows('networks', TIMED),
     'stream': Rows('stream', TIMED), 'soak': Rows('soak', SOAK), 'hogs': Rows('hogs', SOAK),
     'geometry_pose': Rows('geometry', GEOMETRY_POSE),
     'geometry_depth': Rows('geometry', GEOMETRY_DEPTH,
                            lambda row: row['depth_error_median'] is not None),
     'predicted_looks': Rows('predicted_looks', LOOKS),
-    'imports': Rows('imports', IMPORTS), 'building': Rows('building', BUILDING),
+    'imports': Rows('imports', IMPORTS),
+    'building': Rows('building', BUILDING, lambda row: not row['layout'].startswith(A_FLOOR)),
+    'floors': Rows('building', FLOORS, lambda row: 'by_landmarks' in row and (
+        row['search'] != 'before') and row['layout'].startswith((A_FLOOR, 'all different'))),
     'real_ablations': Rows('real_ablations', REAL),
     'lives': Rows('lives', LIVES), 'minutes': Rows('minutes', MINUTES),
     'hard_times': Rows('hard_times', HARD), 'out_of_scene': Rows('out_of_scene', OUTSIDE),

@@ -10,6 +10,7 @@ from typing import Protocol
 import cv2
 from neo_ros.errors import SceneError
 from neo_ros.geometry import CameraPose, ViewExpansion
+from neo_ros.pictures.filling import extend_edges
 from neo_ros.runtime.fov_extrapolator import FovExtrapolator, memory_path
 import numpy as np
 
@@ -57,7 +58,8 @@ class MeanImage:
     The photos cover the wide view (horizontal protocol) or only the narrow one (square
     protocol); either way their mean, stretched, is the best guess that looks at nothing.
 
-    train_images  RGB uint8 (h, w, 3), all of one size; may be a stream
+    shown  images RGB uint8 (h, w, 3), all of one size, each with its pixels that show the scene,
+           bool (h, w), as `PosedImages.read_shown` gives them; may be a stream
     """
 
     name = 'mean_image'
@@ -65,17 +67,21 @@ class MeanImage:
     train_minutes: float | None = None
     model_mb: float | None = None
 
-    def __init__(self, expansion: ViewExpansion, train_images: Iterable[np.ndarray]) -> None:
+    def __init__(self, expansion: ViewExpansion,
+                 shown: Iterable[tuple[np.ndarray, np.ndarray]]) -> None:
         self.expansion = expansion
-        total, count = None, 0
-        for image in train_images:
-            total = image.astype(np.float64) if total is None else total + image
-            count += 1
-        if total is None:
-            raise SceneError('train_images: expected at least one photo to average, got none')
+        total: np.ndarray | float = 0.0
+        count: np.ndarray | None = None
+        for image, usable in shown:
+            total = total + image.astype(np.float64) * usable[..., None]
+            count = usable.astype(int) if count is None else count + usable
+        if count is None:
+            raise SceneError('shown: expected at least one photo to average, got none')
         size = (expansion.target.width, expansion.target.height)
-        shrink = size[0] < total.shape[1]
-        mean = cv2.resize(total / count, size,
+        shrink = size[0] < count.shape[1]
+        # Pixels that no photo shows take their neighbours' colour.
+        mean = extend_edges(total / np.maximum(count, 1)[..., None], count > 0)
+        mean = cv2.resize(mean, size,
                           interpolation=cv2.INTER_AREA if shrink else cv2.INTER_LINEAR)
         self.mean_image = np.rint(mean).astype(np.uint8)
 

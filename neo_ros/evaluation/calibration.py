@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from neo_ros.evaluation.evaluate import TruthFrames
-from neo_ros.evaluation.metrics import check_pair
+from neo_ros.evaluation.metrics import check_pair, PARTS, scored_parts
 from neo_ros.geometry import ViewExpansion
 from neo_ros.reports.report import Plot, Section, Series, Table
 from neo_ros.runtime import FovExtrapolator
@@ -35,10 +35,14 @@ class Calibration:
         default_factory=lambda: np.zeros((256, _LARGEST + 1), np.int64))
 
     def add(self, truth: np.ndarray, wide_image: np.ndarray, confidence: np.ndarray,
-            expansion: ViewExpansion) -> None:
-        """Count a frame: two RGB uint8 (H, W, 3) and confidence uint8 (H, W)."""
+            expansion: ViewExpansion, usable: np.ndarray | None = None) -> None:
+        """
+        Count a frame: two RGB uint8 (H, W, 3) and confidence uint8 (H, W).
+
+        usable: as in `score_frame`.
+        """
         check_pair(truth, wide_image, expansion)
-        ring = expansion.extrapolated_mask
+        ring = scored_parts(expansion, usable)[PARTS.index('ring')]
         error = np.abs(truth.astype(np.int64) - wide_image)[ring].sum(-1)
         index = confidence[ring].astype(np.int64) * (_LARGEST + 1) + error
         self.counts += np.bincount(index, minlength=self.counts.size).reshape(self.counts.shape)
@@ -116,7 +120,8 @@ def calibrate(model: FovExtrapolator, frames: TruthFrames) -> Calibration:
             model.reset()
         path_id = frames.images.path_ids[index]
         view = model.expand(narrow_image)
-        result.add(truth, view.wide_image, view.confidence, frames.expansion)
+        result.add(truth, view.wide_image, view.confidence, frames.expansion,
+                   frames.read_usable(index))
     return result
 
 

@@ -28,7 +28,8 @@ ROW_KEYS = (
     'latency_ms_median', 'latency_ms_p95', 'train_minutes', 'model_mb', 'commit', 'host')
 _SCALE_NAMES = {1.0: 'full', 0.5: 'half', 0.25: 'quarter'}
 
-Scorer = Callable[[np.ndarray, np.ndarray, ViewExpansion], dict[str, float]]
+# (truth, wide image, expansion, which pixels of the truth show the scene or None: all) -> scores
+Scorer = Callable[[np.ndarray, np.ndarray, ViewExpansion, np.ndarray | None], dict[str, float]]
 # Looks at every wide image: (index of the frame, image) -> further scores of the frame.
 Watcher = Callable[[int, np.ndarray], dict[str, float]]
 
@@ -118,6 +119,22 @@ class TruthFrames:
         truth = np.ascontiguousarray(self.images.read_image(index, self.scale)[self.window])
         return np.ascontiguousarray(self.expansion.crop(truth)), truth
 
+    def read_usable(self, index: int) -> np.ndarray | None:
+        """
+        Return which pixels of a frame's truth show the scene, bool (H, W); None without a mask.
+
+        Raises SceneError for a mask that leaves nothing of the ring.
+        """
+        usable = self.images.read_usable(index, self.scale)
+        if usable is None:
+            return None
+        usable = usable[self.window]
+        if not usable[self.expansion.extrapolated_mask].any():
+            raise SceneError(
+                f'{self.images.mask_paths[index]}: expected a mask that leaves some of what the '
+                'camera does not see, to score on; take its frame out of transforms_test.json')
+        return usable
+
     def __iter__(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         return (self.read(index) for index in range(len(self)))
 
@@ -165,8 +182,9 @@ def score_frames(frames: TruthFrames, method: Method, scorers: Sequence[Scorer] 
             'frame': frames.images.image_paths[index].name, 'path_id': path_id,
             'milliseconds': (time.perf_counter() - start) * 1e3}
         _check_pasted(method, narrow_image, wide_image, frames.expansion)
+        usable = frames.read_usable(index)
         for scorer in scorers:
-            scores.update(scorer(truth, wide_image, frames.expansion))
+            scores.update(scorer(truth, wide_image, frames.expansion, usable))
         for watcher in watchers:
             scores.update(watcher(index, wide_image))
         if isinstance(method, TalkingMethod):

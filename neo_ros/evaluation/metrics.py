@@ -13,6 +13,7 @@ from neo_ros.geometry import ViewExpansion
 import numpy as np
 
 PSNR_CAP_DB = 100.0  # JSON has no infinity; one uint8 step in a megapixel image is 113 dB
+PARTS = ('whole', 'ring', 'seam')
 SSIM_SIGMA = 1.5
 SSIM_RADIUS = 5  # an 11x11 window, as Wang et al. use
 _BOOTSTRAP_DRAWS = 2000
@@ -26,32 +27,47 @@ class Estimate(NamedTuple):
     high: float | None
 
 
-def score_frame(truth: np.ndarray, prediction: np.ndarray,
-                expansion: ViewExpansion) -> dict[str, float]:
+def score_frame(truth: np.ndarray, prediction: np.ndarray, expansion: ViewExpansion,
+                usable: np.ndarray | None = None) -> dict[str, float]:
     """
     Score one wide image (H, W, 3) RGB uint8 against the truth of the same shape.
 
-    Returns whole_psnr, ring_psnr, seam_psnr (dB, at most 100) and whole_ssim, ring_ssim,
-    seam_ssim. The ring is all extrapolated pixels, the seam the part of it within `seam_width`
-    of the camera's window. Raises ImageRejected for images that are not uint8 of the expansion's
-    target size.
+    usable: bool (H, W), the pixels of the truth that show the scene; None: all. Returns
+    whole_psnr, ring_psnr, seam_psnr (dB, at most 100) and whole_ssim, ring_ssim, seam_ssim; none
+    of a part without a usable pixel. The ring is all extrapolated pixels, the seam the part of
+    it within `seam_width` of the camera's window. Raises ImageRejected for images that are not
+    uint8 of the expansion's target size.
     """
     check_pair(truth, prediction, expansion)
+    whole, ring, seam = parts = scored_parts(expansion, usable)
+    if usable is not None:
+        prediction = left_out_alike(truth, prediction, usable)
     error = (truth.astype(np.float32) - prediction.astype(np.float32)) ** 2
-    ring = expansion.extrapolated_mask
-    seam = expansion.seam_mask(seam_width(expansion))
     ssim = ssim_map(truth, prediction)
-    inner = slice(SSIM_RADIUS, -SSIM_RADIUS)
-    return {
-        'whole_psnr': _psnr_of_mse(float(error.mean(dtype=np.float64))),
-        'ring_psnr': _psnr_of_mse(float(error[ring].mean(dtype=np.float64))),
-        'seam_psnr': _psnr_of_mse(float(error[seam].mean(dtype=np.float64))),
-        # The rim, where the window hangs over the border, is left out of the whole score as
-        # Wang et al. and scikit-image do; it stays in the ring, most of which it can be.
-        'whole_ssim': float(ssim[inner, inner].mean()),
-        'ring_ssim': float(ssim[ring].mean()),
-        'seam_ssim': float(ssim[seam].mean()),
-    }
+    # The rim, where the window hangs over the border, is left out of the whole score as
+    # Wang et al. and scikit-image do; it stays in the ring, most of which it can be.
+    inner = np.zeros_like(whole)
+    inner[SSIM_RADIUS:-SSIM_RADIUS, SSIM_RADIUS:-SSIM_RADIUS] = True
+    scores = {f'{name}_psnr': _psnr_of_mse(float(error[part].mean(dtype=np.float64)))
+              for name, part in zip(PARTS, parts) if part.any()}
+    return scores | {f'{name}_ssim': float(ssim[part].mean())
+                     for name, part in zip(PARTS, (whole & inner, ring, seam)) if part.any()}
+
+
+def scored_parts(expansion: ViewExpansion, usable: np.ndarray | None) -> tuple[np.ndarray, ...]:
+    """Return the usable pixels, bool (H, W), of each of PARTS."""
+    ring = expansion.extrapolated_mask
+    parts = np.ones_like(ring), ring, expansion.seam_mask(seam_width(expansion))
+    return parts if usable is None else tuple(part & usable for part in parts)
+
+
+def left_out_alike(truth: np.ndarray, prediction: np.ndarray, usable: np.ndarray) -> np.ndarray:
+    """
+    Return the prediction with the truth's pixels where the truth does not show the scene.
+
+    What looks at a neighbourhood (SSIM, LPIPS) finds no difference there.
+    """
+    return np.where(usable[..., None], prediction, truth)
 
 
 def check_pair(truth: np.ndarray, prediction: np.ndarray, expansion: ViewExpansion) -> None:

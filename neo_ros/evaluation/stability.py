@@ -43,19 +43,23 @@ class WarpingError:
 
     def __init__(self, frames: TruthFrames, depth_of: DepthOf) -> None:
         self.frames, self.depth_of = frames, depth_of
-        self.last: tuple[int, tuple[np.ndarray, np.ndarray]] | None = None
+        self.last: tuple[int, tuple[np.ndarray, np.ndarray], np.ndarray] | None = None
 
     def __call__(self, index: int, wide_image: np.ndarray) -> dict[str, float]:
         """Return warping_error and truth_warping_error; nothing for a walk's first frame."""
         now = wide_image, self.frames.read(index)[1]
-        last, self.last = self.last, (index, now)
+        usable = self.frames.read_usable(index)
+        if usable is None:
+            usable = np.ones(wide_image.shape[:2], bool)
+        last, self.last = self.last, (index, now, usable)
         images = self.frames.images
         if last is None or images.path_ids[last[0]] != images.path_ids[index]:
             return {}
         T_last_now = images.poses[last[0]].inverse() @ images.poses[index].T_world_cam
         where, visible = follow_points(self.frames.expansion.target, self.depth_of(index),
                                        self.depth_of(last[0]), T_last_now)
-        counted = visible & self.frames.expansion.extrapolated_mask
+        usable = usable & (sample_pixels(last[2].astype(np.float32), where) > 0.9999)
+        counted = visible & usable & self.frames.expansion.extrapolated_mask
         names = ('warping_error', 'truth_warping_error')
         errors = {name: warping_error(image, before, where, counted)
                   for name, image, before in zip(names, now, last[1])}

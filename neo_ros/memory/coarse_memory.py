@@ -31,7 +31,7 @@ class CoarseMemory:
         if self._version != self._memory.version:
             self._decoded = DecodedKeyframes(CACHED_BYTES)
             self._version = self._memory.version
-        return self._decoded.get(index, lambda: self._decode(index))
+        return self._decoded.get((1, index), lambda: self._decode(index))
 
     def _decode(self, index: int) -> Keyframe:
         texture, coded = self._memory.pictures(index, self._reduced)

@@ -1,45 +1,62 @@
 """Keyframes that are kept decoded, and those that are decoded before they are needed."""
+from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 
 from neo_ros.memory.keyframe import Keyframe
 
-# What is kept: as many as fit into so many bytes, but at least all that are drawn.
+# What is kept: as many as fit into so many bytes, but at least all that are drawn; of each
+# reduction so many.
 CACHED_BYTES = 256 << 20
 LEAST_CACHED = 3
 
+Key = tuple[int, int]
+
 
 class DecodedKeyframes:
-    """Keyframes of one size by their number; the ones used last are kept. For one thread."""
+    """
+    Keyframes by how much they are reduced and their number; the ones used last are kept.
+
+    Those that are reduced by as much have one size. For one thread.
+    """
 
     def __init__(self, most_bytes: int | None = None) -> None:
         self._most_bytes = CACHED_BYTES if most_bytes is None else most_bytes
         # The last one used is the last. An lru_cache of a method would keep the memory alive, as
         # would a method that decodes.
-        self._kept: dict[int, Future[Keyframe]] = {}
-        self._most = LEAST_CACHED
+        self._kept: dict[Key, Future[Keyframe]] = {}
+        self._counts, self._sizes = Counter[int](), dict[int, int]()
         self._other: ThreadPoolExecutor | None = None
 
-    def get(self, index: int, decode: Callable[[], Keyframe]) -> Keyframe:
+    def get(self, key: Key, decode: Callable[[], Keyframe]) -> Keyframe:
         """Return a keyframe; what is not there is decoded now. Raises what `decode` raises."""
-        kept = self._kept.pop(index, None)
+        kept = self._take(key) if key in self._kept else None
         if kept is None:
             kept = Future()
             kept.set_result(decode())
         found = kept.result()
-        self._most = max(
-            LEAST_CACHED, self._most_bytes // (found.depth.nbytes + found.texture.nbytes))
-        self._keep(index, kept)
+        self._sizes[key[0]] = found.depth.nbytes + found.texture.nbytes
+        self._keep(key, kept)
         return found
 
-    def ahead(self, index: int, decode: Callable[[], Keyframe]) -> None:
+    def ahead(self, key: Key, decode: Callable[[], Keyframe]) -> None:
         """Let another thread decode a keyframe, if there is room beside those that are drawn."""
-        if index in self._kept or self._most <= 2 * LEAST_CACHED:
+        drawn = 2 * LEAST_CACHED * sum(self._sizes.values())
+        if key in self._kept or key[0] not in self._sizes or (
+                drawn + self._sizes[key[0]] > self._most_bytes):
             return
         self._other = self._other or ThreadPoolExecutor(1, 'keyframes')
-        self._keep(index, self._other.submit(decode))
+        self._keep(key, self._other.submit(decode))
 
-    def _keep(self, index: int, kept: 'Future[Keyframe]') -> None:
-        self._kept[index] = kept
-        if len(self._kept) > self._most:
-            del self._kept[next(iter(self._kept))]
+    def _take(self, key: Key) -> 'Future[Keyframe]':
+        self._counts[key[0]] -= 1
+        return self._kept.pop(key)
+
+    def _keep(self, key: Key, kept: 'Future[Keyframe]') -> None:
+        self._kept[key] = kept
+        self._counts[key[0]] += 1
+        size = sum(count * self._sizes[reduced] for reduced, count in self._counts.items())
+        for old in list(self._kept) if size > self._most_bytes else ():
+            if size > self._most_bytes and self._counts[old[0]] > LEAST_CACHED:
+                size -= self._sizes[old[0]]
+                self._take(old)

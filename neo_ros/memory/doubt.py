@@ -4,6 +4,7 @@ Which places of a scene could show an image, and which of them it contradicts.
 Rooms can look alike. A place that was searched for is believed only if no other place could be
 it; the images that follow tell them apart, or nothing does.
 """
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -42,10 +43,10 @@ class Doubt:
         """Whether there are several places that could be it."""
         return bool(self._open)
 
-    def settle(self, image: CameraImage, followed: Sight | None, found: Sight | None
-               ) -> Sight | None:
+    def settle(self, image: CameraImage, followed: Sight | None, found: Sight | None,
+               elsewhere: Sequence[CameraPose]) -> Sight | None:
         """
-        Choose between where a camera was followed to and where a search found it.
+        Choose between where a camera was followed to and where a search found it, or elsewhere.
 
         A search is believed if no place elsewhere explains the image as well; else, a followed
         camera stays where it is, and of a lost one the places are kept to be told apart.
@@ -56,7 +57,7 @@ class Doubt:
         if stays is not None and not self._is_elsewhere(found, stays):
             return better(followed, found)
         self.forget()
-        candidates = [found, *self._rivals(image, found)]
+        candidates = [found, *self._rivals(image, found, elsewhere)]
         if stays is not None:
             candidates.append(stays)
         against = self._against(image, candidates)
@@ -131,11 +132,12 @@ class Doubt:
                 for rival, share in zip(rivals, shares[1:])
                 if share - shares[0] < self._limits.decisive]
 
-    def _rivals(self, image: CameraImage, found: Sight) -> list[Sight]:
+    def _rivals(self, image: CameraImage, found: Sight, elsewhere: Sequence[CameraPose] = ()
+                ) -> list[Sight]:
         """Return what is seen from other places that explain an image, each place once."""
         looker, limits, coarse = self._looker, self._limits, self._looker.coarse_aligner
         photo, tried = coarse.photo(image.pixels), list[tuple[float, CameraPose]]()
-        for start in self._glances.find_rivals(image.pixels, found.pose, limits):
+        for start in (*elsewhere, *self._glances.find_rivals(image.pixels, found.pose, limits)):
             pose = coarse.align(photo, start, rounds=1)
             agrees = coarse.agreement(photo, pose)
             if agrees > limits.least_coarse and is_elsewhere(pose, found.pose, limits):

@@ -3,20 +3,27 @@ from collections.abc import Iterable
 
 import cv2
 from neo_ros.geometry import CameraPose
+from neo_ros.memory.inverted_index import InvertedIndex
 from neo_ros.memory.scene_memory import Glances
 from neo_ros.memory.sight import AmbiguityThresholds, GuideThresholds
 import numpy as np
 
+# A picture of mean 0 and norm 1 in bytes; of 256 pixels hardly one is farther from 0 than a half.
+MIDDLE, STEPS = np.float32(128), np.float32(256)
+
 
 class GlanceFinder:
-    """Compares images with all glances of a scene."""
+    """Compares images with the glances of a scene that they are most like."""
 
     def __init__(self, glances: Glances, thresholds: GuideThresholds) -> None:
         pictures = glances.pictures
         self.poses = glances.T_world_cam
         self._limits = thresholds
-        self._rows = normalized(pictures.reshape(len(pictures), -1))
         self._size = (pictures.shape[2], pictures.shape[1])
+        self._codes = np.concatenate([  # As floats all of a building's would be large.
+            coded(pictures[first:first + 4096].reshape(-1, pictures[0].size))
+            for first in range(0, len(pictures), 4096)])
+        self._index = InvertedIndex(self._codes)
 
     def find(self, image: np.ndarray, around: CameraPose | None = None) -> list[CameraPose]:
         """
@@ -24,36 +31,50 @@ class GlanceFinder:
 
         around: only there, within prior_metres of any height and about in this direction.
         """
-        alike = self._likeness(image)
-        if around is not None:
-            alike[~self._near(around)] = -np.inf
-        places = np.argsort(-alike, kind='stable')[:40 * self._limits.candidates]
-        chosen = self._apart(places[np.isfinite(alike[places])])
-        return [CameraPose(self.poses[index]) for index in chosen]
+        if around is None:
+            places, _ = self._most_alike(image)
+        else:
+            near = np.flatnonzero(self._near(around))
+            order = np.argsort(-self._likeness(image, near), kind='stable')
+            places = near[order[:self._limits.alike]]
+        return [CameraPose(self.poses[index]) for index in self._apart(places)]
 
     def find_rivals(self, image: np.ndarray, found: CameraPose, limits: AmbiguityThresholds
                     ) -> list[CameraPose]:
         """Return the places elsewhere that an image is nearly as like as where it was found."""
-        alike, chosen = self._likeness(image), list[CameraPose]()
-        here = self._within(found, limits.elsewhere_metres, limits.elsewhere_cosine)
-        least = max(alike[here].max(initial=-1.0) - limits.less_alike, 0.0)
-        alike[here] = -1
-        while len(chosen) < limits.starts and alike.max() > least:
-            best = CameraPose(self.poses[int(alike.argmax())])
+        here = np.flatnonzero(self._within(
+            slice(None), found, limits.elsewhere_metres, limits.elsewhere_cosine))
+        least = max(self._likeness(image, here).max(initial=-1.0) - limits.less_alike, 0.0)
+        left, alike = self._most_alike(image)
+        left = left[(alike > least) & ~np.isin(left, here)]
+        chosen = list[CameraPose]()
+        while len(chosen) < limits.starts and len(left):
+            best = CameraPose(self.poses[left[0]])
             chosen.append(best)
-            alike[self._within(best, limits.start_metres, limits.start_cosine)] = -1
+            left = left[~self._within(left, best, limits.start_metres, limits.start_cosine)]
         return chosen
 
-    def _within(self, pose: CameraPose, metres: float, cosine: float) -> np.ndarray:
+    def _within(self, places: np.ndarray | slice, pose: CameraPose, metres: float,
+                cosine: float) -> np.ndarray:
+        poses = self.poses[places]
         near: np.ndarray = (
-            np.linalg.norm(self.poses[:, :3, 3] - pose.position, axis=1) <= metres) & (
-                self.poses[:, :3, 2] @ pose.forward >= cosine)
+            np.linalg.norm(poses[:, :3, 3] - pose.position, axis=1) <= metres) & (
+                poses[:, :3, 2] @ pose.forward >= cosine)
         return near
 
-    def _likeness(self, image: np.ndarray) -> np.ndarray:
+    def _most_alike(self, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return what an image is most like, and the correlations, the most alike first."""
+        found, _ = self._index.nearest(self._code(image), self._limits.lists, self._limits.alike)
+        places = found[0, found[0] >= 0]
+        return places, self._likeness(image, places)
+
+    def _code(self, image: np.ndarray) -> np.ndarray:
         grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-        small = cv2.resize(grey, self._size, interpolation=cv2.INTER_AREA)
-        alike: np.ndarray = self._rows @ normalized(small.reshape(1, -1))[0]
+        return coded(cv2.resize(grey, self._size, interpolation=cv2.INTER_AREA).reshape(1, -1))
+
+    def _likeness(self, image: np.ndarray, places: np.ndarray) -> np.ndarray:
+        own = self._code(image)[0].astype(np.float32) - MIDDLE
+        alike: np.ndarray = (self._codes[places].astype(np.float32) - MIDDLE) @ own / STEPS ** 2
         return alike
 
     def _near(self, pose: CameraPose) -> np.ndarray:
@@ -77,9 +98,9 @@ class GlanceFinder:
         return chosen
 
 
-def normalized(pictures: np.ndarray) -> np.ndarray:
-    """Return rows of mean 0 and norm 1, float32; rows of one colour become 0."""
+def coded(pictures: np.ndarray) -> np.ndarray:
+    """Bring rows to mean 0 and norm 1, in bytes: MIDDLE and STEPS times that; of one colour 0."""
     rows = pictures.astype(np.float32)
     rows -= rows.mean(1, keepdims=True)
-    norm = np.linalg.norm(rows, axis=1, keepdims=True)
-    return rows / np.maximum(norm, 1)
+    rows *= STEPS / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1)
+    return np.clip(np.rint(rows + MIDDLE), 0, 255).astype(np.uint8)

@@ -5,11 +5,13 @@ They are triangulated from the photos. Matched with an image they give its pose,
 from about where the camera is (PnP with RANSAC), and they tell whether a pose found in another
 way can be right: photometric alignment follows a surface that is at a wrong depth.
 """
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import cv2
 from neo_ros.geometry import CameraPose, Intrinsics
+from neo_ros.memory.landmark_places import coded, PlaceFinder, PlaceThresholds
 from neo_ros.memory.local_features import Features, find_features, match_features
 import numpy as np
 
@@ -17,8 +19,10 @@ import numpy as np
 # are made of and those that are located alike. With 256 poses are no better (demo flat: 0.55
 # instead of 0.62 cm), and SIFT takes half as long again.
 WORKED_WIDTH = 192
-# Of a file: RootSIFT has length 1, and hardly a component above a half.
-MOST_LANDMARKS, STEPS = 20_000, 512
+# In each cube of so many metres the landmarks that most photos show are kept, at most so many.
+# The demo flat has up to 3800 in one.
+CUBE, MOST_IN_CUBE = 4.0, 4000
+MOST_LANDMARKS = 1 << 22  # Of a file.
 NEAREST = 0.1  # metres that a point lies before the camera at least
 
 
@@ -34,6 +38,10 @@ class LandmarkThresholds:
     ransac_rounds: int = 300
     # On 369 images of other scenes chance makes 6 at most; on held-out photos it is 24 and more.
     least_inliers: int = 20
+    # Of the pairs of landmarks and features that look alike at a place the first pose is made of
+    # those most alike: with all of them fewer are right. So many have to agree on it.
+    most_hints: int = 40
+    least_hints: int = 10
     # How far outside the image landmarks are tried, in widths of it.
     margin: float = 0.25
     # Two poses that are nearer than this have nearly the same landmarks in view.
@@ -47,6 +55,7 @@ class LandmarkThresholds:
     most_witnesses: int = 90
     # Of the squared distance of a landmark from its pixel: features are not found more exactly.
     least_variance: float = 0.1
+    places: PlaceThresholds = PlaceThresholds()
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,14 +78,13 @@ class Landmarks:
         """
         shown = point_of >= 0
         photos = np.bincount(point_of[shown], minlength=len(points))
-        chosen = np.argsort(-photos, kind='stable')[:MOST_LANDMARKS]
-        chosen = np.sort(chosen[photos[chosen] >= least_photos])
+        chosen = np.flatnonzero(photos >= least_photos)
+        chosen = chosen[_most_of_each(np.floor(points[chosen] / CUBE), photos[chosen])]
         if not len(chosen):
             return None
         sums = np.zeros((len(points), descriptors.shape[1]), np.float32)
         np.add.at(sums, point_of[shown], descriptors[shown])
-        coded = np.rint(STEPS * _unit(sums[chosen]))
-        return cls(points[chosen].astype(np.float32), np.minimum(coded, 255).astype(np.uint8))
+        return cls(points[chosen].astype(np.float32), coded(_unit(sums[chosen])))
 
 
 class Location(NamedTuple):
@@ -115,43 +123,88 @@ class Locator:
         self._shrunk = np.array([self.camera.width / camera.width,
                                  self.camera.height / camera.height])
         self._points = landmarks.points.astype(np.float64)
-        self._descriptors = _unit(landmarks.descriptors.astype(np.float32))
+        self._descriptors = landmarks.descriptors
+        self._places = PlaceFinder(landmarks.points, landmarks.descriptors, thresholds.places)
 
     def features(self, image: np.ndarray) -> Features:
         """Find in an image, uint8 RGB (h, w, 3), what `locate` looks at."""
         found = find_features(image, self._magnify, self.thresholds.most_features)
         return Features(found.points * self._shrunk, found.descriptors)
 
-    def locate(self, features: Features, around: CameraPose | None = None) -> Location | None:
+    def locate(self, features: Features, around: CameraPose) -> Location | None:
         """
-        Find the pose of an image by its features; None if too few landmarks are seen.
+        Find the pose of an image near another pose; None if too few landmarks are seen.
 
-        around: about where the camera is; the landmarks that it would see there are tried, or
-        else all. PnP after Gao et al. (2003) in RANSAC, then least squares.
+        The landmarks that a camera there would see are tried. PnP after Gao et al. (2003) in
+        RANSAC, then least squares.
         """
         found = self._match(features, around)
-        if found is not None and (around is None or not self._alike(found.pose, around)):
-            # Other landmarks are in view there, and of all of them many look alike.
-            found = self._match(features, found.pose) or found
+        if found is not None and not self._alike(found.pose, around):
+            found = self._match(features, found.pose) or found  # Others are in view there.
         return found
 
-    def _match(self, features: Features, around: CameraPose | None) -> Location | None:
-        tried = np.arange(len(self._points)) if around is None else self._visible(around)
-        matches = match_features(features.descriptors, self._descriptors[tried],
+    def search(self, features: Features) -> list[Location]:
+        """
+        Find the poses that an image could have anywhere, the one most landmarks speak for first.
+
+        Places first, by landmarks that look like the features, then a pose at each: rooms that
+        look alike give several.
+        """
+        found = list[Location]()
+        for landmarks, shown_by in self._places.find(features.descriptors):
+            for rough in self._poses_at(self._points[landmarks], features.points[shown_by],
+                                        landmarks, shown_by):
+                if any(self._alike(rough.pose, other.pose) for other in found):
+                    continue
+                # Equal rooms behind a wall are in view of a pose, too: then the place alone tells.
+                location = self.locate(features, rough.pose)
+                if location is None and len(rough.points) >= self.thresholds.least_inliers:
+                    location = rough
+                if location is not None and not any(
+                        self._alike(location.pose, other.pose) for other in found):
+                    found.append(location)
+        return sorted(found, key=lambda one: -len(one.points))
+
+    def _poses_at(self, points: np.ndarray, pixels: np.ndarray, landmarks: np.ndarray,
+                  shown_by: np.ndarray) -> Iterator[Location]:
+        """
+        Yield the poses that pairs of landmarks and features agree on, at one place.
+
+        points (K, 3), pixels (K, 2) of the pairs, the most alike first. A feature may be in
+        several pairs: where rooms are equal, there is a pose in each of them.
+        """
+        least, left = self.thresholds.least_hints, np.arange(len(points))
+        while len(left) >= least:
+            once = left[_first(shown_by[left])]
+            once = once[_first(landmarks[once])][:self.thresholds.most_hints]
+            rough = self._pose(points[once], pixels[once], least)
+            if rough is None:
+                return
+            fits = left[self._fits(rough.pose, points[left], pixels[left])]
+            fits = fits[_first(shown_by[fits])]
+            yield self._pose(points[fits], pixels[fits], least) or rough
+            left = np.setdiff1d(left, fits)
+
+    def _match(self, features: Features, around: CameraPose) -> Location | None:
+        tried = self._visible(around)
+        matches = match_features(features.descriptors,
+                                 _unit(self._descriptors[tried].astype(np.float32)),
                                  self.thresholds.ratio)
         if len(matches) < self.thresholds.least_inliers:
             return None
-        return self._pose(self._points[tried[matches[:, 1]]],
-                          features.points[matches[:, 0]])
+        return self._pose(self._points[tried[matches[:, 1]]], features.points[matches[:, 0]],
+                          self.thresholds.least_inliers)
 
     def _visible(self, pose: CameraPose) -> np.ndarray:
         """Return the indices of the landmarks in view of a pose, or near to it."""
-        seen, pixels = _project(self._points, pose, self.camera)
+        near = self._places.near(pose.position)
+        seen, pixels = _project(self._points[near], pose, self.camera)
         size = np.array([self.camera.width, self.camera.height])
         margin = self.thresholds.margin * self.camera.width
-        return np.flatnonzero(seen & ((pixels > -margin) & (pixels < size + margin)).all(1))
+        return near[seen & ((pixels > -margin) & (pixels < size + margin)).all(1)]
 
-    def _pose(self, points: np.ndarray, pixels: np.ndarray) -> Location | None:
+    def _pose(self, points: np.ndarray, pixels: np.ndarray, least: int) -> Location | None:
+        """Find the pose that at least so many of the points fit; None without one."""
         matrix, limits = self.camera.matrix, self.thresholds
         found, turn, shift, inliers = cv2.solvePnPRansac(
             points, pixels, matrix, None, iterationsCount=limits.ransac_rounds,
@@ -160,7 +213,7 @@ class Locator:
             return None
         fits = inliers[:, 0]
         for _ in range(2):
-            if len(fits) < limits.least_inliers:
+            if len(fits) < least:
                 return None
             turn, shift = cv2.solvePnPRefineLM(points[fits], pixels[fits], matrix, None, turn,
                                                shift)
@@ -169,12 +222,17 @@ class Locator:
             if not np.isfinite(T).all():
                 return None
             pose = CameraPose.nearest(np.linalg.inv(T))
-            seen, off = _project(points, pose, self.camera)
-            fits = np.flatnonzero(
-                seen & (((off - pixels) ** 2).sum(1) < limits.inlier_pixels ** 2))
-        if len(fits) < limits.least_inliers:
+            fits = np.flatnonzero(self._fits(pose, points, pixels))
+        if len(fits) < least:
             return None
         return Location(pose, self.camera, points[fits], pixels[fits], limits)
+
+    def _fits(self, pose: CameraPose, points: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+        """Tell which points (K, 3) are seen at these pixels (K, 2) from a pose, bool (K,)."""
+        seen, off = _project(points, pose, self.camera)
+        fits: np.ndarray = seen & (
+            ((off - pixels) ** 2).sum(1) < self.thresholds.inlier_pixels ** 2)
+        return fits
 
     def _alike(self, one: CameraPose, other: CameraPose) -> bool:
         """Tell whether nearly the same landmarks are in view of two poses."""
@@ -195,6 +253,21 @@ def _project(points: np.ndarray, pose: CameraPose, camera: Intrinsics
     seen = z > NEAREST
     z = np.where(seen, z, 1)
     return seen, np.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], 1)
+
+
+def _first(values: np.ndarray) -> np.ndarray:
+    """Return where each value comes first, in ascending order."""
+    return np.sort(np.unique(values, return_index=True)[1])
+
+
+def _most_of_each(cubes: np.ndarray, photos: np.ndarray) -> np.ndarray:
+    """Return in each cube (N, 3) the numbers of those with the most photos, in ascending order."""
+    if not len(cubes):
+        return np.zeros(0, np.int64)
+    cube_of = np.unique(cubes, axis=0, return_inverse=True)[1].reshape(-1)
+    order = np.lexsort((-photos, cube_of))
+    first = np.searchsorted(cube_of[order], cube_of[order])
+    return np.sort(order[np.arange(len(order)) - first < MOST_IN_CUBE])
 
 
 def _unit(rows: np.ndarray) -> np.ndarray:

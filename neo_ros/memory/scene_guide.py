@@ -110,7 +110,7 @@ class SceneGuide:
         self._since_search += 1
         if not self._doubt.is_open and self._search_is_due(best):
             self._since_search = 0
-            best = self._doubt.settle(image, best, self._search(image))
+            best = self._doubt.settle(image, best, *self._search(image))
         if self._doubt.is_open or best is None or not best.believed:
             self._led = 0
             return None
@@ -158,7 +158,7 @@ class SceneGuide:
         with self.loops():
             view = self.renderer.render(pose, self.expansion.source, self.thresholds.shown)
             image = self._camera_image(view.image.astype(np.uint8))
-            self._doubt.settle(image, None, self._search(image))
+            self._doubt.settle(image, None, *self._search(image))
             sight = self._looker.look(image, pose)
             wide, known = sight.view, sight.view.depth > 0
             gain = self._expose(wide.image, known, image.pixels)
@@ -219,7 +219,7 @@ class SceneGuide:
             image.photo, expected, 1, near=True, drawn=before.drawn), expected)
         return sight if sight.agreement >= limits.sure else None
 
-    def _locate(self, image: CameraImage, around: CameraPose | None) -> Location | None:
+    def _locate(self, image: CameraImage, around: CameraPose) -> Location | None:
         return self._locator.locate(image.features, around) if self._locator else None
 
     def _located(self, sight: Sight, location: Location, found: Found) -> Sight:
@@ -252,18 +252,20 @@ class SceneGuide:
         with self.loops():
             return draw_panorama(self.renderer, pose, gain, wide_image, self.expansion, width)
 
-    def _search(self, image: CameraImage) -> Sight | None:
+    def _search(self, image: CameraImage) -> tuple[Sight | None, list[CameraPose]]:
         """
         Find a camera that may be anywhere: by its landmarks, or else by its looks.
 
         Compares with all glances, aligns with the best ones, takes the pose that agrees most.
+        Returns also from where else landmarks could look like this.
         """
-        location = self._locate(image, None)
-        if location is not None:
+        locations = self._locator.search(image.features) if self._locator else []
+        for location in locations:
             found = self._look_from(location, image)
             if found.believed:
-                return found
-        return self._looker.best_of(image, self._glances.find(image.pixels), 'searched')
+                return found, [one.pose for one in locations if one is not location]
+        return (self._looker.best_of(image, self._glances.find(image.pixels), 'searched'),
+                [one.pose for one in locations])
 
     def _try(self, image: CameraImage, prior: CameraPose) -> Sight | None:
         """Look around where somebody says that the camera is; None: nothing is like it."""

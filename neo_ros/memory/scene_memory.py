@@ -3,24 +3,22 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 import hashlib
-import io
 import logging
 import math
 from pathlib import Path
 from typing import Any
-from zipfile import ZIP_STORED, ZipFile
 
 import cv2
 from neo_ros.errors import ImageRejected, ModelError
 from neo_ros.geometry import Band
 from neo_ros.geometry.camera_pose import check_transform
 from neo_ros.machine.files import whole_file
-from neo_ros.machine.regular_file import MAX_BYTES, read_model_bytes
 from neo_ros.memory.changes import Changes
 from neo_ros.memory.decoded import DecodedKeyframes
 from neo_ros.memory.keyframe import (
     compress, decode_image, depth_of, FINER, Keyframe, REDUCED)
 from neo_ros.memory.landmarks import Landmarks, MOST_LANDMARKS
+from neo_ros.memory.memory_file import ANY, MemoryFields, MOST_BYTES, open_memory_file
 from neo_ros.pictures.header import compressed_image_size, PNG_START
 import numpy as np
 
@@ -29,8 +27,6 @@ SCHEMA = 1
 LARGE_BYTES = 50 << 20
 # What a file may ask for, pixels: far above what a camera of 4000x3000 pixels would need.
 MOST_TEXTURE, MOST_MESH, MOST_GLANCES = 1 << 29, 1 << 20, 1 << 26
-# A size in the file that may be any but 0.
-ANY = -1
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +57,7 @@ class SceneMemory:
         self._textures, self._depths = textures, depths
         self.changes: Changes | None = None
         self.version = 0  # Counts the changes: who keeps keyframes looks at it.
-        self._decoded = {reduced: DecodedKeyframes() for reduced in REDUCED}
+        self._decoded = DecodedKeyframes()
         self._shapes: dict[int, tuple[tuple[int, ...], ...]] = {}
 
     def keyframe(self, index: int, focal: float = math.inf) -> Keyframe:
@@ -72,18 +68,18 @@ class SceneMemory:
         so it takes little memory, and has no detail that would flicker there.
         """
         reduced = self._reduction(focal)
-        return self._decoded[reduced].get(index, lambda: self._decode(index, reduced))
+        return self._decoded.get((reduced, index), lambda: self._decode(index, reduced))
 
     def decode_ahead(self, indices: Iterable[int], focal: float) -> None:
         """Let another thread decode keyframes that a view of this focal length will show soon."""
         reduced = self._reduction(focal)
         for index in indices:
-            self._decoded[reduced].ahead(index, partial(self._decode, index, reduced))
+            self._decoded.ahead((reduced, index), partial(self._decode, index, reduced))
 
     def change(self, changes: Changes | None) -> None:
         """Show what has changed since the memory was made; only the thread that draws may."""
         self.changes, self.version = changes, self.version + 1
-        self._decoded = {reduced: DecodedKeyframes() for reduced in REDUCED}
+        self._decoded = DecodedKeyframes()
 
     def pictures(self, index: int, reduced: int) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -153,91 +149,77 @@ class SceneMemory:
 
     def write(self, path: Path) -> str:
         """Write the memory; returns the file's SHA-256, for the model's card."""
-        content = io.BytesIO()
         band = self.band
         landmarks: dict[str, Any] = {}
         if self.landmarks is not None:
             landmarks = {'landmarks': self.landmarks.points,
                          'landmark_descriptors': self.landmarks.descriptors}
-        np.savez(
-            content, schema=SCHEMA, positions=self.positions,
-            band=np.array([band.top, band.bottom, band.low, band.width], np.float64),
-            textures=np.frombuffer(b''.join(self._textures), np.uint8),
-            depths=np.frombuffer(b''.join(self._depths), np.uint8),
-            texture_sizes=[len(item) for item in self._textures],
-            depth_sizes=[len(item) for item in self._depths],
-            glances=self.glances.pictures, glance_poses=self.glances.T_world_cam, **landmarks)
-        data = content.getbuffer()
-        if len(data) > MAX_BYTES:
-            raise ModelError(
-                f'{path}: expected a scene memory of at most {MAX_BYTES >> 20} MB, got '
-                f'{len(data) >> 20} MB; set memory.distance to more')
-        if len(data) > LARGE_BYTES:
-            logger.warning('%s: the scene memory has %d MB, a room should not need more than %d; '
-                           'a larger memory.distance makes it smaller', path, len(data) >> 20,
-                           LARGE_BYTES >> 20)
         try:
             with whole_file(path) as partial:
-                partial.write_bytes(data)
+                with partial.open('wb') as file:
+                    np.savez(
+                        file, schema=SCHEMA, positions=self.positions,
+                        band=np.array([band.top, band.bottom, band.low, band.width], np.float64),
+                        textures=np.frombuffer(b''.join(self._textures), np.uint8),
+                        depths=np.frombuffer(b''.join(self._depths), np.uint8),
+                        texture_sizes=[len(item) for item in self._textures],
+                        depth_sizes=[len(item) for item in self._depths],
+                        glances=self.glances.pictures, glance_poses=self.glances.T_world_cam,
+                        **landmarks)
+                size = partial.stat().st_size
+                if size > MOST_BYTES:
+                    raise ModelError(
+                        f'{path}: expected a scene memory of at most {MOST_BYTES >> 20} MB, got '
+                        f'{size >> 20} MB; set memory.distance to more')
+                with partial.open('rb') as file:
+                    sha256 = hashlib.file_digest(file, 'sha256').hexdigest()
         except OSError as error:
             raise ModelError(f'{path}: cannot write the scene memory: {error.strerror}') from error
-        return hashlib.sha256(data).hexdigest()
+        if size > LARGE_BYTES:
+            logger.warning('%s: the scene memory has %d MB, a room should not need more than %d; '
+                           'a larger memory.distance makes it smaller', path, size >> 20,
+                           LARGE_BYTES >> 20)
+        return sha256
 
     @classmethod
     def read(cls, path: Path, sha256: str) -> 'SceneMemory':
         """
-        Read what `write` wrote, and only that.
+        Open what `write` wrote, and only that; its keyframes are read when they are drawn.
 
-        Raises ModelError as `read_model_bytes` does, when it is not the file that `sha256` tells
-        of, and when this version cannot read it.
+        Raises ModelError as `open_memory_file` does, and when this version cannot read it.
         """
-        try:
-            content = read_model_bytes(path, 'scene memory')
-        except ModelError as error:
-            raise ModelError(f'{error}; copy it again and keep it beside the model file') from None
-        found = hashlib.sha256(content).hexdigest()
-        if found != sha256:
-            raise ModelError(f'{path}: expected the scene memory with sha256 {sha256}, as the '
-                             f'model card says, got {found}; copy model and memory together')
-        try:
-            with _archive(content) as data:
-                schema = int(_field(data, 'schema', np.int64, ()))
-                if schema == SCHEMA:
-                    return cls._from_fields(data)
-        except Exception as error:  # zipfile and numpy raise a dozen types.
-            raise ModelError(f'{path}: expected a scene memory: {error}; export it again'
-                             ) from error
+        with open_memory_file(path, sha256) as fields:
+            schema = int(fields.read('schema', np.int64, ()))
+            if schema == SCHEMA:
+                return cls._from_fields(fields)
         raise ModelError(f'{path}: expected a scene memory of schema {SCHEMA}, got {schema}; '
                          'update neo_ros')
 
     @classmethod
-    def _from_fields(cls, data: Mapping[str, np.ndarray]) -> 'SceneMemory':
+    def _from_fields(cls, fields: MemoryFields) -> 'SceneMemory':
         """Check everything that the compiled loops trust; raises ValueError."""
-        positions = _field(data, 'positions', np.float64, (ANY, 3))
-        top, bottom, low, width = _field(data, 'band', np.float64, (4,)).tolist()
+        positions = fields.read('positions', np.float64, (ANY, 3))
+        top, bottom, low, width = fields.read('band', np.float64, (4,)).tolist()
         if not (-math.pi / 2 <= bottom < top <= math.pi / 2 and 0 < width <= 2 * math.pi):
             raise ValueError('band: expected a part of the sphere, got elevations '
                              f'{bottom} to {top} and a width of {width}')
-        textures, depths = (_split(
-            name, _field(data, f'{name}s', np.uint8, (ANY,)),
-            _field(data, f'{name}_sizes', np.int64, (len(positions),)))
-            for name in ('texture', 'depth'))
+        textures, depths = (fields.pieces(name, len(positions)) for name in ('texture', 'depth'))
         _check_pictures(textures, depths)
-        pictures = _field(data, 'glances', np.uint8, (ANY, ANY, ANY))
-        poses = _field(data, 'glance_poses', np.float64, (len(pictures), 4, 4))
+        pictures = fields.read('glances', np.uint8, (ANY, ANY, ANY))
+        poses = fields.read('glance_poses', np.float64, (len(pictures), 4, 4))
         if pictures.size > MOST_GLANCES:
             raise ValueError(f'glances: expected at most {MOST_GLANCES} pixels, got '
                              f'{pictures.size}')
         for pose in poses:
             check_transform(pose, 'glance_poses')
         landmarks = None
-        if 'landmarks' in data:
-            points = _field(data, 'landmarks', np.float32, (ANY, 3))
+        if 'landmarks' in fields:
+            points = fields.read('landmarks', np.float32, (ANY, 3))
             if len(points) > MOST_LANDMARKS:
                 raise ValueError(
                     f'landmarks: expected at most {MOST_LANDMARKS}, got {len(points)}')
-            landmarks = Landmarks(points, _field(
-                data, 'landmark_descriptors', np.uint8, (len(points), 128)))
+            landmarks = Landmarks(points, fields.read(
+                'landmark_descriptors', np.uint8, (len(points), 128)))
         return cls(positions, Band(top, bottom, low, width), textures, depths,
                    Glances(pictures, poses), landmarks)
 
@@ -245,12 +227,15 @@ class SceneMemory:
 def _check_pictures(textures: Sequence[bytes], depths: Sequence[bytes]) -> None:
     """Raise ValueError where what would be decoded is of another kind, or far too large."""
     # Where a PNG has its width, height, and bits of one grey channel.
-    sizes = {coded[16:26] for coded in depths}
+    sizes, kinds = set[bytes](), set[bytes]()
+    for coded in depths:
+        sizes.add(coded[16:26])
+        kinds.add(coded[:len(PNG_START)])
     if len(sizes) > 1:
         raise ValueError('depths: expected keyframes of one size, got several')
     header = sizes.pop()
     columns, rows = (int.from_bytes(header[at:at + 4], 'big') for at in (0, 4))
-    if any(not coded.startswith(PNG_START) for coded in depths) or header[8:] != b'\x10\0' \
+    if kinds != {PNG_START} or header[8:] != b'\x10\0' \
             or not 0 < columns * rows <= MOST_MESH:
         raise ValueError(f'depths: expected grey 16-bit PNG of at most {MOST_MESH} pixels')
     for coded in textures:
@@ -258,28 +243,6 @@ def _check_pictures(textures: Sequence[bytes], depths: Sequence[bytes]) -> None:
             compressed_image_size(coded, MOST_TEXTURE)
         except ImageRejected as rejection:
             raise ValueError(f'textures: {rejection}') from None
-
-
-def _archive(content: bytes) -> Any:
-    """Open what `np.savez` wrote; what is packed could unpack to more than fits in memory."""
-    with ZipFile(io.BytesIO(content)) as archive:
-        if any(item.compress_type != ZIP_STORED for item in archive.infolist()):
-            raise ValueError('its arrays are packed')
-    return np.load(io.BytesIO(content), allow_pickle=False)
-
-
-def _field(data: Mapping[str, np.ndarray], name: str, dtype: type, shape: tuple[int, ...]
-           ) -> np.ndarray:
-    """Return an array of finite numbers of this dtype and shape; ANY: of one or more."""
-    found = data[name]
-    if found.dtype != dtype or found.ndim != len(shape) or not all(
-            size == wanted or (wanted == ANY and size > 0)
-            for size, wanted in zip(found.shape, shape)):
-        raise ValueError(f'{name}: expected {np.dtype(dtype)} {shape}, got {found.dtype} '
-                         f'{found.shape}'.replace(str(ANY), 'any'))
-    if found.dtype.kind == 'f' and not np.isfinite(found).all():
-        raise ValueError(f'{name}: expected finite numbers')
-    return found
 
 
 def _damaged(index: int) -> ModelError:
@@ -291,11 +254,3 @@ def _is_finer(texture: tuple[int, ...], depth: tuple[int, ...]) -> bool:
     rows, columns = depth
     times = texture[0] // rows
     return min(depth) > 1 and times > 0 and texture[:2] == (times * rows, times * columns)
-
-
-def _split(name: str, content: np.ndarray, sizes: np.ndarray) -> list[bytes]:
-    """Cut bytes into pieces of these sizes; raises ValueError if they do not add up."""
-    if sizes.min() < 1 or sizes.max() > len(content) or sizes.sum() != len(content):
-        raise ValueError(f'{name}_sizes: expected sizes that add up to {len(content)} bytes')
-    ends = np.cumsum(sizes)
-    return [content[end - size:end].tobytes() for end, size in zip(ends, sizes)]

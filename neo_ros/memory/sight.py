@@ -98,6 +98,9 @@ class GuideThresholds:
     # later are decoded beside the images.
     shown: int = 3
     decoded_ahead: int = 15
+    # Glances that an image is most like, out of so many lists of their index.
+    alike: int = 512
+    lists: int = 32
     # Places that a lost camera is compared with closely, and how far apart they are at least.
     candidates: int = 8
     apart_metres: float = 0.25

@@ -6,6 +6,7 @@ JSON object. `neo_ros.speed.node` runs it.
 """
 import argparse
 from array import array
+from collections import Counter
 from collections.abc import Callable, Sequence
 import itertools
 import json
@@ -21,12 +22,14 @@ from nav_msgs.msg import Odometry
 from neo_ros.messages import image_fields
 from neo_ros.messages.scene_outputs import WIDENING
 from neo_ros.node.fastdds_profile import use_large_image_profile
-from neo_ros.node.interface import NODE_NAME, ODOMETRY, OUTPUTS, PRIOR, RELOCALIZE
+from neo_ros.node.interface import (
+    Endpoint, MAP, NODE_NAME, ODOMETRY, OUTPUTS, PRIOR, RELOCALIZE)
 import numpy as np
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.subscription import Subscription
 from rclpy.time import Time
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
@@ -48,7 +51,8 @@ class CameraProbe:
 
     With `everything` it subscribes to all that the node offers, sends odometry with each image
     (the camera stands still), now and then a prior, and asks the node to search anew.
-    images: uint8 RGB (N, h, w, 3), sent to and fro. `arrivals` holds, per wide image, its stamp
+    images: uint8 RGB (N, h, w, 3), sent to and fro. `heard` counts messages by topic, `arrivals`
+    holds, per wide image, its stamp
     and when it came, both in nanoseconds; `beats` when each diagnosis came, in seconds, and the
     memory of the process `pid` then, in MB.
     """
@@ -69,10 +73,12 @@ class CameraProbe:
         self.stages: dict[str, str] = {}
         self._node.create_subscription(
             DiagnosticArray, '/diagnostics', self._on_diagnostics, QoSProfile(depth=10))
-        self._watching = [
-            self._node.create_subscription(output.kind, output.name, self._on_wide
-                                           if name == 'image' else _ignore, QoSProfile(depth=10))
-            for name, output in OUTPUTS.items() if everything or name in WATCHED]
+        self.heard: Counter[str] = Counter()
+        watched = [output for name, output in OUTPUTS.items() if everything or name in WATCHED]
+        self._watching = [self._watch(output, QoSProfile(depth=10)) for output in watched]
+        if everything:
+            self._watching.append(self._watch(MAP, QoSProfile(
+                depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)))
         self._stir = _Stir(self._node) if everything else None
 
     def wait_for_node(self) -> None:
@@ -107,6 +113,14 @@ class CameraProbe:
             if time.monotonic() > deadline:
                 raise TimeoutError('the node subscribes to the camera though nobody watches')
             self._spin_until(time.monotonic() + 0.2)
+
+    def _watch(self, output: Endpoint, qos: QoSProfile) -> Subscription:
+        def take(message: Any) -> None:
+            self.heard[output.name] += 1
+            if output is OUTPUTS['image']:
+                self._on_wide(message)
+
+        return self._node.create_subscription(output.kind, output.name, take, qos)
 
     def _send(self) -> None:
         now = time.time_ns()
@@ -194,7 +208,7 @@ def _measure(probe: CameraProbe, options: argparse.Namespace) -> dict[str, Any]:
             'first_sent': min(sent), 'ended': ended,
             'cpu_percent': cpu_percent, 'idle_cpu_percent': idle_percent,
             'unwatched_cpu_percent': unwatched_percent, 'rss_mb': rss_mb, 'beats': beats,
-            'diagnostics': probe.stages}
+            'diagnostics': probe.stages, 'heard': dict(probe.heard)}
 
 
 def _cpu_percent(pid: int, work: Callable[[], None]) -> float:
@@ -213,10 +227,6 @@ def _cpu_seconds(pid: int) -> float:
 def _rss_mb(pid: int) -> float:
     lines = Path(f'/proc/{pid}/status').read_text().splitlines()
     return next(int(line.split()[1]) / 1024 for line in lines if line.startswith('VmRSS'))
-
-
-def _ignore(message: Any) -> None:
-    """Take a message for the sake of having it sent."""
 
 
 if __name__ == '__main__':

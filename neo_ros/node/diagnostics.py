@@ -60,8 +60,7 @@ class Health:
     words. conflict: which publisher does not fit, twin: who publishes what this node does; in
     words, or empty. camera: the images' frame_id, or empty.
     subscribed: whether anybody reads an output. unlike_scene: the verdict of the SceneWatch.
-    memory: the model has a scene memory. loading: a model is being loaded, and no image is taken
-    meanwhile.
+    memory: the model has a scene memory. loading: a model is being loaded; the old one goes on.
     """
 
     state: str

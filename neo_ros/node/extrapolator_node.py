@@ -45,8 +45,8 @@ class ExtrapolatorNode(LifecycleNode):
     configure loads and checks the model, activate lets it subscribe to the camera while somebody
     listens, deactivate stops that, cleanup frees the model. A model that cannot be loaded leaves
     the node unconfigured with the reason in the log and on `/diagnostics`. While it is configured,
-    another model takes over once it has passed its checks; the subscriptions stay. `load` makes
-    an extrapolator of a path, a number of threads and ONNX Runtime's providers.
+    another model takes over once it has passed its checks; until then the old one goes on. `load`
+    makes an extrapolator of a path, a number of threads and ONNX Runtime's providers.
     """
 
     def __init__(self, load: Load = FovExtrapolator.load, **node_options: Any) -> None:
@@ -72,7 +72,7 @@ class ExtrapolatorNode(LifecycleNode):
         self.create_service(RELOAD_MODEL.kind, RELOAD_MODEL.name, self._on_reload_model)
         self.create_service(RELOCALIZE.kind, RELOCALIZE.name, self._on_relocalize)
         self._diagnosing = Diagnosing(self, self._inputs, self._statistics, self._look)
-        self._loader = ModelLoader(load, self._diagnosing.keep_up, lambda: not self.context.ok())
+        self._loader = ModelLoader(load, self._go_on, lambda: not self.context.ok())
 
     def autostart(self) -> None:
         """Configure and activate, if the parameter asks for it; failures are logged."""
@@ -185,6 +185,11 @@ class ExtrapolatorNode(LifecycleNode):
             self._statistics.begin()
             self._diagnosing.begin()
             self._inputs.subscribe()
+
+    def _go_on(self) -> None:
+        """Widen images and publish diagnostics while the executor waits for another model."""
+        self._inputs.take_waiting()
+        self._diagnosing.keep_up()
 
     def _has_audience(self) -> bool:
         return self._outputs is not None and any(self._outputs.wanted())

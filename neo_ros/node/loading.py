@@ -1,4 +1,4 @@
-"""Load a model in another thread, so that the executor's keeps up the diagnostics meanwhile."""
+"""Load a model in another thread; the executor's, which waits for it, keeps the node going."""
 from collections.abc import Callable
 from concurrent.futures import Future, wait
 import threading
@@ -6,7 +6,7 @@ import threading
 from neo_ros.node.loaded_model import Load, load_model, LoadedModel
 from neo_ros.node.parameters import NodeParameters
 
-LOOK_S = 0.1
+LOOK_S = 0.005  # An image waits so long at most.
 
 
 class ModelLoader:
@@ -14,7 +14,7 @@ class ModelLoader:
     Loads one model at a time.
 
     `load` makes an extrapolator of a path, a number of threads and ONNX Runtime's providers.
-    `meanwhile` is called ten times a second. Once `is_ended` says so, nobody waits any more:
+    `meanwhile` is called every LOOK_S seconds. Once `is_ended` says so, nobody waits any more:
     KeyboardInterrupt, as from a signal, for rclpy swallows all else.
     """
 

@@ -112,8 +112,8 @@ class OutpaintTrainer:
         self.step = 0
         self.loss = math.nan
         self.seconds = 0.0
-        # The first batch counts, whose panoramas take longest; after `restore` they come again.
-        self._clock: float | None = time.monotonic()
+        # Making the first batch does not count: it takes as long as its panoramas.
+        self._clock: float | None = None
 
     @property
     def figure(self) -> float:

@@ -9,6 +9,7 @@ import base64
 from collections.abc import Callable
 from dataclasses import dataclass
 import sys
+from typing import Any
 
 import cv2
 from neo_ros.errors import ModelError
@@ -41,6 +42,8 @@ class SceneCheckThresholds:
     most_gain: float = 1.25
     # Fewer photos say too little.
     least_photos: int = 20
+    # A photo of which masks leave less says too little.
+    least_usable: float = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,24 +100,37 @@ class SceneCheck:
 
 def fit_scene_reference(photos: np.ndarray,
                         predict_confidence: Callable[[np.ndarray], np.ndarray],
-                        expansion: ViewExpansion,
+                        expansion: ViewExpansion, usable: np.ndarray | None = None,
                         thresholds: SceneCheckThresholds = SceneCheckThresholds()
                         ) -> SceneReference | None:
     """
     Learn what the scene looks like from its photos, as they are and a little brighter or darker.
 
     `photos`: uint8 RGB (N, h, w, 3). `predict_confidence` runs the network on one and returns
-    its confidence, uint8 (H, W). Returns None for fewer than `thresholds.least_photos`.
+    its confidence, uint8 (H, W). `usable`: bool (N, h, w), what shows the scene; None: all.
+    Returns None for fewer than `thresholds.least_photos`.
     """
-    if len(photos) < thresholds.least_photos:
+    shown = np.full(len(photos), None) if usable is None else _without_own_body(usable)
+    told = [index for index, one in enumerate(shown)
+            if one is None or one.mean() >= thresholds.least_usable]
+    if len(told) < thresholds.least_photos:
         return None
     random = np.random.default_rng(0)
     measures = []
-    for index, photo in enumerate(photos):
-        gain = np.exp(random.uniform(-1, 1) * np.log(thresholds.most_gain)) if index % 2 else 1.0
-        image = np.minimum(np.rint(photo * gain), 255).astype(np.uint8)
-        measures.append(measure_image(image, predict_confidence(image), expansion))
+    for place, index in enumerate(told):
+        gain = np.exp(random.uniform(-1, 1) * np.log(thresholds.most_gain)) if place % 2 else 1.0
+        image = np.minimum(np.rint(photos[index] * gain), 255).astype(np.uint8)
+        measures.append(measure_image(image, predict_confidence(image), expansion, shown[index]))
     return _fit(np.stack(measures), thresholds)
+
+
+def _without_own_body(usable: np.ndarray) -> np.ndarray:
+    """
+    Count as usable (N, h, w) what is left out of most photos.
+
+    It is the robot itself, which its camera sees when it runs, too.
+    """
+    return usable | (usable.mean(0) < 0.5)
 
 
 def _fit(measures: np.ndarray, thresholds: SceneCheckThresholds) -> SceneReference:
@@ -132,22 +148,27 @@ def _fit(measures: np.ndarray, thresholds: SceneCheckThresholds) -> SceneReferen
                           threshold=round(float(np.quantile(unusual, thresholds.usual_share)), 4))
 
 
-def measure_image(image: np.ndarray, confidence: np.ndarray,
-                  expansion: ViewExpansion) -> np.ndarray:
-    """Return the measures of one image, float64 (MEASURES,)."""
+def measure_image(image: np.ndarray, confidence: np.ndarray, expansion: ViewExpansion,
+                  usable: np.ndarray | None = None) -> np.ndarray:
+    """
+    Return the measures of one image, float64 (MEASURES,).
+
+    usable: bool (h, w), what the measures of the image are taken of; None: all of it.
+    """
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-    mean, deviation = cv2.meanStdDev(grey)
+    seen = None if usable is None else usable.astype(np.uint8)
+    mean, deviation = cv2.meanStdDev(grey, mask=seen)
     # What a pixel differs from its neighbour, and from the mean of its two: blur changes the
     # second more than the first.
-    sharpness = [sum(cv2.norm(one, other, cv2.NORM_L1) for one, other in pairs)
-                 / grey.size / 255 for pairs in (
-        ((grey[1:], grey[:-1]), (grey[:, 1:], grey[:, :-1])),
-        ((grey[1:-1], _between(grey[2:], grey[:-2])),
-         (grey[:, 1:-1], _between(grey[:, 2:], grey[:, :-2]))))]
+    count = grey.size if seen is None else cv2.countNonZero(seen)
+    sharpness = [sum(_change(grey, seen, *parts) for parts in both) / count / 255
+                 for both in (_NEIGHBOURS, _TWO_NEIGHBOURS)]
     sure = (cv2.sumElems(confidence)[0] - 255 * grey.size) / (confidence.size - grey.size)
     step = max(max(grey.shape) // SMALL_SIDE, 1)
     steps = image[::step, ::step] // (256 // STEPS)
     colours = (steps[..., 0] * STEPS + steps[..., 1]) * STEPS + steps[..., 2]
+    if usable is not None:
+        colours = colours[usable[::step, ::step]]
     histogram = np.bincount(colours.reshape(-1), minlength=HISTOGRAM) / colours.size
     return np.concatenate([np.sqrt(histogram), np.log([
         mean[0, 0] / 255 + 0.01, deviation[0, 0] / 255 + 0.01, *np.add(sharpness, 1e-3),
@@ -162,8 +183,19 @@ def _unusual(measures: np.ndarray, mean: np.ndarray, whitening: np.ndarray) -> n
     return np.square(away @ whitening.T).sum(-1)
 
 
-def _between(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    return cv2.addWeighted(one, 0.5, other, 0.5, 0)
+# Down and across: pixels, and the one or two beside each.
+_NEIGHBOURS = ((np.s_[1:], np.s_[:-1]), (np.s_[:, 1:], np.s_[:, :-1]))
+_TWO_NEIGHBOURS = ((np.s_[1:-1], np.s_[2:], np.s_[:-2]),
+                   (np.s_[:, 1:-1], np.s_[:, 2:], np.s_[:, :-2]))
+
+
+def _change(grey: np.ndarray, seen: np.ndarray | None, here: Any, *beside: Any) -> float:
+    """Sum how far pixels `here` are from the mean of those beside; only where all are seen."""
+    first, last = grey[beside[0]], grey[beside[-1]]
+    other = first if len(beside) == 1 else cv2.addWeighted(first, 0.5, last, 0.5, 0)
+    mask = (None if seen is None
+            else np.minimum.reduce([seen[part] for part in (here, *beside)]))
+    return cv2.norm(grey[here], other, cv2.NORM_L1, mask)
 
 
 def _pack(values: np.ndarray) -> str:

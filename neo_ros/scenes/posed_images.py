@@ -108,6 +108,11 @@ class PosedImages:
         size = self.intrinsics.scaled(scale)
         return None if path is None else read_usable(path, size.width, size.height)
 
+    def read_shown(self, index: int, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+        """Read image `index`, and which of its pixels show the scene, bool (H, W)."""
+        image, usable = self.read_image(index, scale), self.read_usable(index, scale)
+        return image, np.ones(image.shape[:2], bool) if usable is None else usable
+
     def read_all_usable(self, scale: float = 1.0) -> np.ndarray | None:
         """Read which pixels of all images show the scene, bool (N, H, W); None without masks."""
         if not any(self.mask_paths):

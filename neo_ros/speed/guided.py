@@ -23,7 +23,7 @@ from neo_ros.memory.local_features import find_features
 from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.runtime import FovExtrapolator, read_model_card
 from neo_ros.runtime.model_card import MemoryFile, write_model_card
-from neo_ros.speed.images import PAPER_VIEW, walk_at_30_hz
+from neo_ros.speed.images import CAST, cast_view, PAPER_VIEW, walk_at_30_hz
 from neo_ros.speed.model import write_stand_in_model
 from neo_ros.speed.record import Effort, Record, time_calls
 from neo_ros.speed.runtime import size_name
@@ -32,7 +32,6 @@ import numpy as np
 SMALL_VIEW = ViewExpansion.to_size(Intrinsics.from_hfov(128, 128, np.pi / 2), 256, 256)
 KEYFRAME_EVERY = 0.5  # metres: no place of the walk is farther than 0.3 from a keyframe
 SIDES = 8             # pinhole views that a panorama is put together from
-CAST = 128.0          # pixels a radian that are cast at most; finer textures lie between these
 
 
 def measure_guided(effort: Effort, views: Sequence[ViewExpansion] = (SMALL_VIEW, PAPER_VIEW),
@@ -43,7 +42,7 @@ def measure_guided(effort: Effort, views: Sequence[ViewExpansion] = (SMALL_VIEW,
         name = size_name(view)
         with tempfile.TemporaryDirectory() as folder:
             extrapolator = FovExtrapolator.load(write_guided_stand_in(Path(folder), view, poses))
-        images = [build_demo_flat().render(view.source, pose)[0] for pose in poses]
+        images = [cast_view(view.source, pose)[0] for pose in poses]
         yield Record.of('guided', f'{name}, followed', *_follow(extrapolator, images))
 
         def find() -> None:
@@ -72,7 +71,7 @@ def write_guided_stand_in(folder: Path, view: ViewExpansion, poses: Sequence[Cam
              for keyframe in keyframes for number in range(SIDES)]
     memory = SceneMemory.from_keyframes(
         keyframes, band, keyframe_glances(keyframes, band, view.source, headings))
-    memory.landmarks = exact_landmarks(flat, view.source, looks)
+    memory.landmarks = exact_landmarks(view.source, looks)
     model = write_stand_in_model(folder / 'stand_in.onnx', view)
     file = MemoryFile(file='stand_in.memory', sha256=memory.write(folder / 'stand_in.memory'))
     write_model_card(model, replace(
@@ -105,13 +104,12 @@ def exact_keyframe(flat: DemoFlat, position: np.ndarray, band: Band, focal: floa
     return Keyframe(position, mesh_depth(depth, finer), texture)
 
 
-def exact_landmarks(flat: DemoFlat, camera: Intrinsics, poses: Sequence[CameraPose]
-                    ) -> Landmarks | None:
+def exact_landmarks(camera: Intrinsics, poses: Sequence[CameraPose]) -> Landmarks | None:
     """Take the features of views for landmarks, as if several photos had shown each."""
     points, descriptors = [], []
     to_rays = np.linalg.inv(camera.matrix)
     for pose in poses:
-        image, z = flat.render(camera, pose)
+        image, z = cast_view(camera, pose)
         features = find_features(image, magnification(camera))
         columns, rows = features.points.astype(int).T
         rays = np.column_stack([features.points, np.ones(len(rows))]) @ to_rays.T

@@ -2,6 +2,7 @@
 import math
 from pathlib import Path
 
+import cv2
 from neo_ros.flat.demo_flat import build_demo_flat, walking_paths
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
 from neo_ros.runtime import read_model_card
@@ -9,6 +10,7 @@ import numpy as np
 
 SEED = 0
 PAPER_VIEW = ViewExpansion.to_size(Intrinsics.from_hfov(256, 256, np.pi / 2), 512, 512)
+CAST = 128.0  # pixels a radian that are cast at most; finer textures lie between these
 # The walks of the demo flat have 6 frames a second; so they have 30.
 FINER = 5
 
@@ -28,8 +30,19 @@ def camera_images(model: Path, frames: int) -> np.ndarray:
     view = card.expansion.source
     if card.memory is None or card.scene_id != 'demo_flat':
         return noise_image(view)[None]
-    flat = build_demo_flat()
-    return np.stack([flat.render(view, pose)[0] for pose in walk_at_30_hz(frames)])
+    return np.stack([cast_view(view, pose)[0] for pose in walk_at_30_hz(frames)])
+
+
+def cast_view(camera: Intrinsics, pose: CameraPose) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Look at the demo flat: image uint8 RGB (h, w, 3), depth float32 (h, w), as `DemoFlat.render`.
+
+    Of a large camera only so many rays are cast as its time is worth.
+    """
+    image, depth = build_demo_flat().render(camera.scaled(min(1.0, CAST / camera.fx)), pose)
+    size = (camera.width, camera.height)
+    return (cv2.resize(image, size, interpolation=cv2.INTER_LINEAR),
+            cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST))
 
 
 def walk_at_30_hz(frames: int) -> list[CameraPose]:

@@ -22,7 +22,9 @@ from neo_ros.speed.runtime import size_name
 import numpy as np
 
 RATE_HZ = 30.0
-VGA_VIEW = ViewExpansion.horizontal(Intrinsics.from_hfov(640, 480, np.pi / 2), 960)
+VGA = Intrinsics.from_hfov(640, 480, np.pi / 2)
+VGA_VIEW = ViewExpansion.horizontal(VGA, 960)
+VGA_WIDE_VIEW = ViewExpansion.to_size(VGA, 1280, 960)
 STAGES = ('queue', 'decode', 'infer', 'check', 'publish', 'total')
 
 
@@ -43,31 +45,32 @@ def measure_node(model: Path, machine: Machine, effort: Effort) -> Iterator[Reco
             record = measure_graph(stand_in, machine, effort)
         record.name = name
         yield record
-    name = f'{size_name(PAPER_VIEW)}, 30 Hz, guided'
     try:
         from neo_ros.speed.guided import write_guided_stand_in
     except ModuleNotFoundError as error:
-        yield Record('node', name, skipped=f'{error.name} is not installed: '
-                                           "pip install '.[train]' in a checkout")
+        yield Record('node', 'guided', skipped=f'{error.name} is not installed: '
+                                               "pip install '.[train]' in a checkout")
         return
-    with tempfile.TemporaryDirectory() as folder:
-        model = write_guided_stand_in(Path(folder), PAPER_VIEW, walk_at_30_hz(effort.frames))
-        record = measure_graph(model, machine, effort)
-        outputs = list(measure_outputs(model, effort))
-    record.name = name
-    yield record
-    yield from outputs
+    for view in (PAPER_VIEW, VGA_VIEW, VGA_WIDE_VIEW):
+        with tempfile.TemporaryDirectory() as folder:
+            model = write_guided_stand_in(Path(folder), view, walk_at_30_hz(effort.frames))
+            images = camera_images(model, effort.frames)
+            record = measure_graph(model, machine, effort, images)
+            outputs = list(measure_outputs(model, images)) if view is PAPER_VIEW else []
+        record.name = f'{size_name(view)}, 30 Hz, guided'
+        yield record
+        yield from outputs
 
 
-def measure_outputs(model: Path, effort: Effort) -> Iterator[Record]:
+def measure_outputs(model: Path, images: np.ndarray) -> Iterator[Record]:
     """Time what the memory's outputs cost beside the images: made and given to a publisher."""
     with tempfile.TemporaryDirectory() as folder:
-        images = Path(folder) / 'images.npy'
-        np.save(images, camera_images(model, effort.frames))
+        path = Path(folder) / 'images.npy'
+        np.save(path, images)
         probe = subprocess.run(
             [sys.executable, '-m', 'neo_ros.node.output_probe', '--model', str(model.resolve()),
-             '--images', str(images)], env=_environment(), capture_output=True, text=True,
-            timeout=90 + effort.frames, check=False)
+             '--images', str(path)], env=_environment(), capture_output=True, text=True,
+            timeout=90 + len(images), check=False)
     if probe.returncode:
         raise NeoError(f'node: the measurement of the outputs failed:\n{probe.stderr[-2000:]}')
     size = size_name(read_model_card(model).expansion)
@@ -78,14 +81,18 @@ def measure_outputs(model: Path, effort: Effort) -> Iterator[Record]:
         yield Record.of('node', f'{size}, wide/{name}', milliseconds)
 
 
-def measure_graph(model: Path, machine: Machine, effort: Effort) -> Record:
+def measure_graph(model: Path, machine: Machine, effort: Effort,
+                  images: np.ndarray | None = None) -> Record:
     """
     Send images to the node, in a ROS domain of its own; latency is from stamp to receipt.
 
+    images: uint8 RGB (N, h, w, 3); those of `camera_images` by default.
     The consumer subscribes to all four outputs. Raises NeoError where nothing comes back.
     """
     view = read_model_card(model).expansion
-    result = run_graph(model, camera_images(model, effort.frames), effort.graph_s)
+    if images is None:
+        images = camera_images(model, effort.frames)
+    result = run_graph(model, images, effort.graph_s)
     stamps, times = np.array(result['arrivals']).reshape(-1, 2).T
     if len(times) < 2:
         raise NeoError(f'node: expected {result["sent"]} wide images, got {len(times)}')

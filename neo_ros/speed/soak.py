@@ -25,15 +25,17 @@ def soak(model: Path, seconds: float, hogs: int = 0, rate: float = RATE_HZ) -> d
     """
     Send images to the node for so many seconds, with `hogs` processes that burn a core each.
 
-    All outputs are subscribed, and all inputs fed: odometry, priors, requests to search anew.
+    All outputs are subscribed, the map, too, and all inputs fed: odometry, priors, requests to
+    search anew.
 
     Returns for JSON: seconds, hogs, wanted_rate_hz, mean_rate_hz, sent, missed; latency_ms from
     stamp to receipt (mean, median, p95, p99, max) of the whole run and of its first and last
-    sixth; jitter_ms (standard deviation of the intervals), cpu_percent (100 = one core); rss_mb
-    (median of the first and the last sixth) and rss_growth; beats and missed_beats of the
-    diagnostics, the time before the first and after the last included; `steady`: no beat missed,
-    memory grown by less than 2 %, images in the first and in the last sixth, and p99 of the last
-    within 10 % of the first. Raises NeoError where nothing comes back.
+    sixth; jitter_ms (standard deviation of the intervals), cpu_percent (100 = one core); heard
+    (messages by topic); rss_mb (median of the first, the third and the last sixth) and rss_growth
+    from the third on, when all caches are full; beats and missed_beats of the diagnostics, the
+    time before the first and after the last included; `steady`: no beat missed, memory grown by
+    less than 2 %, images in the first and in the last sixth, and p99 of the last within 10 % of
+    the first. Raises NeoError where nothing comes back.
     """
     with _busy_processes(hogs):
         result = run_graph(model, camera_images(model, FRAMES), seconds, rate,
@@ -47,20 +49,23 @@ def soak(model: Path, seconds: float, hogs: int = 0, rate: float = RATE_HZ) -> d
     since = (stamps - result['first_sent']) / 1e9
     first, last = since < PART * seconds, since >= (1 - PART) * seconds
     part = max(round(len(memory) * PART), 1)
-    rss = {'first': float(np.median(memory[:part])), 'last': float(np.median(memory[-part:]))}
+    rss = {'first': float(np.median(memory[:part])),
+           'third': float(np.median(memory[2 * part:][:part])),
+           'last': float(np.median(memory[-part:]))}
     latencies = {'whole': _spread(latency), 'first': _spread(latency[first]),
                  'last': _spread(latency[last])}
     ended = result['ended']
     gaps = np.diff([ended - seconds, *beats, ended])
     missed_beats = int((gaps > BEAT_TIMEOUT_S).sum())
-    growth = rss['last'] / rss['first'] - 1
+    growth = rss['last'] / rss['third'] - 1
     intervals = np.diff(times) / 1e6
     return {
         'model': model.name, 'seconds': seconds, 'hogs': hogs, 'wanted_rate_hz': rate,
         'mean_rate_hz': 1e3 / float(intervals.mean()), 'sent': result['sent'],
         'missed': result['sent'] - len(times), 'latency_ms': latencies,
         'jitter_ms': float(intervals.std()), 'cpu_percent': result['cpu_percent'],
-        'rss_mb': rss, 'rss_growth': growth, 'beats': len(beats), 'missed_beats': missed_beats,
+        'heard': result['heard'], 'rss_mb': rss, 'rss_growth': growth, 'beats': len(beats),
+        'missed_beats': missed_beats,
         'steady': bool(missed_beats == 0 and growth < MOST_GROWTH and first.any() and last.any()
                        and latencies['last']['p99']
                        < (1 + MOST_SLOWER) * latencies['first']['p99'])}

@@ -125,6 +125,7 @@ class TimeLeft:
                  rules: PlanRules = PlanRules()) -> None:
         self._plan, self._progress, self._clock, self._rules = plan, progress, clock, rules
         self._began: dict[str, float] = {}
+        self._first: dict[str, tuple[float, int]] = {}  # report of a stage: when, how much
 
     def __call__(self, stage: str, done: int, total: int, note: str = '') -> None:
         """Show the progress of a stage, see `StageProgress`."""
@@ -143,9 +144,16 @@ class TimeLeft:
         part = 'memory' if stage in self.MEMORY else 'rest'
         spent = (self._clock() - self._began.setdefault(part, self._clock())) / 60
         if part == 'memory':
-            return max(minutes * (1 - rules.field) - spent,
-                       minutes * (rules.least_network + rules.rest))
+            return max(minutes * (1 - rules.field) - spent, self._stage_left(stage, done, total)
+                       + minutes * (rules.least_network + rules.rest))
         return max(minutes * rules.rest - spent, 0.0)
+
+    def _stage_left(self, stage: str, done: int, total: int) -> float:
+        """Return the minutes that a stage needs, as fast as it was so far."""
+        began, first = self._first.setdefault(stage, (self._clock(), done))
+        if done <= first:
+            return 0.0
+        return (self._clock() - began) / (done - first) * (total - done) / 60
 
 
 def _chosen(scene: Scene, base: Experiment, minutes: float, say: Callable[[str], None],

@@ -19,6 +19,7 @@ from neo_ros.training.folder import claim
 from neo_ros.training.run import TrainingRun
 from neo_ros.training.views import held_out_wide_views, real_frames
 import numpy as np
+from torch import nn
 
 
 @dataclass(frozen=True)
@@ -50,22 +51,7 @@ def export_variants(run: TrainingRun, formats: Sequence[Format] = FORMATS,
     so the test frames stay unseen. Raises ConfigError for a run that is not finished, and
     ModelError where fp32 is not the function that was trained.
     """
-    checkpoint = run.out / 'outpainter.ckpt'
-    missing = [path.name for path in (checkpoint, run.model_path) if not path.exists()]
-    if missing:
-        raise ConfigError(f'{run.out}: expected a finished run, got none with '
-                          f'{" and ".join(missing)}; give neo train the same arguments')
-    claim(run.out, run.scene, run.experiment)
-    state = read_checkpoint(checkpoint)
-    network = build_network(run.network_expansion, run.experiment.network)
-    with checkpoint_errors(checkpoint):
-        trained = state['trainer']
-        done, total = run.experiment.outpaint.progress(trained['step'], trained['seconds'])
-        network.load_state_dict(trained['averaged'])
-    if done < total:
-        raise ConfigError(f'{run.out}: expected a finished run, got one that is at {done} of '
-                          f'{total}; give neo train the same arguments')
-    network = at_full_size(network, run.experiment.network).eval()
+    network = _trained_network(run)
     views = held_out_wide_views(run, read_field(
         run.out / 'field.npz', chosen_device(run.experiment.field.device)))
     if views is None:
@@ -96,6 +82,26 @@ def export_variants(run: TrainingRun, formats: Sequence[Format] = FORMATS,
             'held_out_ring_psnr': round(variant.ring_psnr, 4),
             'held_out_ring_psnr_lost': round(best - variant.ring_psnr, 4)}))
     return variants
+
+
+def _trained_network(run: TrainingRun) -> nn.Module:
+    """Return the network of a finished run, as the model file has it."""
+    checkpoint = run.out / 'outpainter.ckpt'
+    missing = [path.name for path in (checkpoint, run.model_path) if not path.exists()]
+    if missing:
+        raise ConfigError(f'{run.out}: expected a finished run, got none with '
+                          f'{" and ".join(missing)}; give neo train the same arguments')
+    claim(run.out, run.scene, run.experiment)
+    state = read_checkpoint(checkpoint)
+    network = build_network(run.network_expansion, run.experiment.network)
+    with checkpoint_errors(checkpoint):
+        trained = state['trainer']
+        done, total = run.experiment.outpaint.progress(trained['step'], trained['seconds'])
+        network.load_state_dict(trained['averaged'])
+    if done < total:
+        raise ConfigError(f'{run.out}: expected a finished run, got one that is at {done} of '
+                          f'{total}; give neo train the same arguments')
+    return at_full_size(network, run.experiment.network).eval()
 
 
 def _measured(models: dict[str, Path], run: TrainingRun, views: np.ndarray,

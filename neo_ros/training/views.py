@@ -117,10 +117,20 @@ def real_frames(run: TrainingRun, count: int, photos: PosedImages | None = None)
 
     Without `photos`, out of those that the field was not shown.
     """
-    photos = photos or run.held_out or run.fitted
-    camera = photos.intrinsics.scaled(run.experiment.scale)
-    frames = []
-    for index in np.linspace(0, len(photos) - 1, min(count, len(photos))).round().astype(int):
-        photo = photos.read_image(index, run.experiment.scale)
-        frames.append(photo[camera.window(run.expansion.source)])
-    return np.stack(frames)
+    photos, scale = photos or run.held_out or run.fitted, run.experiment.scale
+    window = photos.intrinsics.scaled(scale).window(run.expansion.source)
+    return np.stack([photos.read_image(index, scale)[window] for index in _spread(photos, count)])
+
+
+def real_usable(run: TrainingRun, count: int, photos: PosedImages) -> np.ndarray | None:
+    """Read which pixels of `real_frames` show the scene, bool (N, h, w); None without masks."""
+    if not any(photos.mask_paths):
+        return None
+    scale = run.experiment.scale
+    window = photos.intrinsics.scaled(scale).window(run.expansion.source)
+    return np.stack([photos.read_shown(index, scale)[1][window]
+                     for index in _spread(photos, count)])
+
+
+def _spread(photos: PosedImages, count: int) -> np.ndarray:
+    return np.linspace(0, len(photos) - 1, min(count, len(photos))).round().astype(int)

@@ -37,9 +37,25 @@ class Room:
         return out
 
 
+class Terrace:
+    """Tiles 1.5 m below the camera, hills and clouds: beyond 100 m depth is chance."""
+
+    def __init__(self) -> None:
+        self.rays = 0
+
+    def render(self, origins: np.ndarray, directions: np.ndarray, background: Any) -> np.ndarray:
+        self.rays += len(directions)
+        down = -directions[:, 2]
+        chance = np.abs(np.sin(1e4 * directions @ [1.0, 0.7, 0.4]))
+        depth = np.where(down > 0.3, 1.5 / np.maximum(down, 1e-3), 100 / (1 - 0.999 * chance))
+        out = np.ones((len(depth), 6), np.float32)
+        out[:, :3], out[:, 3] = np.abs(directions), depth
+        return out
+
+
 def drawn(room: Any, block: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     rays = BAND.rays(240, 1260)
-    return render_band(room, POSITION, rays, block, BAND.wraps, 0.1, 0.5)
+    return render_band(room, POSITION, rays, block, BAND.wraps, 0.1, 0.01, 0.5)
 
 
 @pytest.mark.parametrize('block', [2, 3])
@@ -55,6 +71,18 @@ def test_few_rays_show_what_all_show(block: int, has_sky: bool) -> None:
     assert np.abs(depth / np.where(known, true_depth, 1) - 1)[known].max() < 0.011  # In corners.
     assert np.abs(colours - true_colours)[known].max() < 0.01
     assert has_sky == (not known.all())
+
+
+def test_the_sky_needs_few_rays() -> None:
+    terrace = Terrace()
+    depth, colours, _ = drawn(terrace, 3)
+    true, true_colours, _ = drawn(Terrace(), 1)
+    assert terrace.rays < 0.25 * true.size
+    sky = true >= 100
+    assert 0.3 < sky.mean() < 0.8 and np.median(true[sky]) < 1000 < true.max()
+    # No farther from there than a fraction of a pixel.
+    assert np.abs(1 / depth - 1 / true)[sky & np.roll(sky, 3, 0)].max() < 0.01
+    assert np.abs(colours - true_colours).max() < 0.01
 
 
 def test_the_pole_is_as_sharp_as_with_all_rays() -> None:

@@ -92,6 +92,24 @@ def test_photos_that_see_something_else_there_are_left_out() -> None:
     assert np.array_equal(bake(poses, coarse, shift=0.8), coarse)
 
 
+def test_far_away_photos_need_not_agree_on_the_depth() -> None:
+    rays = np.zeros((1, 8, 3), np.float32)
+    rays[..., 2] = 1
+    camera = (16.0, 16.0, 4.0, 4.0)
+    photo = np.full((1, 8, 8, 3), 200, np.uint8)
+    baked = {}
+    for depth, seen in ((150.0, 4000.0), (8.0, 9.0), (8.0, 4000.0)):
+        out = np.empty((1, 8, 3), np.uint8)
+        colour_from_photos(
+            PanoramaPixels(np.zeros(3, np.float32), rays, np.full((1, 8), depth, np.float32),
+                           np.full((1, 8, 3), 180, np.uint8)),
+            PhotoArrays(photo, np.full((1, 8, 8), seen, np.float32),
+                        np.eye(3, dtype=np.float32)[None], np.zeros((1, 3), np.float32),
+                        np.ones((1, 3), np.float32), *camera), False, 0.1, out)
+        baked[depth, seen] = int(out[0, 4, 0])
+    assert list(baked.values()) == [200, 180, 180]
+
+
 def test_every_place_has_a_keyframe_near() -> None:
     grid = np.stack(np.meshgrid(np.arange(0, 3, 0.1), np.arange(0, 2, 0.1)), -1).reshape(-1, 2)
     sampler = PoseSampler(grid, (0.0, 1.0), ((0.0, 0.0), (0.0, 0.0)), (1.4, 0.0))

@@ -4,8 +4,8 @@ from pathlib import Path
 
 from box_room import apart
 from corner_photos import CAMERA, EXPANSION, write_corner
-from neo_ros.baking import landmarks as landmarks_module
-from neo_ros.baking.landmarks import find_landmarks
+from neo_ros.baking import landmarks as landmarks_module, sparse_model
+from neo_ros.baking.landmarks import _photos_for, find_landmarks, LEAST_PHOTOS
 from neo_ros.baking.photo_bank import read_photo_bank
 from neo_ros.evaluation.evaluate import TruthFrames
 from neo_ros.memory.landmarks import Landmarks, Locator
@@ -38,7 +38,7 @@ def test_the_photos_landmarks_find_the_camera(
     assert landmarks is not None and len(landmarks.points) > 30
     assert {'features', 'matches'} <= set(said)
     locator = Locator(landmarks, CAMERA)
-    found = locator.locate(locator.features(frames.read(0)[0]))
+    found = next(iter(locator.search(locator.features(frames.read(0)[0]))), None)
     assert found is not None and apart(found.pose, frames.images.poses[0])[0] < 0.05
 
 
@@ -56,6 +56,16 @@ def test_what_a_mask_leaves_out_has_no_features(
     np.testing.assert_array_equal(found[0].points, whole[0].points[left])
     np.testing.assert_array_equal(found[0].descriptors, whole[0].descriptors[left])
     np.testing.assert_array_equal(found[1].points, whole[1].points)
+
+
+def test_pairs_are_the_same_however_many_photos_are_compared_at_once(
+        corner: tuple[PosedImages, TruthFrames], tmp_path: Path,
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    bank = read_photo_bank(corner[0], 1.0, tmp_path / 'features.npz')
+    rules = sparse_model.MatchRules(partners=4)
+    pairs = sparse_model.choose_pairs(bank, rules)
+    monkeypatch.setattr(sparse_model, '_AT_ONCE', 4)
+    assert sparse_model.choose_pairs(bank, rules) == pairs and len(pairs) > 15
 
 
 @pytest.mark.parametrize('patches', [True, False], ids=['patches', 'blank'])
@@ -82,3 +92,12 @@ def test_without_pycolmap_there_are_no_landmarks(
     landmarks, said = landmarks_of(corner[0], tmp_path)
     assert landmarks is None
     assert said == ['without landmarks'] and not list(tmp_path.iterdir())
+
+
+def test_a_larger_floor_needs_more_photos() -> None:
+    def needed(metres: int, floors: int = 1) -> int:
+        return _photos_for(np.stack(np.meshgrid(
+            np.arange(metres) + 0.5, np.arange(5) + 0.5, 3 * np.arange(floors) + 1.4),
+            -1).reshape(-1, 3))
+    assert needed(4) == LEAST_PHOTOS
+    assert needed(40) == 40 * 5 * 12 and needed(40, floors=2) == 2 * needed(40)

@@ -54,6 +54,20 @@ def test_a_pose_that_is_off_is_put_right(gain: np.ndarray, someone: bool) -> Non
     assert (np.median(off, axis=0) < ([0.012, 0.006] if someone else [0.003, 0.0015])).all()
 
 
+def test_what_a_mask_leaves_out_moves_no_pose() -> None:
+    true = standing(0.3, -0.2, 1.7)
+    image = to_uint8(np.clip(render_view(FIELD, CAMERA, true).image, 0, 1))
+    usable = np.ones(image.shape[:2], bool)
+    usable[20:, 40:65] = False
+    start = moved(true.T_world_cam, np.array([0.006, -0.008, 0.004]), np.zeros(3))
+    found = []
+    for stranger in (0, 255):
+        image[~usable] = stranger
+        found.append(aligned_pose(FIELD, image, CAMERA, start, np.ones(3),
+                                  np.random.default_rng(0), usable))
+    np.testing.assert_array_equal(found[0], found[1])
+
+
 def test_a_view_of_nothing_moves_no_pose() -> None:
     true = standing().T_world_cam
     random = np.random.default_rng(0)

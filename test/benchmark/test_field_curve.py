@@ -4,6 +4,7 @@ from functools import partial
 from importlib.util import find_spec
 import json
 import shutil
+from typing import Any
 
 from neo_ros.benchmark import field_curve
 from neo_ros.benchmark.field_curve import measure_field_curve
@@ -13,6 +14,11 @@ from neo_ros.evaluation.metrics import score_frame
 from neo_ros.experiment import experiment_from
 from neo_ros.field import device
 from neo_ros.field.fitting import FitRules
+from neo_ros.flat.demo_flat import build_demo_flat
+from neo_ros.machine.progress import no_stage_progress
+from neo_ros.pictures.usable import write_usable
+from neo_ros.scenes.scene import read_scene
+from neo_ros.training.run import TrainingRun
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -107,7 +113,36 @@ def test_nerfacto_learns_the_same_photos(flat_scene, tmp_path, monkeypatch):
 def test_the_exposure_of_the_observed_window_is_taken_out():
     shown = np.full((8, 8, 3), 100.0)
     observed = np.full((4, 4, 3), 120.0)
-    assert (field_curve._gained(shown, shown[2:6, 2:6], observed) == 120).all()
+    assert (field_curve._gained(shown, shown[2:6, 2:6], observed, None) == 120).all()
+    usable = np.ones((4, 4), bool)
+    usable[:3] = False
+    observed[:3] = 200
+    assert (field_curve._gained(shown, shown[2:6, 2:6], observed, usable) == 120).all()
+
+
+def test_masks_leave_pixels_out_of_the_scores_of_held_out_photos_and_test_frames(
+        flat_scene, tmp_path):
+    scene = read_scene(flat_scene)
+    assert scene.test is not None
+    plain = TrainingRun(scene, EXPERIMENT, tmp_path, no_stage_progress)
+    masked: dict[str, Any] = {}
+    for name, images in (('train', scene.train), ('test', scene.test)):
+        size = images.intrinsics
+        usable = np.ones((size.height, size.width), bool)
+        usable[size.height // 2:] = False
+        write_usable(tmp_path / f'{name}.png', usable)
+        masked[name] = replace(images, mask_paths=(tmp_path / f'{name}.png',) * len(images))
+    run = TrainingRun(replace(scene, **masked), EXPERIMENT, tmp_path, no_stage_progress)
+
+    def render(view, pose):
+        """Show the truth above, a stranger below: what masks take out."""
+        image = build_demo_flat().render(view, pose)[0] / 255
+        image[view.height // 2:] = 0.9
+        return image
+
+    scores = [field_curve.score(one, render, 2, [score_frame], 'x') for one in (plain, run)]
+    assert scores[1]['ring_psnr'] > 35 and scores[1]['held_out_psnr'] > 35
+    assert scores[0]['ring_psnr'] < 20 and scores[0]['held_out_psnr'] < 20
 
 
 def test_the_command_names_a_wrong_scale(flat_scene):

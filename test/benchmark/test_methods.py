@@ -1,4 +1,6 @@
 """The rivals on a small room: B2 and B3 find the place, the oracle needs the pose."""
+from copy import copy
+from dataclasses import replace
 from typing import Any
 
 from corner_photos import CAMERA, EXPANSION, write_corner
@@ -16,6 +18,7 @@ from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.geometry.camera_pose import rotation_from_vector
 from neo_ros.memory.local_features import find_features, match_features
 from neo_ros.pictures.filling import blend_bands, extend_edges
+from neo_ros.pictures.usable import write_usable
 import numpy as np
 from plain_field import room_field, standing
 import pytest
@@ -40,6 +43,25 @@ def test_b2_covers_the_ring_with_what_the_photos_show(corner, bank):
     assert frame['ring_psnr'] > 20
     assert 0 <= frame['uncovered'] < 0.6
     assert method.uncovered == frame['uncovered']
+
+
+def test_b2_shows_nothing_that_masks_leave_out(corner, bank, tmp_path):
+    folder, photos, frames = corner
+    usable = np.ones((96, 96), bool)
+    usable[30:60, 30:60] = False
+    write_usable(tmp_path / 'mask.png', usable)
+    masked = copy(bank)
+    masked.photos = replace(photos, mask_paths=(tmp_path / 'mask.png',) * len(photos))
+    method, expected = Warping(masked, EXPANSION), Warping(masked, EXPANSION)
+    method.images[:, ~usable] = 255  # Whoever stood there.
+    expected.images[:, ~usable] = 0
+    narrow = frames.read(0)[0]
+    shown = [photo.weight > 0 for photo in method._warped_photos(narrow)]
+    assert shown and np.mean(shown) < np.mean([
+        photo.weight > 0 for photo in Warping(bank, EXPANSION)._warped_photos(narrow)]) - 0.01
+    for one, other in zip(method._warped_photos(narrow), expected._warped_photos(narrow)):
+        seen = one.weight > 0
+        assert (one.image[seen] == other.image[seen]).all()
 
 
 def test_b2_fuses_what_adds_to_the_ring():

@@ -17,6 +17,7 @@ import torch
 
 pytestmark = pytest.mark.slow
 
+RAMP = np.dstack([np.broadcast_to(np.arange(40), (20, 40))] * 3).astype(np.uint8)
 EXPANSION = ViewExpansion.to_size(Intrinsics.from_hfov(16, 16, 1.5), 32, 32)
 
 
@@ -29,8 +30,8 @@ class Photos:
     def __len__(self):
         return self.count
 
-    def read_image(self, index):
-        return np.full((20, 40, 3), index, np.uint8)
+    def read_shown(self, index):
+        return np.full((20, 40, 3), index, np.uint8), np.ones((20, 40), bool)
 
 
 class Trainer:
@@ -136,19 +137,30 @@ def test_without_photos_to_validate_on_there_is_no_b1(run):
 
 
 def test_photos_become_wide_views_of_their_middle():
-    photos: Any = SimpleNamespace(read_image=lambda index: np.dstack(
-        [np.broadcast_to(np.arange(40), (20, 40))] * 3).astype(np.uint8))
+    photos: Any = SimpleNamespace(read_shown=lambda index: (RAMP, np.ones((20, 40), bool)))
     square = as_wide(photos, 0, 20, 20)
-    assert square.shape == (20, 20, 3) and (square[:, 0, 0] == 10).all()
+    assert square.shape == (20, 20, 4) and (square[:, 0, 0] == 10).all()
     assert (square[:, -1, 0] == 29).all()
     whole = as_wide(photos, 0, 80, 40)
-    assert whole.shape == (40, 80, 3) and whole[0, 0, 0] == 0 and whole[0, -1, 0] == 39
+    assert whole.shape == (40, 80, 4) and whole[0, 0, 0] == 0 and whole[0, -1, 0] == 39
+    assert (square[..., 3] == 255).all() and (whole[..., 3] == 255).all()
+
+
+def test_what_a_mask_leaves_out_neither_counts_nor_is_shown():
+    usable = np.ones((20, 40), bool)
+    usable[5:12, 15:25] = False
+    photo = RAMP.copy()
+    photo[~usable] = 255
+    photos: Any = SimpleNamespace(read_shown=lambda index: (photo, usable))
+    wide = as_wide(photos, 0, 40, 20)
+    np.testing.assert_array_equal(wide[..., 3] == 255, usable)
+    assert (wide[usable][:, :3] == RAMP[usable]).all() and wide[..., 0].max() < 40
 
 
 def test_the_stream_is_the_same_again_and_cuts_a_little():
     ramp = np.dstack([np.broadcast_to(np.linspace(0, 255, 64), (64, 64))] * 3).astype(np.uint8)
     photos: Any = Photos(1)
-    photos.read_image = lambda index: ramp
+    photos.read_shown = lambda index: (ramp, np.ones((64, 64), bool))
     stream = ResizedPhotos(photos, 64, 64, seed=3)
     batch = stream.batch(5, 8).numpy()
     assert np.array_equal(batch, stream.batch(5, 8)) and (batch[..., 3] == 255).all()

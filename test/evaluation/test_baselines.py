@@ -13,13 +13,17 @@ EXPANSIONS = {
 }
 
 
+def shown(photo, usable=None):
+    return photo, np.ones(photo.shape[:2], bool) if usable is None else usable
+
+
 def narrow_image(seed=0):
     return np.random.default_rng(seed).integers(0, 256, (12, 16, 3)).astype(np.uint8)
 
 
 @pytest.mark.parametrize('expansion', EXPANSIONS.values(), ids=EXPANSIONS.keys())
 @pytest.mark.parametrize('make', [
-    EdgeReplication, lambda expansion: MeanImage(expansion, [narrow_image(1)])],
+    EdgeReplication, lambda expansion: MeanImage(expansion, [shown(narrow_image(1))])],
     ids=['edge_replication', 'mean_image'])
 def test_floors_paste_the_observed_pixels(make, expansion):
     method, image = make(expansion), narrow_image()
@@ -43,7 +47,7 @@ def test_edge_replication_repeats_the_nearest_observed_pixel(expansion):
 def test_the_mean_image_is_the_mean_of_a_stream_of_wide_photos():
     expansion = EXPANSIONS['horizontal']
     photos = np.random.default_rng(2).integers(0, 256, (5, 12, 32, 3)).astype(np.uint8)
-    wide_image = MeanImage(expansion, (photo for photo in photos)).expand(narrow_image())
+    wide_image = MeanImage(expansion, (shown(photo) for photo in photos)).expand(narrow_image())
     ring = expansion.extrapolated_mask
     np.testing.assert_array_equal(
         wide_image[ring], np.rint(photos.mean(axis=0)).astype(np.uint8)[ring])
@@ -52,13 +56,23 @@ def test_the_mean_image_is_the_mean_of_a_stream_of_wide_photos():
 def test_the_mean_of_narrow_photos_is_stretched_over_the_wide_frame():
     photo = np.full((12, 16, 3), 10, np.uint8)
     photo[:6] = 200
-    wide_image = MeanImage(EXPANSIONS['square'], [photo]).expand(narrow_image())
+    wide_image = MeanImage(EXPANSIONS['square'], [shown(photo)]).expand(narrow_image())
     assert (wide_image[:5] == 200).all()
     assert (wide_image[-5:] == 10).all()
 
 
+def test_a_mean_leaves_out_what_masks_do():
+    expansion = EXPANSIONS['horizontal']
+    usable = np.ones((3, 12, 32), bool)
+    usable[0, :, :4] = usable[:, :, 28:] = False
+    photos = np.full((3, 12, 32, 3), 90, np.uint8)
+    photos[~usable] = 255
+    wide_image = MeanImage(expansion, zip(photos, usable)).expand(narrow_image())
+    assert (wide_image[expansion.extrapolated_mask] == 90).all()
+
+
 def test_a_mean_of_no_photos_is_an_error():
-    with pytest.raises(SceneError, match='train_images'):
+    with pytest.raises(SceneError, match='shown: expected at least one photo'):
         MeanImage(EXPANSIONS['square'], [])
 
 

@@ -1,3 +1,4 @@
+from dataclasses import replace
 import json
 import sys
 from types import SimpleNamespace
@@ -11,6 +12,7 @@ from neo_ros.evaluation.evaluate import evaluate, protocol_of, ROW_KEYS, score_f
 from neo_ros.evaluation.evaluation_report import evaluation_sections, write_evaluation
 from neo_ros.evaluation.metrics import score_frame
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
+from neo_ros.pictures.usable import write_usable
 from neo_ros.reports.kept_pictures import pick_frames
 from neo_ros.reports.report import Strip
 from neo_ros.reports.strips import outlined
@@ -88,6 +90,44 @@ def test_every_method_is_scored_on_every_frame(frames):
     assert estimate.low < estimate.high
 
 
+def with_mask(frames, index, usable):
+    """Give a frame a mask, which is as large as its file."""
+    path = frames.images.image_paths[0].parent / 'mask.png'
+    write_usable(path, usable)
+    masks = [path if i == index else None for i in range(len(frames))]
+    return TruthFrames(replace(frames.images, mask_paths=tuple(masks)), TINY_EXPANSION)
+
+
+def test_scores_leave_out_what_a_frames_mask_does(frames):
+    usable = np.ones((96, 128), bool)
+    usable[60:, 70:] = False
+    masked = with_mask(frames, 4, usable)
+    plain, scored = (score_frames(some, Constant()) for some in (frames, masked))
+    shown = usable[::2, ::2]
+    expected = score_frame(frames.read(4)[1], Constant().expand(None), TINY_EXPANSION, shown)
+    for index, (before, after) in enumerate(zip(plain, scored)):
+        same = all(before[name] == after[name] for name in expected)
+        assert same == (index != 4)
+    assert {name: scored[4][name] for name in expected} == expected
+
+
+def test_the_confidence_is_judged_on_what_masks_leave(frames, tmp_path):
+    model = FovExtrapolator.load(write_tiny_model(tmp_path / 'm.onnx'))
+    usable = np.ones((96, 128), bool)
+    usable[:48] = False
+    counted = [calibrate(model, some).counts.sum() for some in (
+        frames, with_mask(frames, 2, usable))]
+    ring = TINY_EXPANSION.extrapolated_mask
+    assert counted[0] - counted[1] == ring[:24].sum()
+
+
+def test_a_mask_that_leaves_nothing_of_the_ring_is_an_error(frames):
+    usable = np.zeros((96, 128), bool)
+    usable[30:60, 40:80] = True
+    with pytest.raises(SceneError, match='mask.png: expected a mask that leaves some'):
+        score_frames(with_mask(frames, 1, usable), Constant())
+
+
 def test_rows_keep_the_contract(frames):
     row = evaluate('tiny', frames, [Constant()])[0].row
     assert tuple(row) == ROW_KEYS
@@ -103,7 +143,7 @@ def test_rows_keep_the_contract(frames):
 
 def test_further_scorers_fill_their_columns(frames):
     row = evaluate('tiny', frames, [Constant()], scorers=[
-        score_frame, lambda truth, prediction, expansion: {'ring_lpips_vgg': 0.25}])[0].row
+        score_frame, lambda *frame: {'ring_lpips_vgg': 0.25}])[0].row
     assert row['ring_lpips_vgg'] == 0.25
 
 

@@ -130,6 +130,19 @@ def test_the_published_pictures_have_the_published_distances(backbone, expected)
     assert found == pytest.approx(expected, abs=1e-3)
 
 
+def test_pixels_that_do_not_show_the_scene_count_nowhere(random_folder):
+    measure = lpips.Lpips('alex', random_folder)
+    truth, usable = picture(), np.ones((64, 64), bool)
+    usable[40:] = False
+    stranger = truth.copy()
+    stranger[~usable] = 0
+    assert set(measure(truth, stranger, EXPANSION, usable).values()) == {0}
+    errors = noisy(truth, 30)
+    stranger = np.where(usable[..., None], errors, 255).astype(np.uint8)
+    assert measure(truth, stranger, EXPANSION, usable) == measure(
+        truth, np.where(usable[..., None], errors, truth), EXPANSION, usable)
+
+
 # Taken after the published distances held.
 @pytest.mark.parametrize('backbone, expected', [
     ('alex', (0.25985, 0.22572)), ('vgg', (0.31234, 0.29506))], ids=['alex', 'vgg'])

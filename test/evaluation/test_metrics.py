@@ -74,6 +74,32 @@ def test_a_perfect_prediction_scores_the_cap_and_one():
         'seam_ssim': pytest.approx(1)}
 
 
+def test_pixels_that_do_not_show_the_scene_count_nowhere():
+    truth = random_image(SQUARE)
+    prediction = truth.copy()
+    usable = np.ones((64, 64), bool)
+    usable[:20] = False
+    prediction[~usable] = 0
+    perfect = score_frame(truth, prediction, SQUARE, usable)
+    assert perfect == score_frame(truth, truth, SQUARE)
+    prediction[40:50, 2:9] += 30
+    masked, plain = score_frame(truth, prediction, SQUARE, usable), score_frame(
+        truth, np.where(usable[..., None], prediction, truth), SQUARE)
+    # The same errors over fewer pixels.
+    ring = SQUARE.extrapolated_mask
+    assert plain['ring_psnr'] - masked['ring_psnr'] == pytest.approx(
+        10 * math.log10(ring.sum() / (ring & usable).sum()))
+    assert plain['whole_psnr'] - masked['whole_psnr'] == pytest.approx(
+        10 * math.log10(64 / 44))
+    assert masked['ring_ssim'] < plain['ring_ssim'] < 1
+
+
+def test_a_part_without_a_usable_pixel_has_no_score():
+    truth = random_image(SQUARE)
+    assert set(score_frame(truth, truth, SQUARE, ~SQUARE.seam_mask(seam_width(SQUARE)))) == {
+        'whole_psnr', 'whole_ssim', 'ring_psnr', 'ring_ssim'}
+
+
 def test_the_smallest_difference_never_beats_the_cap():
     truth = np.zeros((1024, 1024, 3), np.uint8)
     prediction = truth.copy()

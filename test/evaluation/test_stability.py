@@ -1,10 +1,13 @@
 """Warping error and flicker, on the demo flat whose depth is known."""
+from dataclasses import replace
+
 from neo_ros.benchmark.true_depth import demo_depth, field_depth, is_demo_flat
 from neo_ros.evaluation.evaluate import score_frames, TruthFrames
 from neo_ros.evaluation.stability import (
     flicker, follow_points, StabilityRules, stored_depths, warping_error, WarpingError)
 from neo_ros.flat.scene_writing import write_demo_scene
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
+from neo_ros.pictures.usable import write_usable
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.scene import read_scene
 import numpy as np
@@ -58,6 +61,23 @@ def test_the_truth_is_steady_and_noise_is_not(frames):
     assert [error is None for error in steady] == [True, False, False] * 2
     assert all(error < 0.01 for error in steady if error is not None)
     assert all(s > 2 * t for s, t in zip(shaking, steady) if s is not None)
+
+
+def test_what_masks_leave_out_of_two_frames_is_not_compared(frames, tmp_path):
+    truth = [wide for _, wide in frames]
+    size = truth[0].shape[:2]
+    for name, rows in (('now', np.s_[:size[0] // 4]), ('before', np.s_[-size[0] // 4:])):
+        usable = np.ones(size, bool)
+        usable[rows] = False
+        write_usable(tmp_path / f'{name}.png', usable)
+    masks = (tmp_path / 'before.png', tmp_path / 'now.png', None) * 2
+    masked = TruthFrames(replace(frames.images, mask_paths=masks), frames.expansion)
+    # Painted over: above in the second frame, below in the first and so under where it was seen.
+    spoilt = [truth[0].copy(), truth[1].copy(), truth[2]]
+    spoilt[0][-size[0] // 4:] = spoilt[1][:size[0] // 4] = 255
+    spoilt += truth[3:]
+    clean, seen = errors_of(masked, truth)[1][0], errors_of(masked, spoilt)[1][0]
+    assert seen == pytest.approx(clean, rel=1e-6) and errors_of(frames, spoilt)[1][0] > 3 * clean
 
 
 def test_without_motion_the_error_is_the_plain_difference():

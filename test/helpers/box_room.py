@@ -1,4 +1,5 @@
 """A room whose every view is known exactly: a box with painted walls, cast by numpy."""
+import functools
 from pathlib import Path
 from typing import Any
 
@@ -117,8 +118,14 @@ def box_walk(count: int) -> list[CameraPose]:
     return [planar(1.4 + 0.1 * step, 1.5, 20 + 3 * step) for step in range(count)]
 
 
+@functools.cache
+def _written_memory() -> SceneMemory:
+    """Return the memory that models have beside them: nobody else has it, nobody changes it."""
+    return box_memory()
+
+
 def write_box_model(folder: Path, **card_overrides: Any) -> Path:
     """Write a small model that has the box room's memory beside it."""
-    sha256 = box_memory().write(folder / 'box.memory')
+    sha256 = _written_memory().write(folder / 'box.memory')
     return write_tiny_model(folder / 'box.onnx', EXPANSION, **card_overrides,
                             memory=MemoryFile(file='box.memory', sha256=sha256))

@@ -16,7 +16,7 @@ import onnx
 TINY = Experiment(
     seed=3, field=FieldConfig(steps=400, voxels=20_000, rays_per_step=512, device='cpu'),
     sampling=SamplingConfig(positions=8), network=NetworkConfig(width=8, hidden=32),
-    outpaint=OutpaintConfig(steps=20, batch=4, device='cpu'), memory=MemoryConfig(distance=0.6))
+    outpaint=OutpaintConfig(steps=20, batch=4, device='cpu'), memory=MemoryConfig(distance=1.0))
 
 
 def write_tiny_scene(folder: Path) -> None:

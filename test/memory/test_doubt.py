@@ -125,7 +125,8 @@ def test_only_what_fits_one_place_and_not_the_other_speaks() -> None:
 def test_rivals_are_places_elsewhere_that_look_about_as_alike(twins: SceneGuide) -> None:
     pose = planar(1.9, 1.7, 35)
     finder, photo = twins._glances, photo_at(pose)
-    likeness = dict(zip(map(bytes, finder.poses), finder._likeness(photo)))
+    likeness = dict(zip(map(bytes, finder.poses), finder._likeness(
+        photo, np.arange(len(finder.poses)))))
     most = max(likeness.values())
     rivals = finder.find_rivals(photo, pose, LIMITS)
     assert all(is_elsewhere(rival, pose, LIMITS) for rival in rivals)

@@ -4,16 +4,17 @@ import hashlib
 import io
 import os
 from pathlib import Path
+import tracemalloc
 from typing import Any
 import weakref
 
 from box_room import BAND, box_memory, keyframe
 import cv2
 from neo_ros.errors import ModelError
-from neo_ros.machine.regular_file import MAX_BYTES
-from neo_ros.memory import decoded, scene_memory
+from neo_ros.memory import decoded, memory_file, scene_memory
 from neo_ros.memory.keyframe import CLOSEST, Keyframe
 from neo_ros.memory.landmarks import Landmarks
+from neo_ros.memory.memory_file import MOST_BYTES
 from neo_ros.memory.scene_memory import Glances, SceneMemory
 import numpy as np
 import pytest
@@ -46,6 +47,35 @@ def test_a_memory_comes_back(memory: SceneMemory, tmp_path: Path) -> None:
 def test_a_memory_without_landmarks_comes_back(tmp_path: Path) -> None:
     path = tmp_path / 'box.memory'
     assert SceneMemory.read(path, box_memory().write(path)).landmarks is None
+
+
+def test_keyframes_stay_in_the_file(memory: SceneMemory, tmp_path: Path) -> None:
+    noise = np.random.default_rng(0).integers(0, 256, (320, 640, 3), np.uint8)
+    large = SceneMemory.from_keyframes(
+        [Keyframe(np.full(3, float(index)), np.ones((16, 32), np.float32), noise)
+         for index in range(24)], BAND, memory.glances)
+    path = tmp_path / 'large.memory'
+    sha256 = large.write(path)
+    tracemalloc.start()
+    try:
+        again = SceneMemory.read(path, sha256)
+        now, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert path.stat().st_size > 3_000_000 and now < 200_000 and peak < 700_000
+    assert np.array_equal(again.keyframe(11).texture, large.keyframe(11).texture)
+    path.unlink()  # Whoever has it open still reads it.
+    assert np.array_equal(again.keyframe(5).texture, large.keyframe(5).texture)
+
+
+def test_a_file_that_changes_while_it_is_in_use_is_refused(
+        memory: SceneMemory, tmp_path: Path) -> None:
+    path = tmp_path / 'box.memory'
+    again = SceneMemory.read(path, memory.write(path))
+    again.keyframe(0)
+    path.write_bytes(path.read_bytes() + b'x')
+    with pytest.raises(ModelError, match='was changed while it was in use'):
+        again.keyframe(1)
 
 
 def test_few_keyframes_stay_decoded_and_none_outlives_the_memory(
@@ -130,9 +160,9 @@ def test_what_is_no_file_of_sensible_size_is_refused_unread(tmp_path: Path) -> N
     paths['link'].symlink_to('/dev/zero')
     paths['folder'].mkdir()
     with paths['huge'].open('wb') as file:
-        file.truncate(MAX_BYTES + 1)  # Sparse: takes no space.
+        file.truncate(MOST_BYTES + 1)  # Sparse: takes no space.
     paths['empty'].touch()
-    words = {'huge': 'scene memory of at most 1024 MB', 'empty': 'the file is empty'}
+    words = {'huge': 'scene memory of at most 16384 MB', 'empty': 'the file is empty'}
     for name, path in paths.items():
         with pytest.raises(ModelError, match=words.get(name, 'cannot read the scene memory')):
             SceneMemory.read(path, '0' * 64)
@@ -209,13 +239,15 @@ def test_keyframes_of_different_sizes_are_refused(memory: SceneMemory, tmp_path:
     ('MOST_MESH', 'depths: expected grey 16-bit PNG of at most 9'),
     ('MOST_TEXTURE', 'textures: size: expected 1x1 to 9 pixels'),
     ('MOST_GLANCES', 'glances: expected at most 9 pixels'),
-    ('MOST_LANDMARKS', 'landmarks: expected at most 4, got 5')])
+    ('MOST_LANDMARKS', 'landmarks: expected at most 4, got 5'),
+    ('MOST_ARRAY', 'expected at most 0 MB')])
 def test_what_would_fill_a_robots_memory_is_refused_undecoded(
         memory: SceneMemory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit: str,
         message: str) -> None:
     path = tmp_path / 'box.memory'
     sha256 = memory.write(path)
-    monkeypatch.setattr(scene_memory, limit, 4 if limit == 'MOST_LANDMARKS' else 9)
+    monkeypatch.setattr(memory_file if limit == 'MOST_ARRAY' else scene_memory, limit,
+                        4 if limit == 'MOST_LANDMARKS' else 9)
     with pytest.raises(ModelError, match=message):
         SceneMemory.read(path, sha256)
 
@@ -257,7 +289,7 @@ def test_an_unwritable_folder_is_named(memory: SceneMemory, tmp_path: Path) -> N
 
 def test_what_could_not_be_read_is_not_written(
         memory: SceneMemory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scene_memory, 'MAX_BYTES', 1000)
+    monkeypatch.setattr(scene_memory, 'MOST_BYTES', 1000)
     with pytest.raises(ModelError, match='set memory.distance to more'):
         memory.write(tmp_path / 'box.memory')
     assert not list(tmp_path.iterdir())

@@ -54,6 +54,27 @@ def test_another_model_takes_over_without_losing_the_subscription(graph, model, 
     assert lost and not any(lost)
 
 
+def test_images_are_widened_while_another_model_loads(graph, model, tmp_path):
+    larger = write_tiny_model(tmp_path / 'larger.onnx', LARGER)
+    image, widths = noise_image(SOURCE, 0), []
+
+    def load_slowly(path, *arguments):
+        for number in range(2, 6) if str(path) == str(larger) else ():
+            # In the loader's thread: the node's waits for it.
+            widths.append(camera.widen(image, number)['image'].width)
+        return FovExtrapolator.load(path, *arguments)
+
+    camera = Camera(graph)
+    with node_beside(graph, model, load=load_slowly) as node:
+        camera.wait_for_node()
+        camera.widen(image, 1)
+        graph.executor.remove_node(node)  # No executor runs it, as while its callback loads.
+        result, = node.set_parameters([Parameter('model', value=str(larger))])
+        graph.executor.add_node(node)
+        assert result.successful and widths == [64] * 4
+        assert camera.widen(image, 6)['image'].width == 80
+
+
 def test_a_replaced_file_is_loaded_on_request_only_and_a_deleted_one_does_no_harm(graph, model):
     camera, _ = started(graph, model)
     image = noise_image(SOURCE, 0)

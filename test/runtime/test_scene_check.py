@@ -5,8 +5,8 @@ import cv2
 from neo_ros.errors import ModelError
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.runtime import FovExtrapolator, ModelCard, read_model_card, write_model_card
-from neo_ros.runtime.scene_check import (fit_scene_reference, MEASURES, SceneCheck,
-                                         SceneCheckThresholds)
+from neo_ros.runtime.scene_check import (
+    fit_scene_reference, measure_image, MEASURES, SceneCheck, SceneCheckThresholds)
 import numpy as np
 import pytest
 from tiny_model import tiny_card, TINY_EXPANSION, write_tiny_model
@@ -71,8 +71,54 @@ def test_too_few_photos_say_nothing() -> None:
     least = SceneCheckThresholds.least_photos
     assert fit_scene_reference(PHOTOS[:least - 1], confidence, VIEW) is None
     assert fit_scene_reference(PHOTOS[:least], confidence, VIEW) is not None
-    assert fit_scene_reference(PHOTOS[:least], confidence, VIEW,
-                               SceneCheckThresholds(least_photos=least + 1)) is None
+    assert fit_scene_reference(
+        PHOTOS[:least], confidence, VIEW,
+        thresholds=SceneCheckThresholds(least_photos=least + 1)) is None
+
+
+def masked_photos(people: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return photos with a white figure in the first `people`, and what does not show it."""
+    photos, usable = PHOTOS.copy(), np.ones(PHOTOS.shape[:3], bool)
+    usable[:people, 10:44, 20:50] = False
+    photos[~usable] = 255
+    return photos, usable
+
+
+def test_a_reference_is_of_what_masks_leave() -> None:
+    photos, usable = masked_photos(people=90)
+    masked, with_people = (fit_scene_reference(photos, lambda image: confidence(room(0)), VIEW,
+                                               shown) for shown in (usable, None))
+    assert masked is not None and with_people is not None
+    image = masked_photos(people=1)[0][0]
+    unlike = [SceneCheck(one, VIEW).score(image, confidence(room(0)))
+              for one in (masked, with_people)]
+    assert unlike[0] > 0.9 and unlike[1] < 0.5
+    assert SceneCheck(masked, VIEW).score(room(1000), confidence(room(0))) < 0.3
+
+
+def test_what_masks_leave_out_of_most_photos_is_the_robot_itself() -> None:
+    photos, usable = masked_photos(people=200)
+    assert fit_scene_reference(photos, confidence, VIEW, usable) == fit_scene_reference(
+        photos, confidence, VIEW)
+
+
+def test_photos_of_which_little_is_left_say_nothing() -> None:
+    usable = np.ones(PHOTOS.shape[:3], bool)
+    usable[:90, :30] = False
+    assert fit_scene_reference(PHOTOS, confidence, VIEW, usable) == fit_scene_reference(
+        PHOTOS[90:], confidence, VIEW)
+
+
+def test_masked_measures_are_those_of_the_rest() -> None:
+    image, usable = room(3), np.ones((48, 64), bool)
+    usable[:, 40:] = False
+    other = image.copy()
+    other[:, 40:] = 7
+    sure = confidence(image)
+    assert (measure_image(image, sure, VIEW, usable) == measure_image(
+        other, sure, VIEW, usable)).all()
+    np.testing.assert_array_equal(
+        measure_image(image, sure, VIEW), measure_image(image, sure, VIEW, usable | True))
 
 
 def test_reference_survives_the_card_and_old_cards_do_without(tmp_path) -> None:

@@ -153,24 +153,32 @@ def test_an_rgb_image_is_read_without_a_copy_and_has_no_floor():
     assert floors == {'rgb8': None, 'bgr8': 'bytes', 'bayer_rggb8': 'bytes'}
 
 
-def test_the_field_is_measured_in_a_room_that_is_closed():
+@pytest.fixture
+def small_network(monkeypatch):
+    """Measure the stream beside the training of a network that is as small as can be."""
     pytest.importorskip('torch')
-    from neo_ros.speed.field import box_room, measure_field, room_poses, WIDE
+    monkeypatch.setattr('neo_ros.speed.stream.NetworkConfig', lambda: NetworkConfig(
+        width=8, hidden=16))
+
+
+def test_the_field_is_measured_in_a_room_that_is_closed(small_network):
+    from neo_ros.speed.field import box_room, measure_field, room_poses
     from neo_ros.field.rendering import render_view
-    field = box_room(20_000)
+    field, wide = box_room(20_000), Intrinsics.from_hfov(64, 64, 2 * np.arctan(2))
     for pose in room_poses(4):
-        view = render_view(field, WIDE, pose, 1)
+        view = render_view(field, wide, pose, 1)
         assert view.opacity.min() > 0.8 and view.opacity.mean() > 0.98
         assert 0.5 < np.median(view.depth) < 5
         assert view.image.std() > 0.05
     assert np.array_equal(field.grid, box_room(20_000).grid)
-    records = list(measure_field(MACHINE, Effort(seconds=0.0, voxels=20_000)))
-    assert [record.name.split(' 128')[0] for record in records] == [
+    records = list(measure_field(
+        MACHINE, Effort(seconds=0.0, voxels=20_000), wide=wide))
+    assert [record.name.split(' 64x')[0] for record in records] == [
         'step of the fit', 'wide view', 'wide view', 'panorama for wide views', 'wide view',
         '64 views of the stream, with a new panorama',
         '64 views of the stream, panoramas there', '64 views of the stream, while training']
     assert 10 < records[0].details['samples_per_ray'] < 40
-    assert records[2].details['rays'] == 4 * records[1].details['rays'] == 4 * 128 * 128
+    assert records[2].details['rays'] == 4 * records[1].details['rays'] == 4 * 64 * 64
     whole, cut = records[3].mean_ms, records[4].mean_ms
     assert whole is not None and cut is not None
     assert records[4].details['views_per_s_with_panorama'] == pytest.approx(
@@ -183,7 +191,7 @@ def test_the_field_is_measured_in_a_room_that_is_closed():
     assert all(record.floor_ms and record.floor_ms > 0 for record in records)
 
 
-def test_a_gpu_is_measured_as_the_cpu_is_or_skipped_with_a_reason():
+def test_a_gpu_is_measured_as_the_cpu_is_or_skipped_with_a_reason(small_network):
     torch = pytest.importorskip('torch')
     from neo_ros.speed import gpu as speed_gpu
     records = list(speed_gpu.measure_gpu(Effort(seconds=0.0, voxels=8_000)))

@@ -17,7 +17,8 @@ APP.command()(soak_command)
 SECONDS, RATE = 60.0, 30.0
 
 
-def recorded(growth=0.0, slower=0.0, silent_s=0.0, lost=0, seen=(0, 61), heard=(0, 61)):
+def recorded(growth=0.0, filled=0.0, slower=0.0, silent_s=0.0, lost=0, seen=(0, 61),
+             heard=(0, 61)):
     """Return what the probe would print of a minute; seen and heard: from when to when."""
     stamps = (np.arange(SECONDS * RATE) / RATE * 1e9).astype(np.int64)
     share = stamps / stamps[-1]
@@ -29,16 +30,21 @@ def recorded(growth=0.0, slower=0.0, silent_s=0.0, lost=0, seen=(0, 61), heard=(
     # The clock of the beats starts anywhere.
     return {'sent': len(stamps), 'cpu_percent': 50.0, 'first_sent': 0, 'ended': 7 + SECONDS,
             'arrivals': np.stack([stamps, times], 1)[arrived][lost:].tolist(),
-            'beats': np.stack([7 + beats, 100 * (1 + growth * beats / SECONDS)], 1).tolist()}
+            'heard': {'wide/image': int(arrived.sum())},
+            'beats': np.stack([7 + beats, 100 * (
+                1 + growth * beats / SECONDS + filled * np.minimum(beats / 20, 1))],
+                1).tolist()}
 
 
 @pytest.mark.parametrize('trouble, steady', [
     ({}, True), ({'lost': 5}, True), ({'growth': 0.01, 'slower': 0.05}, True),
-    ({'growth': 0.05}, False), ({'slower': 0.3}, False), ({'silent_s': 1.5}, False),
+    ({'filled': 0.2}, True), ({'growth': 0.05}, False), ({'slower': 0.3}, False),
+    ({'silent_s': 1.5}, False),
     ({'heard': (0, 40)}, False), ({'heard': (5, 61)}, False), ({'seen': (0, 45)}, False),
     ({'seen': (12, 61)}, False), ({'seen': (0, 45), 'heard': (0, 45)}, False),
-], ids=['none', 'lost images', 'a little', 'grows', 'slows down', 'falls silent',
-        'silent for good', 'silent at first', 'no more images', 'no image at first', 'hangs'])
+], ids=['none', 'lost images', 'a little', 'fills its caches', 'grows', 'slows down',
+        'falls silent', 'silent for good', 'silent at first', 'no more images',
+        'no image at first', 'hangs'])
 def test_trouble_is_found(tmp_path, monkeypatch, trouble, steady):
     recording = recorded(**trouble)
     monkeypatch.setattr(soak_module, 'run_graph', lambda *_, **__: recording)
@@ -73,7 +79,7 @@ def test_a_hog_beside_it_lets_nothing_queue(tmp_path):
         str(write_tiny_model(tmp_path / 'tiny.onnx'))])
     assert result.exit_code in (0, 1), result.output
     found = json.loads(out.read_text())
-    assert found['hogs'] == 3 and found['beats'] >= 3
+    assert found['hogs'] == 3 and found['beats'] >= 3 and found['heard']['wide/mask'] > 0
     assert 0 < found['mean_rate_hz'] <= 1.2 * RATE and found['missed'] < found['sent']
     # A queue of one second would show in the last images; what is published stays fresh.
     assert found['latency_ms']['last']['median'] < 500

@@ -1,7 +1,9 @@
 """A training within so many minutes: what is chosen for a camera and a machine, and kept."""
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
+from neo_ros import pipeline
 from neo_ros.errors import ConfigError
 from neo_ros.experiment import Experiment
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
@@ -11,10 +13,10 @@ from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.scene import Scene
 from neo_ros.training import time_plan
 from neo_ros.training.time_plan import (
-    PLAN_FILE, plan_training, read_plan, share_network_minutes, TimeLeft, TimePlan)
+    PLAN_FILE, plan_training, PlanRules, read_plan, share_network_minutes, TimeLeft, TimePlan)
 import numpy as np
 import pytest
-from tiny_training import TINY, write_tiny_scene
+from tiny_training import TINY
 
 # Pixels that a fit takes a second in its first seconds: two cores of a robot's computer.
 RATE = 150_000.0
@@ -139,23 +141,38 @@ def test_the_minutes_left_in_all_are_told_at_every_stage() -> None:
         '30', '28 dB; 23', '16', '12', '13', '3', '3', '1']
 
 
+def test_keyframes_that_take_longer_than_planned_are_told_of() -> None:
+    now, shown = [0.0], []
+
+    def show(stage: str, done: int, total: int, note: str = '') -> None:
+        shown.append(note)
+
+    tell = TimeLeft(TimePlan(6, Experiment()), show, clock=lambda: now[0])
+    tell('keyframes', 1, 111)
+    now[0] = 270
+    tell('keyframes', 11, 111)  # One takes 27 s, which leaves 45 minutes for 100.
+    tell('keyframes', 11, 12)   # No more are made, for want of time.
+    assert [note.split(' of ')[0] for note in shown] == ['3', '46', '2']
+
+
 @pytest.mark.slow
 def test_a_training_by_the_minute_leaves_a_whole_model_and_is_not_done_twice(
-        tmp_path: Path) -> None:
-    write_tiny_scene(tmp_path / 'scene')
+        flat_scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pipeline, 'plan_training', partial(plan_training, rules=PlanRules(
+        measured_seconds=0.5, measured_voxels=20_000, voxels=((0, 20_000),))))
     seen: list[str] = []
 
     def note(stage: str, done: int, total: int, note: str = '') -> None:
         seen.append(stage)
 
-    run = train(tmp_path / 'scene', TINY, tmp_path / 'out', note, minutes=0.15)
-    assert run.plan is not None and run.plan.experiment.field.minutes == pytest.approx(0.0675)
+    run = train(flat_scene, TINY, tmp_path / 'out', note, minutes=0.08)
+    assert run.plan is not None and run.plan.experiment.field.minutes == pytest.approx(0.036)
     model = FovExtrapolator.load(run.model_path)
     assert model.card.memory is not None
     content = run.model_path.read_bytes(), run.memory_path.read_bytes()
     order = list(dict.fromkeys(seen))
     assert order.index('plan') < order.index('field') < order.index('keyframes') \
         < order.index('outpainter')
-    again = train(tmp_path / 'scene', TINY, tmp_path / 'out', note, minutes=0.15)
+    again = train(flat_scene, TINY, tmp_path / 'out', note, minutes=0.08)
     assert again.samples == run.samples
     assert again.memory_path.read_bytes() == content[1]
