@@ -23,12 +23,19 @@ class ChangeRules:
     # Cells that hang together, at least; and how far around them may change, too, cells.
     least_cells: int = 12
     margin: int = 1
+    # Where the photos that the memory was made of contradict it by a larger share, it is poor.
+    most_own_share: float = 0.2
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ChangedPlace:
-    """Cells that hang together: corners of their box (3,), metres, and images that say so."""
+    """
+    Cells that hang together: their indices (N, 3), corners of their box (3,), metres.
 
+    images: that say so.
+    """
+
+    cells: np.ndarray
     low: np.ndarray
     high: np.ndarray
     images: int
@@ -65,24 +72,52 @@ class ChangedSpace:
 def find_changed_space(field: VoxelField, drive: Drive, rules: ChangeRules = ChangeRules()
                        ) -> ChangedSpace:
     """Let the photos of a drive vote on every cell of the field."""
-    photos, camera = drive.photos, drive.small_camera
-    T = np.stack([photo.pose.T_world_cam for photo in photos])
-    rotations, positions = T[:, :3, :3].astype(np.float32), T[:, :3, 3].astype(np.float32)
-    depth, off = (np.stack([getattr(photo, name) for photo in photos])
-                  for name in ('depth', 'off'))
-    pinhole = tuple(map(np.float32, (camera.fx, camera.fy, camera.cx, camera.cy)))
     against = np.zeros(field.shape, np.int32)
     agree = np.zeros(field.shape, np.int32)
     for plane in range(field.shape[0] - 1):  # One by one: positions are float64.
         index = np.moveaxis(np.indices((1, *field.shape[1:])), 0, -1) + [plane, 0, 0]
         points = field.world_points(index + 0.5).reshape(-1, 3).astype(np.float32)
-        count_votes(points, rotations, positions, pinhole, depth, off, np.float32(field.voxel),
-                    np.float32(rules.behind), against[plane].reshape(-1),
-                    agree[plane].reshape(-1))
+        _vote(points, drive, field.voxel, rules, against[plane].reshape(-1),
+              agree[plane].reshape(-1))
     changed = (against >= rules.least_images) & (
         against >= rules.least_share * (against + agree))
     changed[-1], changed[:, -1], changed[:, :, -1] = False, False, False  # There are no cells.
+    positions = np.stack([photo.pose.position for photo in drive.photos])
     return _of_places(field, changed, against, positions, rules)
+
+
+def without_poor_places(space: ChangedSpace, field: VoxelField, own: Drive,
+                        rules: ChangeRules = ChangeRules()) -> ChangedSpace:
+    """Leave out places where photos of before contradict the memory, too: own compares them."""
+    stay = []
+    for place in space.places:
+        points = field.world_points(place.cells + 0.5).astype(np.float32)
+        against, agree = np.zeros((2, len(points)), np.int32)
+        _vote(points, own, field.voxel, rules, against, agree)
+        if against.sum() <= rules.most_own_share * (against.sum() + agree.sum()):
+            stay.append(place)
+    return _space(field, stay, rules)
+
+
+def _vote(points: np.ndarray, drive: Drive, voxel: float, rules: ChangeRules,
+          against: np.ndarray, agree: np.ndarray) -> None:
+    T = np.stack([photo.pose.T_world_cam for photo in drive.photos])
+    depth, off = (np.stack([getattr(photo, name) for photo in drive.photos])
+                  for name in ('depth', 'off'))
+    camera = drive.small_camera
+    count_votes(points, np.ascontiguousarray(T[:, :3, :3], np.float32),
+                np.ascontiguousarray(T[:, :3, 3], np.float32),
+                tuple(map(np.float32, (camera.fx, camera.fy, camera.cx, camera.cy))),
+                depth, off, np.float32(voxel), np.float32(rules.behind), against, agree)
+
+
+def _space(field: VoxelField, places: list[ChangedPlace], rules: ChangeRules) -> ChangedSpace:
+    cells = np.zeros(field.shape, bool)
+    for place in places:
+        cells[tuple(place.cells.T)] = True
+    if places and rules.margin:
+        cells = ndimage.binary_dilation(cells, np.ones((3, 3, 3)), iterations=rules.margin)
+    return ChangedSpace(cells, places)
 
 
 def _of_places(field: VoxelField, changed: np.ndarray, against: np.ndarray,
@@ -92,17 +127,15 @@ def _of_places(field: VoxelField, changed: np.ndarray, against: np.ndarray,
         near = np.linalg.norm(field.world_points(index + 0.5) - position, axis=1)
         changed[tuple(index[near < rules.around_camera].T)] = False
         index = index[near >= rules.around_camera]
-    labels, count = ndimage.label(changed, np.ones((3, 3, 3)))
-    cells, places = np.zeros(field.shape, bool), []
+    labels, _ = ndimage.label(changed, np.ones((3, 3, 3)))
+    places = []
     for number, box in enumerate(ndimage.find_objects(labels), 1):
         mine = labels[box] == number
         if mine.sum() < rules.least_cells:
             continue
-        cells[box] |= mine
         low, high = (np.array([getattr(part, end) for part in box]) for end in ('start', 'stop'))
-        places.append(ChangedPlace(field.world_points(low), field.world_points(high),
-                                   int(against[box][mine].max())))
-    if rules.margin:
-        cells = ndimage.binary_dilation(cells, np.ones((3, 3, 3)), iterations=rules.margin)
+        places.append(ChangedPlace(
+            np.argwhere(mine) + low, field.world_points(low), field.world_points(high),
+            int(against[box][mine].max())))
     places.sort(key=lambda place: -float(np.prod(place.high - place.low)))
-    return ChangedSpace(cells, places)
+    return _space(field, places, rules)

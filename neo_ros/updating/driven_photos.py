@@ -13,10 +13,13 @@ from neo_ros.geometry.camera_pose import rotation_angle
 from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.memory.contradiction import contradicted, contradiction
 from neo_ros.memory.learning import LearningThresholds
+from neo_ros.memory.rendering import MemoryRenderer
+from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.memory.sight import Guide
 from neo_ros.messages import camera_info_of, FrameProcessor
 from neo_ros.messages.frame_processor import WideFrame
 from neo_ros.messages.image_reader import ImageReader
+from neo_ros.pictures.exposure import exposure_gain
 from neo_ros.runtime import FovExtrapolator
 import numpy as np
 
@@ -78,6 +81,24 @@ def drive_through(bag: Path, extrapolator: FovExtrapolator, image_topic: str | N
         raise BagError(f'{bag}: of {seen} images none shows the scene of '
                        f'{extrapolator.card.scene_id}; give bags of the same place and camera')
     return Drive(photos, seen, camera)
+
+
+def compared_with_memory(images: np.ndarray, T_world_cam: np.ndarray, camera: Intrinsics,
+                         memory: SceneMemory, width: int) -> Drive:
+    """Compare photos uint8 (N, H, W, 3) at known poses with what the memory shows there."""
+    camera = camera.scaled(min(1.0, width / camera.width))
+    renderer, photos = MemoryRenderer(memory), []
+    for image, T in zip(images, T_world_cam):
+        pose = CameraPose(T)
+        view = renderer.render(pose, camera)
+        depth = np.where(view.stretched, 0, view.depth).astype(np.float32)
+        now = cv2.resize(image, (camera.width, camera.height),
+                         interpolation=cv2.INTER_AREA).astype(np.float32)
+        known = depth > 0
+        shown = view.image * (exposure_gain(view.image[known], now[known]) if known.any() else 1)
+        off = contradicted(contradiction(now, shown.astype(np.float32), known))
+        photos.append(DrivenPhoto(image, pose, depth, off))
+    return Drive(photos, len(photos), camera)
 
 
 def _frames(reader: BagReader, extrapolator: FovExtrapolator, image_topic: str | None,

@@ -28,8 +28,9 @@ from neo_ros.scenes.scene import Scene
 from neo_ros.scenes.upright import read_upright_scene
 from neo_ros.training.folder import check_run, note_update, scene_folder
 from neo_ros.training.time_plan import PLAN_FILE, read_plan
-from neo_ros.updating.changed_space import ChangedSpace, find_changed_space
-from neo_ros.updating.driven_photos import Drive, drive_through
+from neo_ros.updating.changed_space import (
+    ChangedSpace, find_changed_space, without_poor_places)
+from neo_ros.updating.driven_photos import compared_with_memory, Drive, drive_through
 from neo_ros.updating.more_photos import write_more_photos
 from neo_ros.updating.refit import agreeing, Reaching, refit, shrunk_photos
 from neo_ros.updating.update_report import update_sections
@@ -131,6 +132,13 @@ def _update_once(run: UpdateRun, bag: Path, out: Path, options: UpdateOptions,
     if not space.places:
         return None
     photos, chosen = _photos_that_see(run, field, space, drive)
+    before = SceneMemory.read(memory_file, named.sha256)
+    if chosen:
+        space = without_poor_places(space, field, compared_with_memory(
+            photos.images[:len(chosen)], photos.T_world_cam, photos.intrinsics, before,
+            drive.small_camera.width))
+    if not space.places:
+        return None
     rules = BakingRules()
     seen, gains = seen_by_photos(field, photos, rules, of_stage(progress, 'depth of photos'))
     small = shrunk_photos(photos, rules.photo_focal)
@@ -147,7 +155,6 @@ def _update_once(run: UpdateRun, bag: Path, out: Path, options: UpdateOptions,
                     options.minutes, of_stage(progress, 'field'))
     photos = replace(photos, usable=_agreed(photos, changed, reaching, window))
     seen, gains = seen_by_photos(changed, photos, rules, of_stage(progress, 'depth of photos'))
-    before = SceneMemory.read(memory_file, named.sha256)
     after = before.replaced(bake_changes(
         changed, before, photos, seen, gains,
         lambda position, rays, reach: space.met_by(changed, position, rays, reach),
