@@ -41,10 +41,15 @@ LAW: dict[str, set[str]] = {
     # What the pipeline is made of.
     'training': {'geometry', 'machine', 'pictures', 'scenes', 'field', 'outpaint', 'runtime',
                  'memory', 'baking', 'reports', 'evaluation', 'experiment', 'torch', 'cv2'},
+    # Reads bags, and changes what a training left.
+    'updating': {'geometry', 'machine', 'pictures', 'scenes', 'field', 'memory', 'baking',
+                 'runtime', 'messages', 'bags', 'reports', 'training', 'experiment', 'numba',
+                 'scipy', 'cv2'},
     # Trains with the pipeline, which itself scores with `evaluation`.
     'benchmark': {'geometry', 'machine', 'pictures', 'scenes', 'captures', 'flat', 'field',
                   'outpaint', 'runtime', 'memory', 'baking', 'messages', 'reports', 'evaluation',
-                  'training', 'pipeline', 'experiment', 'bags', 'torch', 'cv2', 'pycolmap'},
+                  'training', 'updating', 'bags', 'pipeline', 'experiment', 'torch', 'cv2',
+                  'pycolmap'},
     'speed': {'geometry', 'machine', 'scenes', 'flat', 'field', 'outpaint', 'runtime', 'messages',
               'bags', 'memory', 'baking', 'viewer', 'evaluation', 'torch', 'cv2', 'onnx'},
     # Reads what the others say of themselves; nothing imports it.

@@ -89,7 +89,7 @@ def bake_memory(field: RadianceField, photos: Photos, expansion: ViewExpansion,
                      np.stack([sampler.draw_rotation(random) for _ in range(500)]),
                      sampler.yaw_range)
     positions = keyframe_positions(sampler, photos, config.distance)
-    seen, gains = _seen_by_photos(field, photos, rules, of_stage(progress, 'depth of photos'))
+    seen, gains = seen_by_photos(field, photos, rules, of_stage(progress, 'depth of photos'))
     frames: list[tuple[bytes, bytes, Glances]] = []
     clock = _BakingClock(ends - time.monotonic())
     for index, position in enumerate(positions):
@@ -100,8 +100,8 @@ def bake_memory(field: RadianceField, photos: Photos, expansion: ViewExpansion,
         clock.finished += frame is not None
         if frame is None:
             # One is 70 MB for a camera of 640 pixels: it is compressed at once.
-            keyframe = _bake_keyframe(field, photos, seen, gains, position, band,
-                                      expansion.target.fx, rules)
+            keyframe = bake_keyframe(field, photos, seen, gains, position, band,
+                                     keyframe_size(band, expansion.target.fx, rules), rules)
             frame = (*compress(keyframe), keyframe_glances(
                 [keyframe], band, expansion.source, glance_rotations(sampler)))
             _write_finished(path, *frame)
@@ -117,8 +117,8 @@ def bake_memory(field: RadianceField, photos: Photos, expansion: ViewExpansion,
         np.concatenate([part.T_world_cam for part in glances])))
 
 
-def _seen_by_photos(field: RadianceField, photos: Photos, rules: BakingRules, progress: Progress
-                    ) -> tuple[np.ndarray, np.ndarray]:
+def seen_by_photos(field: RadianceField, photos: Photos, rules: BakingRules, progress: Progress
+                   ) -> tuple[np.ndarray, np.ndarray]:
     """
     Return how far photos see, float32 (N, h, w) metres along the ray, and their gains (N, 3).
 
@@ -240,13 +240,23 @@ def keyframe_size(band: Band, focal: float, rules: BakingRules = BakingRules()
             max(round(FINER * focal / mesh), 1))
 
 
-def _bake_keyframe(field: RadianceField, photos: Photos, seen: np.ndarray, gains: np.ndarray,
-                   position: np.ndarray, band: Band, focal: float, rules: BakingRules
-                   ) -> Keyframe:
-    height, width, finer = keyframe_size(band, focal, rules)
+def bake_keyframe(field: RadianceField, photos: Photos, seen: np.ndarray, gains: np.ndarray,
+                  position: np.ndarray, band: Band, size: tuple[int, int, int],
+                  rules: BakingRules, part: tuple[slice, slice] | None = None) -> Keyframe:
+    """
+    Render and colour a keyframe of a size as `keyframe_size` tells.
+
+    seen, gains: of the photos, see `seen_by_photos`; part: rows and columns of the mesh that are
+    made, None: all.
+    """
+    height, width, finer = size
     dense = min(finer, rules.dense)
-    rays = band.rays(height * dense, width * dense)
-    depth, colours, own = render_band(field, position, rays, dense, band.wraps,
+    rays, wraps = band.rays(height * dense, width * dense), band.wraps and part is None
+    if part is not None:
+        rays = np.ascontiguousarray(rays[tuple(
+            slice(dense * one.start, dense * one.stop) for one in part)])
+    height, width = rays.shape[0] // dense, rays.shape[1] // dense
+    depth, colours, own = render_band(field, position, rays, dense, wraps,
                                       rules.one_surface, FAR, rules.least_coverage)
     texture = np.empty((height * finer, width * finer, 3), np.uint8)
     centres = photos.T_world_cam[:, :3, 3]
@@ -259,7 +269,7 @@ def _bake_keyframe(field: RadianceField, photos: Photos, seen: np.ndarray, gains
                     np.ascontiguousarray(photos.T_world_cam[near, :3, :3], np.float32),
                     centres[near].astype(np.float32), gains[near],
                     camera.fx, camera.fy, camera.cx, camera.cy),
-        band.wraps, rules.one_surface, texture, own, dense)
+        wraps, rules.one_surface, texture, own, dense)
     return Keyframe(position, mesh_depth(depth, dense, rules.one_surface), texture)
 
 

@@ -2,11 +2,13 @@
 What the memory learns of a flat that changes from visit to visit.
 
     python -m neo_ros.benchmark.lives [--frames DIR] [--drive 130] [--visits 4] [--out FILE]
+    python -m neo_ros.benchmark.lives --run RUN --scene SCENE [--drive 130] [--test 60] ...
 
 On each visit to the demo flat (see `flat/visits.py`) the shipped model drives through it and
 learns; then other walks are widened by the memory as it was trained, and as it has become. Scores
 are of the ring in the frames that show something changed, with exact truth. Frames are kept in
-DIR: casting them takes longer than all the rest.
+DIR: casting them takes longer than all the rest. With a run of the flat, trained by `neo train` on
+SCENE, `neo update` takes the place of learning, on visit 1; its rows are added to FILE.
 """
 import argparse
 from collections.abc import Iterator
@@ -15,8 +17,10 @@ import json
 from pathlib import Path
 import shutil
 import tempfile
+import time
 from typing import Any
 
+from neo_ros.bags import write_demo_bag
 from neo_ros.evaluation.metrics import auroc, psnr
 from neo_ros.flat.demo_flat import build_demo_flat, walking_paths
 from neo_ros.flat.visits import CHAIRS, changed_flat, PLANT, VISITS
@@ -25,6 +29,7 @@ from neo_ros.machine.files import share_dir, write_bytes
 from neo_ros.machine.host import commit, host
 from neo_ros.memory.contradiction import contradiction
 from neo_ros.runtime import FovExtrapolator
+from neo_ros.updating.update import update
 import numpy as np
 
 
@@ -53,16 +58,18 @@ class Walks:
     walk: np.ndarray
 
 
-def walks_of(visit: int, seed: int, count: int, camera: Any, folder: Path) -> Walks:
+def walks_of(visit: int, seed: int, count: int, camera: Any, folder: Path,
+             most: int | None = None) -> Walks:
     """Cast the frames of some walks on a visit, or read them where they are kept."""
-    path = folder / f'frames_{visit}_{seed}.npz'
+    size = '' if camera.width == 256 else f'_{camera.width}'
+    path = folder / f'frames_{visit}_{seed}{size}{"" if most is None else f"_{most}"}.npz'
     if not path.exists():
         flat, paths = build_demo_flat(), []
         off = np.array([one.goal for one in (*CHAIRS, PLANT)])
         for number, walk in enumerate(walking_paths(flat, count, 25, seed)):
             paths += [(number, pose) for pose in walk if np.linalg.norm(
                 off - pose.position[:2], axis=1).min() >= RULES.nearest]
-        there = changed_flat(flat, VISITS[visit])
+        there, paths = changed_flat(flat, VISITS[visit]), paths[:most]
         folder.mkdir(parents=True, exist_ok=True)
         np.savez(path, images=np.stack([there.render(camera, pose)[0] for _, pose in paths]),
                  T=np.stack([pose.T_world_cam for _, pose in paths]),
@@ -168,6 +175,42 @@ def measure(frames: Path, visits: int, driven: int) -> list[dict[str, Any]]:
     return rows
 
 
+def measure_update(run: Path, scene: Path, frames: Path, driven: int, tested: int
+                   ) -> list[dict[str, Any]]:
+    """Update a run with a drive on visit 1; return a row of the run, and one of the new run."""
+    rows: list[dict[str, Any]] = []
+    with tempfile.TemporaryDirectory() as folder:
+        new, model = Path(folder) / 'new', run / 'demo_flat.onnx'
+        expansion = FovExtrapolator.load(model, guided=False).expansion
+        before, test = (walks_of(visit, RULES.test_seed, 8, expansion.target, frames, tested)
+                        for visit in (0, 1))
+        path = walks_of(1, RULES.drive_seed + 1, 20, expansion.target, frames, driven)
+        write_demo_bag(Path(folder) / 'bag', (
+            (10 ** 9 + number * 10 ** 8, image, CameraPose(T))
+            for number, (image, T) in enumerate(zip(path.images, path.T))), expansion)
+        started = time.process_time()
+        update(run, [Path(folder) / 'bag'], new, scene=scene)
+        minutes = (time.process_time() - started) / 60
+        none, as_trained = score(model, test, before)
+        now, updated = score(new / 'demo_flat.onnx', test, before)
+        now['contradiction_auroc'] = None
+        for mode, scores, at in (('none', none, run), ('update', now, new)):
+            rows.append({
+                'visit': 1, 'mode': mode, **scores,
+                'unchanged_before_psnr': none['unchanged_ring_psnr'],
+                'false_change_share': false_changes(
+                    test, before, as_trained, updated, expansion.extrapolated_mask)
+                if mode == 'update' else 0.0,
+                'memory_mb': (at / 'demo_flat.memory').stat().st_size / 1e6,
+                'scene': f'demo_flat_{expansion.source.width}',
+                'update_minutes': minutes if mode == 'update' else None,
+                'commit': commit(), 'host': host()})
+            print(json.dumps(rows[-1]), flush=True)
+        np.savez(frames / 'shown_update.npz', none=as_trained, update=updated)
+        shutil.copy(new / 'report.html', frames / 'update.html')
+    return rows
+
+
 def _apart(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     return np.abs(one.astype(np.float32) - other).mean(-1)
 
@@ -184,8 +227,15 @@ def main() -> None:
     parser.add_argument('--drive', type=int, default=130, help='frames of each drive')
     parser.add_argument('--visits', type=int, default=len(VISITS))
     parser.add_argument('--out', type=Path, default=Path('results/lives.json'))
+    parser.add_argument('--run', type=Path, help='folder of a run of the flat, to be updated')
+    parser.add_argument('--scene', type=Path, help='the scene folder of RUN')
+    parser.add_argument('--test', type=int, default=60, help='frames that an update is scored on')
     given = parser.parse_args()
-    rows = measure(given.frames, given.visits, given.drive)
+    if given.run is None:
+        rows = measure(given.frames, given.visits, given.drive)
+    else:
+        rows = json.loads(given.out.read_text()) if given.out.exists() else []
+        rows += measure_update(given.run, given.scene, given.frames, given.drive, given.test)
     write_bytes(given.out, (json.dumps(rows, indent=1) + '\n').encode())
 
 
