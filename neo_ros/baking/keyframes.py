@@ -89,7 +89,7 @@ def bake_memory(field: RadianceField, photos: Photos, expansion: ViewExpansion,
                      np.stack([sampler.draw_rotation(random) for _ in range(500)]),
                      sampler.yaw_range)
     positions = keyframe_positions(sampler, photos, config.distance)
-    seen, gains = seen_by_photos(field, photos, rules, of_stage(progress, 'depth of photos'))
+    seen, gains = _seen_by_photos(field, photos, rules, of_stage(progress, 'depth of photos'))
     frames: list[tuple[bytes, bytes, Glances]] = []
     clock = _BakingClock(ends - time.monotonic())
     for index, position in enumerate(positions):
@@ -117,8 +117,8 @@ def bake_memory(field: RadianceField, photos: Photos, expansion: ViewExpansion,
         np.concatenate([part.T_world_cam for part in glances])))
 
 
-def seen_by_photos(field: RadianceField, photos: Photos, rules: BakingRules, progress: Progress
-                   ) -> tuple[np.ndarray, np.ndarray]:
+def _seen_by_photos(field: RadianceField, photos: Photos, rules: BakingRules, progress: Progress
+                    ) -> tuple[np.ndarray, np.ndarray]:
     """
     Return how far photos see, float32 (N, h, w) metres along the ray, and their gains (N, 3).
 
@@ -132,7 +132,7 @@ def seen_by_photos(field: RadianceField, photos: Photos, rules: BakingRules, pro
         rendering = render_rays(field, *world_rays(camera, CameraPose(T)))
         seen[index] = np.where(rendering.coverage > rules.least_coverage, rendering.depth, 0)
         usable = np.ones(image.shape[:2], bool) if photos.usable is None else photos.usable[index]
-        clear = _clear(usable, camera)
+        clear = clear_pixels(usable, camera)
         seen[index][~clear] = 0
         gains.append(_gain(rendering.image[clear], image[usable]))
         progress(index + 1, len(photos.images))
@@ -153,7 +153,7 @@ def _of_scene_alone(field: RadianceField, photos: Photos, gains: np.ndarray, rul
         yield image
 
 
-def _clear(usable: np.ndarray, camera: Intrinsics) -> np.ndarray:
+def clear_pixels(usable: np.ndarray, camera: Intrinsics) -> np.ndarray:
     """
     Return bool (h, w) of the camera's size: no pixel that a mask leaves out is near.
 
@@ -246,7 +246,7 @@ def bake_keyframe(field: RadianceField, photos: Photos, seen: np.ndarray, gains:
     """
     Render and colour a keyframe of a size as `keyframe_size` tells.
 
-    seen, gains: of the photos, see `seen_by_photos`; part: rows and columns of the mesh that are
+    seen, gains: of the photos, see `_seen_by_photos`; part: rows and columns of the mesh that are
     made, None: all.
     """
     height, width, finer = size

@@ -2,17 +2,18 @@
 What the memory learns of a flat that changes from visit to visit.
 
     python -m neo_ros.benchmark.lives [--frames DIR] [--drive 130] [--visits 4] [--out FILE]
-    python -m neo_ros.benchmark.lives --run RUN --scene SCENE [--drive 130] [--test 60] ...
+    python -m neo_ros.benchmark.lives --field RUN --scene SCENE [--drive 130] ...
 
 On each visit to the demo flat (see `flat/visits.py`) the shipped model drives through it and
 learns; then other walks are widened by the memory as it was trained, and as it has become. Scores
 are of the ring in the frames that show something changed, with exact truth. Frames are kept in
-DIR: casting them takes longer than all the rest. With a run of the flat, trained by `neo train` on
-SCENE, `neo update` takes the place of learning, on visit 1; its rows are added to FILE.
+DIR: casting them takes longer than all the rest. With `--field` the same model is updated by the
+same drive of visit 1, as `neo update` does it, instead of learning: with the field and the photos
+of a run of `neo train` on SCENE, the demo flat. Its row is added to FILE.
 """
 import argparse
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import json
 from pathlib import Path
 import shutil
@@ -28,8 +29,12 @@ from neo_ros.geometry import CameraPose
 from neo_ros.machine.files import share_dir, write_bytes
 from neo_ros.machine.host import commit, host
 from neo_ros.memory.contradiction import contradiction
+from neo_ros.reports.report import write_report
 from neo_ros.runtime import FovExtrapolator
-from neo_ros.updating.update import update
+from neo_ros.runtime.model_card import read_model_card
+from neo_ros.scenes.upright import read_upright_scene
+from neo_ros.training.time_plan import read_plan
+from neo_ros.updating.update import update_once, UpdateOptions, UpdateRun
 import numpy as np
 
 
@@ -58,18 +63,16 @@ class Walks:
     walk: np.ndarray
 
 
-def walks_of(visit: int, seed: int, count: int, camera: Any, folder: Path,
-             most: int | None = None) -> Walks:
+def walks_of(visit: int, seed: int, count: int, camera: Any, folder: Path) -> Walks:
     """Cast the frames of some walks on a visit, or read them where they are kept."""
-    size = '' if camera.width == 256 else f'_{camera.width}'
-    path = folder / f'frames_{visit}_{seed}{size}{"" if most is None else f"_{most}"}.npz'
+    path = folder / f'frames_{visit}_{seed}.npz'
     if not path.exists():
         flat, paths = build_demo_flat(), []
         off = np.array([one.goal for one in (*CHAIRS, PLANT)])
         for number, walk in enumerate(walking_paths(flat, count, 25, seed)):
             paths += [(number, pose) for pose in walk if np.linalg.norm(
                 off - pose.position[:2], axis=1).min() >= RULES.nearest]
-        there, paths = changed_flat(flat, VISITS[visit]), paths[:most]
+        there = changed_flat(flat, VISITS[visit])
         folder.mkdir(parents=True, exist_ok=True)
         np.savez(path, images=np.stack([there.render(camera, pose)[0] for _, pose in paths]),
                  T=np.stack([pose.T_world_cam for _, pose in paths]),
@@ -175,40 +178,41 @@ def measure(frames: Path, visits: int, driven: int) -> list[dict[str, Any]]:
     return rows
 
 
-def measure_update(run: Path, scene: Path, frames: Path, driven: int, tested: int
-                   ) -> list[dict[str, Any]]:
-    """Update a run with a drive on visit 1; return a row of the run, and one of the new run."""
-    rows: list[dict[str, Any]] = []
+def measure_update(fitted: Path, scene: Path, frames: Path, driven: int) -> dict[str, Any]:
+    """Update the shipped model on visit 1, with a field and its photos; return a row."""
+    models = share_dir() / 'models'
+    model = models / 'demo_flat.onnx'
+    card = read_model_card(model)
+    ring, camera = FovExtrapolator.load(model, guided=False).extrapolated_mask, card.expansion
+    found = read_upright_scene(scene)
+    experiment = replace(read_plan(fitted).experiment,
+                         scale=camera.source.width / found.train.intrinsics.width)
+    run = UpdateRun(fitted, found, experiment, model, card, models / 'demo_flat.memory')
+    before, test, path = (walks_of(visit, seed, count, camera.target, frames)
+                          for visit, seed, count in ((0, RULES.test_seed, 8),
+                                                     (1, RULES.test_seed, 8),
+                                                     (1, RULES.drive_seed + 1, 20)))
     with tempfile.TemporaryDirectory() as folder:
-        new, model = Path(folder) / 'new', run / 'demo_flat.onnx'
-        expansion = FovExtrapolator.load(model, guided=False).expansion
-        before, test = (walks_of(visit, RULES.test_seed, 8, expansion.target, frames, tested)
-                        for visit in (0, 1))
-        path = walks_of(1, RULES.drive_seed + 1, 20, expansion.target, frames, driven)
-        write_demo_bag(Path(folder) / 'bag', (
+        bag, new = Path(folder) / 'bag', Path(folder) / 'new'
+        new.mkdir()
+        write_demo_bag(bag, (
             (10 ** 9 + number * 10 ** 8, image, CameraPose(T))
-            for number, (image, T) in enumerate(zip(path.images, path.T))), expansion)
+            for number, (image, T) in enumerate(zip(path.images[:driven], path.T))), camera)
         started = time.process_time()
-        update(run, [Path(folder) / 'bag'], new, scene=scene)
+        told = update_once(run, bag, new, UpdateOptions())
         minutes = (time.process_time() - started) / 60
+        if told is not None:
+            write_report(frames / 'update.html', 'Visit 1', told[1])
         none, as_trained = score(model, test, before)
-        now, updated = score(new / 'demo_flat.onnx', test, before)
-        now['contradiction_auroc'] = None
-        for mode, scores, at in (('none', none, run), ('update', now, new)):
-            rows.append({
-                'visit': 1, 'mode': mode, **scores,
-                'unchanged_before_psnr': none['unchanged_ring_psnr'],
-                'false_change_share': false_changes(
-                    test, before, as_trained, updated, expansion.extrapolated_mask)
-                if mode == 'update' else 0.0,
-                'memory_mb': (at / 'demo_flat.memory').stat().st_size / 1e6,
-                'scene': f'demo_flat_{expansion.source.width}',
-                'update_minutes': minutes if mode == 'update' else None,
-                'commit': commit(), 'host': host()})
-            print(json.dumps(rows[-1]), flush=True)
+        scores, updated = score(new / 'demo_flat.onnx', test, before)
+        scores['contradiction_auroc'] = None  # What was taken up contradicts no more.
         np.savez(frames / 'shown_update.npz', none=as_trained, update=updated)
-        shutil.copy(new / 'report.html', frames / 'update.html')
-    return rows
+        return {'visit': 1, 'mode': 'update', **scores,
+                'unchanged_before_psnr': none['unchanged_ring_psnr'],
+                'false_change_share': false_changes(test, before, as_trained, updated, ring),
+                'memory_mb': (new / 'demo_flat.memory').stat().st_size / 1e6,
+                'scene': 'demo_flat', 'update_minutes': minutes, 'commit': commit(),
+                'host': host()}
 
 
 def _apart(one: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -227,15 +231,15 @@ def main() -> None:
     parser.add_argument('--drive', type=int, default=130, help='frames of each drive')
     parser.add_argument('--visits', type=int, default=len(VISITS))
     parser.add_argument('--out', type=Path, default=Path('results/lives.json'))
-    parser.add_argument('--run', type=Path, help='folder of a run of the flat, to be updated')
-    parser.add_argument('--scene', type=Path, help='the scene folder of RUN')
-    parser.add_argument('--test', type=int, default=60, help='frames that an update is scored on')
+    parser.add_argument('--field', type=Path, help='folder of a run of the flat')
+    parser.add_argument('--scene', type=Path, help='the scene folder of that run')
     given = parser.parse_args()
-    if given.run is None:
+    if given.field is None:
         rows = measure(given.frames, given.visits, given.drive)
     else:
         rows = json.loads(given.out.read_text()) if given.out.exists() else []
-        rows += measure_update(given.run, given.scene, given.frames, given.drive, given.test)
+        rows = [row for row in rows if row['mode'] != 'update']
+        rows.append(measure_update(given.field, given.scene, given.frames, given.drive))
     write_bytes(given.out, (json.dumps(rows, indent=1) + '\n').encode())
 
 

@@ -24,7 +24,8 @@ def update(
     rectify: Annotated[bool, typer.Option(
         '--rectify', help='Take the distortion out of the images first.')] = False,
     minutes: Annotated[Optional[float], typer.Option(
-        help='Fit the changed part of the field for so many minutes at most, for each bag.',
+        help='Fit the changed part of the field for so many minutes, for each bag; default: as '
+             'many as it takes.',
         min=0.1)] = None,
 ) -> None:
     """
@@ -33,8 +34,6 @@ def update(
     Leaves model, scene memory, field, photos and report.html in OUT; RUN stays as it is. Broken
     off? Run the same command again.
     """
-    import math
-
     from neo_ros.cli.options import tell_next
     from neo_ros.cli.progress import stage_progress
     from neo_ros.experiment import read_experiment
@@ -43,7 +42,7 @@ def update(
     from rich.markup import escape
 
     options = UpdateOptions(image_topic=image_topic, info_topic=info_topic, rectify=rectify,
-                            minutes=math.inf if minutes is None else minutes)
+                            minutes=minutes)
     with stage_progress() as show:
         places = update_run(run, bags, out, options, scene,
                             None if config is None else read_experiment(config), show)

@@ -168,6 +168,11 @@ class VoxelField:
         result.seen = self.seen.copy()
         return result
 
+    @property
+    def matter(self) -> np.ndarray:
+        """Tell which cells are not empty air, bool (X, Y, Z), even among those `searched`."""
+        return self._occupied(self.grid).reshape(self.shape)
+
     def is_matter(self, points: np.ndarray) -> np.ndarray:
         """Tell which world points (..., 3) lie in cells that are not empty air: bool (...)."""
         size = np.array(self.shape)

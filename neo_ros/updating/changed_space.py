@@ -1,21 +1,27 @@
-"""Where a scene has changed: cells of the field that images contradict."""
+"""Where a scene has changed: cells of the field that photos contradict."""
 from dataclasses import dataclass
+import math
 
+from neo_ros.field.rendering import world_rays
 from neo_ros.field.voxel_field import VoxelField
-from neo_ros.updating.driven_photos import Drive
-from neo_ros.updating.kernels import count_votes, rays_meet
+from neo_ros.updating.compared_photos import ComparedPhotos
+from neo_ros.updating.kernels import count_votes, pinholes, rays_meet
 import numpy as np
 from scipy import ndimage
 
 
 @dataclass(frozen=True)
 class ChangeRules:
-    """How many images have to say so; metres."""
+    """How many photos have to say so; metres."""
 
-    # Images that contradict what was seen through a cell, or at it, and their share of all that
+    # Photos that contradict what was seen through a cell, or at it, and their share of all that
     # see it: what is new in front of a wall of its own colour is no contradiction.
-    least_images: int = 3
-    least_share: float = 0.6
+    least_photos: int = 3
+    least_share: float = 0.7
+    # From one side all of them may be wrong for one reason; they look from so far apart, degrees.
+    least_angle_deg: float = 5.0
+    # Where a larger share of the photos of before contradict the memory, it is poor.
+    most_own_share: float = 0.2
     # What was seen hides what is behind it: the back of a chair that left is not there either.
     behind: float = 0.4
     # Where the camera itself was, there is air.
@@ -23,22 +29,20 @@ class ChangeRules:
     # Cells that hang together, at least; and how far around them may change, too, cells.
     least_cells: int = 12
     margin: int = 1
-    # Where the photos that the memory was made of contradict it by a larger share, it is poor.
-    most_own_share: float = 0.2
 
 
 @dataclass(frozen=True, eq=False)
 class ChangedPlace:
     """
-    Cells that hang together: their indices (N, 3), corners of their box (3,), metres.
+    Cells that hang together: their indices (M, 3), corners of their box (3,), metres.
 
-    images: that say so.
+    photos: that say so.
     """
 
     cells: np.ndarray
     low: np.ndarray
     high: np.ndarray
-    images: int
+    photos: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +66,22 @@ class ChangedSpace:
                   np.array(field.shape), self.cells.ravel().view(np.uint8), field.near, met)
         return met.reshape(reach.shape).view(bool)
 
+    def reached_by(self, field: VoxelField, compared: ComparedPhotos, beyond: float,
+                   first: int = 0) -> np.ndarray:
+        """
+        Tell which usable pixels of photos, from the first on, see it: bool (N, h, w).
+
+        As far as a surface, and a share `beyond` of its distance behind it.
+        """
+        photos = compared.photos
+        assert photos.usable is not None
+        reached = np.zeros(photos.usable.shape, bool)
+        for index in range(first, len(reached)):
+            reached[index] = photos.usable[index] & self.met_by(
+                field, *world_rays(photos.intrinsics, compared.pose(index)),
+                (1 + beyond) * compared.depth[index])
+        return reached
+
     def holds(self, field: VoxelField, points: np.ndarray) -> np.ndarray:
         """Tell which world points (N, 3) lie in it: bool (N,)."""
         size = np.array(field.shape)
@@ -69,64 +89,49 @@ class ChangedSpace:
         return self.cells[tuple(np.clip(place.astype(int), 0, size - 2).T)]
 
 
-def find_changed_space(field: VoxelField, drive: Drive, rules: ChangeRules = ChangeRules()
-                       ) -> ChangedSpace:
-    """Let the photos of a drive vote on every cell of the field."""
-    against = np.zeros(field.shape, np.int32)
-    agree = np.zeros(field.shape, np.int32)
+def find_changed_space(field: VoxelField, compared: ComparedPhotos,
+                       rules: ChangeRules = ChangeRules()) -> ChangedSpace:
+    """Let the new photos vote on every cell of the field, and then those of before."""
+    new, old = slice(compared.old, None), slice(compared.old)
+    photos = np.zeros(field.shape, np.int32)
+    changed = np.zeros(field.shape, bool)
     for plane in range(field.shape[0] - 1):  # One by one: positions are float64.
-        index = np.moveaxis(np.indices((1, *field.shape[1:])), 0, -1) + [plane, 0, 0]
-        points = field.world_points(index + 0.5).reshape(-1, 3).astype(np.float32)
-        _vote(points, drive, field.voxel, rules, against[plane].reshape(-1),
-              agree[plane].reshape(-1))
-    changed = (against >= rules.least_images) & (
-        against >= rules.least_share * (against + agree))
-    changed[-1], changed[:, -1], changed[:, :, -1] = False, False, False  # There are no cells.
-    positions = np.stack([photo.pose.position for photo in drive.photos])
-    return _of_places(field, changed, against, positions, rules)
-
-
-def without_poor_places(space: ChangedSpace, field: VoxelField, own: Drive,
-                        rules: ChangeRules = ChangeRules()) -> ChangedSpace:
-    """Leave out places where photos of before contradict the memory, too: own compares them."""
-    stay = []
-    for place in space.places:
-        points = field.world_points(place.cells + 0.5).astype(np.float32)
-        against, agree = np.zeros((2, len(points)), np.int32)
-        _vote(points, own, field.voxel, rules, against, agree)
-        if against.sum() <= rules.most_own_share * (against.sum() + agree.sum()):
-            stay.append(place)
-    return _space(field, stay, rules)
-
-
-def _vote(points: np.ndarray, drive: Drive, voxel: float, rules: ChangeRules,
-          against: np.ndarray, agree: np.ndarray) -> None:
-    T = np.stack([photo.pose.T_world_cam for photo in drive.photos])
-    depth, off = (np.stack([getattr(photo, name) for photo in drive.photos])
-                  for name in ('depth', 'off'))
-    camera = drive.small_camera
-    count_votes(points, np.ascontiguousarray(T[:, :3, :3], np.float32),
-                np.ascontiguousarray(T[:, :3, 3], np.float32),
-                tuple(map(np.float32, (camera.fx, camera.fy, camera.cx, camera.cy))),
-                depth, off, np.float32(voxel), np.float32(rules.behind), against, agree)
-
-
-def _space(field: VoxelField, places: list[ChangedPlace], rules: ChangeRules) -> ChangedSpace:
-    cells = np.zeros(field.shape, bool)
-    for place in places:
-        cells[tuple(place.cells.T)] = True
-    if places and rules.margin:
-        cells = ndimage.binary_dilation(cells, np.ones((3, 3, 3)), iterations=rules.margin)
-    return ChangedSpace(cells, places)
-
-
-def _of_places(field: VoxelField, changed: np.ndarray, against: np.ndarray,
-               positions: np.ndarray, rules: ChangeRules) -> ChangedSpace:
+        index = np.moveaxis(np.indices((1, *(size - 1 for size in field.shape[1:]))), 0, -1)
+        against, agree, cosine = _vote(field, index + [plane, 0, 0], compared, new, rules)
+        changed[plane, :-1, :-1] = (against >= rules.least_photos) & (
+            against >= rules.least_share * (against + agree)) & (
+            cosine <= math.cos(math.radians(rules.least_angle_deg)))
+        photos[plane, :-1, :-1] = against
     index = np.argwhere(changed)
-    for position in positions:
-        near = np.linalg.norm(field.world_points(index + 0.5) - position, axis=1)
-        changed[tuple(index[near < rules.around_camera].T)] = False
-        index = index[near >= rules.around_camera]
+    against, agree, _ = _vote(field, index, compared, old, rules)
+    poor = against > rules.most_own_share * (against + agree)
+    points = field.world_points(index + 0.5)
+    for position in compared.photos.T_world_cam[new, :3, 3]:
+        poor |= np.linalg.norm(points - position, axis=1) < rules.around_camera
+    changed[tuple(index[poor].T)] = False
+    return space_of(field, changed, photos, rules, rules.margin)
+
+
+def _vote(field: VoxelField, index: np.ndarray, compared: ComparedPhotos, photos: slice,
+          rules: ChangeRules) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return what `count_votes` says of cells (..., 3): against, agree, cosine (...)."""
+    lead = index.shape[:-1]
+    points = field.world_points(index + 0.5).reshape(-1, 3).astype(np.float32)
+    against, agree = np.zeros((2, len(points)), np.int32)
+    cosine = np.ones(len(points), np.float32)
+    count_votes(points, pinholes(compared.photos.intrinsics, compared.photos.T_world_cam[photos]),
+                compared.depth[photos], compared.contradicts[photos], compared.agrees[photos],
+                np.float32(field.voxel), np.float32(rules.behind), against, agree, cosine)
+    return against.reshape(lead), agree.reshape(lead), cosine.reshape(lead)
+
+
+def space_of(field: VoxelField, changed: np.ndarray, photos: np.ndarray, rules: ChangeRules,
+             margin: int) -> ChangedSpace:
+    """
+    Return cells bool (X, Y, Z) that hang together, and so many around them.
+
+    photos int32 (X, Y, Z): how many of them say so.
+    """
     labels, _ = ndimage.label(changed, np.ones((3, 3, 3)))
     places = []
     for number, box in enumerate(ndimage.find_objects(labels), 1):
@@ -134,8 +139,18 @@ def _of_places(field: VoxelField, changed: np.ndarray, against: np.ndarray,
         if mine.sum() < rules.least_cells:
             continue
         low, high = (np.array([getattr(part, end) for part in box]) for end in ('start', 'stop'))
-        places.append(ChangedPlace(
-            np.argwhere(mine) + low, field.world_points(low), field.world_points(high),
-            int(against[box][mine].max())))
-    places.sort(key=lambda place: -float(np.prod(place.high - place.low)))
-    return _space(field, places, rules)
+        places.append(ChangedPlace(np.argwhere(mine) + low, field.world_points(low),
+                                   field.world_points(high), int(photos[box][mine].max())))
+    places.sort(key=lambda place: -len(place.cells))
+    return around(field, places, margin)
+
+
+def around(field: VoxelField, places: list[ChangedPlace], margin: int) -> ChangedSpace:
+    """Return the cells of places, and so many around them."""
+    cells = np.zeros(field.shape, bool)
+    for place in places:
+        cells[tuple(place.cells.T)] = True
+    if places and margin:
+        cells = ndimage.binary_dilation(cells, np.ones((3, 3, 3)), iterations=margin)
+        cells[-1], cells[:, -1], cells[:, :, -1] = False, False, False  # There are no cells.
+    return ChangedSpace(cells, places)

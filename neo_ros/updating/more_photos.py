@@ -14,18 +14,18 @@ from neo_ros.scenes.walkable import write_walkable
 import numpy as np
 
 
-def write_more_photos(folder: Path, scene: Scene, chosen: Sequence[int], photos: Photos,
-                      old: int) -> None:
+def write_more_photos(folder: Path, scene: Scene, chosen: Sequence[int], photos: Photos) -> None:
     """
     Write a scene folder that can be trained on, or updated again.
 
-    chosen: which of the scene's photos are the first `old` of `photos`, whose pixels count as
-    far as they are usable; the others are new.
+    chosen: which of the scene's photos are the first of `photos`, whose pixels count as far as
+    they are usable; the others, whose numbers are higher, are new.
     """
     train = scene.train
     assert photos.usable is not None
+    old = sum(index < len(train) for index in chosen)
     size = (train.intrinsics.width, train.intrinsics.height)
-    masks = dict(zip(chosen, photos.usable[:old]))
+    masks = dict(zip(chosen[:old], photos.usable))
     paths, mask_paths = [], list[Path | None]()
 
     def add(name: str, usable: np.ndarray | None) -> None:

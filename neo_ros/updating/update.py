@@ -2,20 +2,17 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
-import math
 from pathlib import Path
 import shutil
 import time
 
 import cv2
-from neo_ros.baking.changed_keyframes import bake_changes
-from neo_ros.baking.keyframes import BakingRules, Photos, seen_by_photos
+from neo_ros.baking.keyframes import BakingRules, clear_pixels, Photos
 from neo_ros.errors import ConfigError, ModelError, SceneError
 from neo_ros.experiment import Experiment
 from neo_ros.field.mesh_field import MeshField
-from neo_ros.field.rendering import world_rays
+from neo_ros.field.rendering import render_rays, world_rays
 from neo_ros.field.voxel_field import VoxelField
-from neo_ros.geometry import CameraPose
 from neo_ros.machine.files import make_output_folder, share_file
 from neo_ros.machine.progress import no_stage_progress, of_stage, StageProgress
 from neo_ros.memory.landmarks import Landmarks
@@ -28,11 +25,12 @@ from neo_ros.scenes.scene import Scene
 from neo_ros.scenes.upright import read_upright_scene
 from neo_ros.training.folder import check_run, note_update, scene_folder
 from neo_ros.training.time_plan import PLAN_FILE, read_plan
-from neo_ros.updating.changed_space import (
-    ChangedSpace, find_changed_space, without_poor_places)
-from neo_ros.updating.driven_photos import compared_with_memory, Drive, drive_through
+from neo_ros.updating.changed_keyframes import bake_changes
+from neo_ros.updating.changed_space import ChangedSpace, find_changed_space
+from neo_ros.updating.compared_photos import compare, ComparedPhotos
+from neo_ros.updating.driven_photos import Drive, drive_through
 from neo_ros.updating.more_photos import write_more_photos
-from neo_ros.updating.refit import agreeing, Reaching, refit, shrunk_photos
+from neo_ros.updating.refit import agreeing, refit
 from neo_ros.updating.update_report import update_sections
 import numpy as np
 
@@ -44,7 +42,7 @@ class UpdateOptions:
     image_topic: str | None = None
     info_topic: str | None = None
     rectify: bool = False
-    minutes: float = math.inf
+    minutes: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +103,7 @@ def _update(run: Path, bags: Sequence[Path], out: Path, options: UpdateOptions,
     for index, bag in enumerate(bags):
         current = UpdateRun.find(newest, scene if newest == run else None, experiment)
         folder = make_output_folder(work / str(index))
-        told = _update_once(current, bag, folder, options, progress)
+        told = update_once(current, bag, folder, options, progress)
         found.append(0 if told is None else told[0])
         if told is not None:
             newest, sections = folder, sections + told[1]
@@ -116,8 +114,8 @@ def _update(run: Path, bags: Sequence[Path], out: Path, options: UpdateOptions,
     return found
 
 
-def _update_once(run: UpdateRun, bag: Path, out: Path, options: UpdateOptions,
-                 progress: StageProgress) -> tuple[int, list[Section]] | None:
+def update_once(run: UpdateRun, bag: Path, out: Path, options: UpdateOptions,
+                progress: StageProgress) -> tuple[int, list[Section]] | None:
     """Leave the run as a bag shows it in `out`; return places and a report, None if unchanged."""
     started, named = time.monotonic(), run.card.memory
     assert named is not None
@@ -128,108 +126,106 @@ def _update_once(run: UpdateRun, bag: Path, out: Path, options: UpdateOptions,
     drive = drive_through(bag, FovExtrapolator.load(model), options.image_topic,
                           options.info_topic, options.rectify, of_stage(progress, bag.name))
     field = VoxelField.load(run.folder / 'field.npz')
-    space = find_changed_space(field, drive)
-    if not space.places:
-        return None
-    photos, chosen = _photos_that_see(run, field, space, drive)
     before = SceneMemory.read(memory_file, named.sha256)
-    if chosen:
-        space = without_poor_places(space, field, compared_with_memory(
-            photos.images[:len(chosen)], photos.T_world_cam, photos.intrinsics, before,
-            drive.small_camera.width))
+    compared = compare(_small_photos(run, drive), len(run.scene.train), before,
+                       of_stage(progress, 'photos'))
+    space = find_changed_space(field, compared)
+    if space.places:
+        field, space = refit(field, space, compared, run.experiment.field, run.experiment.seed,
+                             options.minutes, of_stage(progress, 'field'))
     if not space.places:
         return None
-    rules = BakingRules()
-    seen, gains = seen_by_photos(field, photos, rules, of_stage(progress, 'depth of photos'))
-    small = shrunk_photos(photos, rules.photo_focal)
-    reached = np.stack([
-        space.met_by(field, *world_rays(small.intrinsics, CameraPose(T)),
-                     np.where(depth > 0, (1 + rules.one_surface) * depth, 0))
-        for T, depth in zip(photos.T_world_cam, seen)])
-    old, window = len(chosen), _window(run)
-    assert small.usable is not None
-    reached[:old] &= small.usable[:old]
-    reached[old:] &= _shrunk(window, small.intrinsics.width, small.intrinsics.height)
-    reaching = Reaching(small, gains, reached, old)
-    changed = refit(field, space, reaching, run.experiment.field, run.experiment.seed,
-                    options.minutes, of_stage(progress, 'field'))
-    photos = replace(photos, usable=_agreed(photos, changed, reaching, window))
-    seen, gains = seen_by_photos(changed, photos, rules, of_stage(progress, 'depth of photos'))
-    after = before.replaced(bake_changes(
-        changed, before, photos, seen, gains,
-        lambda position, rays, reach: space.met_by(changed, position, rays, reach),
-        of_stage(progress, 'keyframes')), _landmarks_outside(before.landmarks, field, space))
+    photos, seen, gains, chosen = _photos_that_see(run, field, space, drive, compared)
+    after = before.replaced(
+        bake_changes(field, space, before, photos, seen, gains, of_stage(progress, 'keyframes')),
+        _landmarks_outside(before.landmarks, field, space))
     sha256 = after.write(memory_file)
-    changed.save(out / 'field.npz')
+    field.save(out / 'field.npz')
     write_model_card(model, replace(
         run.card, memory=MemoryFile(file=memory_file.name, sha256=sha256),
         updates=(*run.card.updates, Update(
-            memory=named.sha256, bag=bag.name, photos=len(drive.photos),
+            memory=named.sha256, bag=bag.name, photos=len(drive.poses),
             at=f'{datetime.now(timezone.utc):%Y-%m-%d %H:%M:%S}'))))
-    write_more_photos(out / run.scene.name, run.scene, chosen, photos, old)
+    write_more_photos(out / run.scene.name, run.scene, chosen, photos)
     note_update(out, run.folder, read_upright_scene(out / run.scene.name))
     for name in (PLAN_FILE, 'field.json'):
         if (run.folder / name).exists():
             share_file(run.folder / name, out / name)
     return len(space.places), update_sections(
-        bag.name, run.scene, run.card.expansion, drive, space, before, after,
+        bag.name, run.scene, run.card.expansion, drive, compared, space, before, after,
         time.monotonic() - started)
 
 
-def _photos_that_see(run: UpdateRun, field: VoxelField, space: ChangedSpace, drive: Drive
-                     ) -> tuple[Photos, list[int]]:
-    """Return photos of before that may see changed space, which ones, and behind them new ones."""
+def _small_photos(run: UpdateRun, drive: Drive) -> Photos:
+    """Return all photos of the run, and behind them the new ones, as fine as the field shows."""
     train, scale = run.scene.train, run.experiment.scale
     camera = train.intrinsics.scaled(scale)
-    few = camera.scaled(min(BakingRules.photo_focal / 2 / camera.fx, 1.0))
-    anywhere = np.zeros((few.height, few.width), np.float32)
-    chosen = [index for index, pose in enumerate(train.poses)
-              if space.met_by(field, *world_rays(few, pose), anywhere).any()]
-    window = camera.window(run.card.expansion.source)
-    size = (camera.height, camera.width)
-    images = np.zeros((len(chosen) + len(drive.photos), *size, 3), np.uint8)
-    usable = np.zeros(images.shape[:3], bool)
-    for place, index in enumerate(chosen):
-        images[place] = train.read_image(index, scale)
+    small = camera.scaled(min(BakingRules.photo_focal / camera.fx, 1.0))
+    count = len(train) + len(drive.poses)
+    images = np.empty((count, small.height, small.width, 3), np.uint8)
+    usable = np.ones(images.shape[:3], bool)
+    for index in range(count):
+        image, mask = _photo(run, drive, index)
+        images[index] = cv2.resize(image, (small.width, small.height),
+                                   interpolation=cv2.INTER_AREA)
+        if not mask.all():
+            usable[index] = clear_pixels(mask, small)
+    return Photos(images, small, np.concatenate(
+        [train.T_world_cam, np.stack([pose.T_world_cam for pose in drive.poses])]), usable)
+
+
+def _photo(run: UpdateRun, drive: Drive, index: int) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return photo `index` of the run, or of the drive behind them, and what of it is usable.
+
+    uint8 RGB (H, W, 3), bool (H, W); a photo of the drive stands in the middle of a black one.
+    """
+    train, scale = run.scene.train, run.experiment.scale
+    camera = train.intrinsics.scaled(scale)
+    if index < len(train):
         mask = train.read_usable(index, scale)
-        usable[place] = True if mask is None else mask
-    for place, photo in enumerate(drive.photos, len(chosen)):
-        images[place][window] = photo.image
-        # Until the field shows what is new, its exposure is told by what agrees.
-        usable[place][window] = ~_enlarged(photo.off, photo.image.shape[1], photo.image.shape[0])
-    T = np.concatenate([train.T_world_cam[chosen], np.stack(
-        [photo.pose.T_world_cam for photo in drive.photos])])
-    return Photos(images, camera, T, usable), chosen
+        return train.read_image(index, scale), (
+            np.ones((camera.height, camera.width), bool) if mask is None else mask)
+    image = np.zeros((camera.height, camera.width, 3), np.uint8)
+    usable = np.zeros(image.shape[:2], bool)
+    window = camera.window(run.card.expansion.source)
+    image[window], usable[window] = drive.images[index - len(train)], True
+    return image, usable
 
 
-def _window(run: UpdateRun) -> np.ndarray:
-    """Return which pixels of a photo the robot's camera sees, too: bool (H, W)."""
+def _photos_that_see(run: UpdateRun, field: VoxelField, space: ChangedSpace, drive: Drive,
+                     compared: ComparedPhotos
+                     ) -> tuple[Photos, np.ndarray, np.ndarray, list[int]]:
+    """
+    Return photos that see changed space, how far, gains, and which ones; last are all new ones.
+
+    Pixels of photos of before that show what is there no more are not usable.
+    """
+    rules, small = BakingRules(), compared.photos.intrinsics
+    reached = space.reached_by(field, compared, rules.one_surface)
+    assert compared.photos.usable is not None
+    reached[compared.old:] = compared.photos.usable[compared.old:]
+    chosen = [index for index, pixels in enumerate(reached) if pixels.any()]
+    agree = agreeing(field, compared, reached)
+    photos, masks = zip(*(_photo(run, drive, index) for index in chosen))
     camera = run.scene.train.intrinsics.scaled(run.experiment.scale)
-    window = np.zeros((camera.height, camera.width), bool)
-    window[camera.window(run.card.expansion.source)] = True
-    return window
-
-
-def _agreed(photos: Photos, field: VoxelField, reaching: Reaching, window: np.ndarray
-            ) -> np.ndarray:
-    """Tell which pixels show what is there now, bool (N, H, W): all new ones, old that agree."""
-    assert photos.usable is not None
-    usable = photos.usable.copy()
-    wrong = reaching.reached & ~agreeing(field, reaching)
-    for index in range(reaching.old):
-        usable[index] &= ~_enlarged(wrong[index], window.shape[1], window.shape[0])
-    usable[reaching.old:] = window
-    return usable
+    seen, usable = compared.depth[chosen], np.stack(masks)
+    for place, index in enumerate(chosen):
+        origin, rays = world_rays(small, compared.pose(index))
+        pixels = reached[index]
+        now = render_rays(field, origin, rays[pixels])
+        seen[place][pixels] = np.where(now.coverage > rules.least_coverage, now.depth, 0)
+        if index < compared.old:
+            wrong = pixels & ~agree[index]
+            seen[place][wrong] = 0
+            usable[place] &= ~_enlarged(wrong, camera.width, camera.height)
+    return (Photos(np.stack(photos), camera, compared.photos.T_world_cam[chosen], usable), seen,
+            compared.gains[chosen], chosen)
 
 
 def _enlarged(mask: np.ndarray, width: int, height: int) -> np.ndarray:
     return cv2.resize(mask.astype(np.uint8), (width, height),
                       interpolation=cv2.INTER_NEAREST_EXACT) > 0
-
-
-def _shrunk(mask: np.ndarray, width: int, height: int) -> np.ndarray:
-    return cv2.resize((~mask).astype(np.float32), (width, height),
-                      interpolation=cv2.INTER_AREA) == 0
 
 
 def _landmarks_outside(landmarks: Landmarks | None, field: VoxelField, space: ChangedSpace

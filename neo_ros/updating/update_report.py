@@ -7,7 +7,8 @@ from neo_ros.reports.plan_view import FLOOR, PlanView
 from neo_ros.reports.report import Picture, Section, Strip, Table, Text
 from neo_ros.scenes.scene import Scene
 from neo_ros.updating.changed_space import ChangedPlace, ChangedSpace
-from neo_ros.updating.driven_photos import Drive, DrivenPhoto
+from neo_ros.updating.compared_photos import ComparedPhotos
+from neo_ros.updating.driven_photos import Drive
 import numpy as np
 
 STRIPS, MOST_PLACES = 4, 20
@@ -17,21 +18,21 @@ _PHOTO, _CHANGED = (150, 155, 165), (200, 40, 40)
 
 
 def update_sections(bag: str, scene: Scene, expansion: ViewExpansion, drive: Drive,
-                    space: ChangedSpace, before: SceneMemory, after: SceneMemory,
-                    seconds: float) -> list[Section]:
+                    compared: ComparedPhotos, space: ChangedSpace, before: SceneMemory,
+                    after: SceneMemory, seconds: float) -> list[Section]:
     """Return the part of a report that tells of one bag."""
-    intro = (f'{len(drive.photos)} photos out of {drive.images} images show {len(space.places)} '
+    intro = (f'{len(drive.poses)} photos out of {drive.seen} images show {len(space.places)} '
              f'changed places; the update took {seconds / 60:.1f} minutes.')
     rows = [(str(number), *(f'{low:.2f} to {high:.2f}'
-                            for low, high in zip(place.low, place.high)), str(place.images))
+                            for low, high in zip(place.low, place.high)), str(place.photos))
             for number, place in enumerate(space.places[:MOST_PLACES], 1)]
     return [Text(intro, f'Bag {bag}'),
-            Table(('place', 'x, m', 'y, m', 'z, m', 'images that say so'), rows, note=(
+            Table(('place', 'x, m', 'y, m', 'z, m', 'photos that say so'), rows, note=(
                 'Boxes around what may have changed; they are larger than the things in them.')),
             Picture('Changed places from above', _plan(scene, drive, space.places), (
                 'Red, with the numbers of the table: what may have changed. Grey: where photos '
                 'were taken, and where they looked. Pale green: free floor.')),
-            *_strips(expansion, drive, before, after)]
+            *_strips(expansion, drive, compared, before, after)]
 
 
 def _plan(scene: Scene, drive: Drive, places: list[ChangedPlace]) -> np.ndarray:
@@ -43,8 +44,8 @@ def _plan(scene: Scene, drive: Drive, places: list[ChangedPlace]) -> np.ndarray:
         assert scene.walkable is not None
         plan.shade(centre, scene.walkable.resolution, FLOOR)
     plan.draw_grid()
-    for photo in drive.photos:
-        plan.draw_look(photo.pose.position[:2], photo.pose.forward, _PHOTO, 10)
+    for pose in drive.poses:
+        plan.draw_look(pose.position[:2], pose.forward, _PHOTO, 10)
     for number, place in enumerate(places[:MOST_PLACES], 1):
         low, high = plan.place(place.low[:2]), plan.place(place.high[:2])
         cv2.rectangle(plan.image, low, high, _CHANGED, 2)
@@ -53,18 +54,22 @@ def _plan(scene: Scene, drive: Drive, places: list[ChangedPlace]) -> np.ndarray:
     return plan.image
 
 
-def _strips(expansion: ViewExpansion, drive: Drive, before: SceneMemory, after: SceneMemory
-            ) -> list[Section]:
+def _strips(expansion: ViewExpansion, drive: Drive, compared: ComparedPhotos,
+            before: SceneMemory, after: SceneMemory) -> list[Section]:
     strips: list[Section] = []
     chosen: list[CameraPose] = []
     renderers = {'before': MemoryRenderer(before), 'now': MemoryRenderer(after)}
-    for photo in sorted(drive.photos, key=lambda photo: -float(photo.off.mean())):
-        if len(chosen) == STRIPS or not all(_apart(photo.pose, other) for other in chosen):
+    assert compared.photos.usable is not None
+    shares = [float(contradicts[usable].mean()) if usable.any() else 0.0 for contradicts, usable
+              in zip(compared.contradicts[compared.old:], compared.photos.usable[compared.old:])]
+    for index in sorted(range(len(shares)), key=lambda index: -shares[index]):
+        pose = drive.poses[index]
+        if len(chosen) == STRIPS or not all(_apart(pose, other) for other in chosen):
             continue
-        chosen.append(photo.pose)
-        strips.append(Strip(f'{photo.off.mean():.0%} of the image was not as before',
-                            [('camera', _in_place(photo, expansion)), *(
-                                (name, renderer.render(photo.pose, expansion.target).image.astype(
+        chosen.append(pose)
+        strips.append(Strip(f'{shares[index]:.0%} of the image was not as before',
+                            [('camera', _in_place(drive.images[index], expansion)), *(
+                                (name, renderer.render(pose, expansion.target).image.astype(
                                     np.uint8)) for name, renderer in renderers.items())]))
     return [Text('Views of the bag that showed most of it, and what the memory shows there.',
                  'Before and after'), *strips]
@@ -75,6 +80,6 @@ def _apart(one: CameraPose, other: CameraPose) -> bool:
                 or one.forward @ other.forward < COSINE)
 
 
-def _in_place(photo: DrivenPhoto, expansion: ViewExpansion) -> np.ndarray:
+def _in_place(image: np.ndarray, expansion: ViewExpansion) -> np.ndarray:
     target = expansion.target
-    return expansion.paste(photo.image, np.zeros((target.height, target.width, 3), np.uint8))
+    return expansion.paste(image, np.zeros((target.height, target.width, 3), np.uint8))

@@ -1,26 +1,32 @@
-"""Where a scene has changed: images vote on the cells of its field."""
+"""Where a scene has changed: photos vote on the cells of its field."""
 from box_room import HIGH, SOURCE
-from changing_room import AFTER, BEFORE, drive, look
+from changing_room import AFTER, BEFORE, drive, look, Place, remembered
+from neo_ros.baking.keyframes import Photos
 from neo_ros.field.voxel_field import VoxelField
-from neo_ros.memory.contradiction import contradicted, contradiction
+from neo_ros.geometry import CameraPose
 from neo_ros.updating.changed_space import ChangedSpace, find_changed_space
-from neo_ros.updating.driven_photos import Drive, DrivenPhoto
+from neo_ros.updating.compared_photos import compare, ComparedPhotos
 import numpy as np
 import pytest
 
-Place = tuple[float, float]
+AWAY = (99.0, 99.0)
 
 
-def driven(before: Place, after: Place, walker: bool = False) -> Drive:
-    """Drive through the room with the post moved; a walker is elsewhere in each image."""
-    photos = []
-    for number, pose in enumerate(drive()):
-        place = (3.4 + 0.3 * np.sin(9 * number), 2 + 1.3 * np.sin(5 * number)) if walker else after
-        now, (then, depth, _) = look(pose, SOURCE, place)[0], look(pose, SOURCE, before)
-        off = contradicted(contradiction(now.astype(np.float32), then.astype(np.float32),
-                                         depth > 0))
-        photos.append(DrivenPhoto(now, pose, depth.astype(np.float32), off))
-    return Drive(photos, len(photos), SOURCE)
+def photos_of(poses: list[CameraPose], posts: list[Place]) -> tuple[np.ndarray, np.ndarray]:
+    return (np.stack([look(pose, SOURCE, post)[0] for pose, post in zip(poses, posts)]),
+            np.stack([pose.T_world_cam for pose in poses]))
+
+
+def compared(before: Place, memory: Place, now: Place, walker: bool = False,
+             poses: list[CameraPose] | None = None) -> ComparedPhotos:
+    """Compare a drive with a memory, and with photos of before; a walker is never in one place."""
+    old, new = drive(40)[1::2], drive(40)[::2] if poses is None else poses
+    places = [(3.4 + 0.3 * np.sin(9 * number), 2 + 1.3 * np.sin(5 * number)) if walker else now
+              for number in range(len(new))]
+    images, T = (np.concatenate(one) for one in zip(
+        photos_of(old, [before] * len(old)), photos_of(new, places)))
+    return compare(Photos(images, SOURCE, T, np.ones(images.shape[:3], bool)), len(old),
+                   remembered(memory))
 
 
 def empty_field() -> VoxelField:
@@ -32,24 +38,58 @@ def at(space: ChangedSpace, place: Place) -> bool:
     return bool(space.holds(empty_field(), points).mean() > 0.5)
 
 
+def there(place: Place) -> np.ndarray:
+    return np.stack([look(pose, SOURCE, place)[2] for pose in drive(40)[::2]])
+
+
 def test_what_left_and_what_came_is_found() -> None:
-    space = find_changed_space(empty_field(), driven(BEFORE, AFTER))
+    found = compared(BEFORE, BEFORE, AFTER)
+    changed, truth = found.contradicts[found.old:], there(BEFORE) | there(AFTER)
+    assert changed[truth].mean() > 0.7 and changed[~truth].mean() < 0.01
+    space = find_changed_space(empty_field(), found)
     assert at(space, BEFORE) and at(space, AFTER)
     assert not at(space, (1.0, 2.0)) and not at(space, (4.6, 2.0))
-    assert space.cells.mean() < 0.2
-    assert all(place.images >= 3 for place in space.places)
+    assert all(place.photos >= 3 for place in space.places)
 
 
 def test_nothing_is_found_where_nothing_changed() -> None:
-    space = find_changed_space(empty_field(), driven(BEFORE, BEFORE))
+    found = compared(BEFORE, BEFORE, BEFORE)
+    assert not found.contradicts.any()
+    space = find_changed_space(empty_field(), found)
     assert not space.places and not space.cells.any()
 
 
+def test_where_the_memory_was_wrong_before_nothing_has_changed() -> None:
+    # Photos of before show the post where it is now: only the memory has it elsewhere.
+    found = compared(AFTER, BEFORE, AFTER)
+    assert ~found.agrees[found.old:].mean() > 0.05
+    assert not find_changed_space(empty_field(), found).places
+
+
+def test_from_one_place_nothing_is_found() -> None:
+    seen = drive(40)[20]
+    found = compared(BEFORE, BEFORE, AFTER, poses=[
+        CameraPose.from_planar(*seen.position + [0, 0.005 * step, 0], seen.yaw)
+        for step in range(8)])
+    assert found.contradicts[found.old:].mean() > 0.05
+    assert not find_changed_space(empty_field(), found).places
+
+
 def test_who_walks_about_is_no_change() -> None:
-    away = (99.0, 99.0)
-    moving = find_changed_space(empty_field(), driven(away, away, walker=True))
-    standing = find_changed_space(empty_field(), driven(away, AFTER))
+    moving = find_changed_space(empty_field(), compared(AWAY, AWAY, AWAY, walker=True))
+    standing = find_changed_space(empty_field(), compared(AWAY, AWAY, AFTER))
     assert moving.cells.sum() < 0.1 * standing.cells.sum()
+
+
+def test_an_image_that_contradicts_as_a_whole_has_no_say() -> None:
+    wrong = drive(40)[0]
+    elsewhere = CameraPose.from_planar(1.0, 1.0, wrong.position[2], wrong.yaw + 2)
+    found = compared(BEFORE, BEFORE, BEFORE, poses=[wrong])
+    photos = found.photos
+    photos.T_world_cam[-1] = elsewhere.T_world_cam
+    found = compare(photos, found.old, remembered(BEFORE))
+    assert not found.contradicts[-1].any() and not found.photos.usable[-1].any()
+    assert found.photos.usable[0].all()
 
 
 @pytest.mark.parametrize('reach, met', [(0.0, True), (1.0, False), (3.0, True)])
