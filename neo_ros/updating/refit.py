@@ -36,7 +36,7 @@ class RefitRules:
     least_share: float = 0.3
     # Photos of before show what was there, not what is: where more than so many of them for each
     # that does are nearer to the fit, the field was poor, and nothing has changed.
-    most_as_new: float = 1.0
+    most_as_new: float = 0.5
     # Cells before and behind a surface that are of it; and around all that has changed.
     thick: float = 1.5
     margin: int = 1
@@ -117,7 +117,6 @@ def truly_changed(old: VoxelField, new: VoxelField, reached: np.ndarray,
                      for one, other in ((old, new), (new, old)))
     places = [place for place in found.places if worse[tuple(place.cells.T)].sum()
               * rules.most_as_new > better[tuple(place.cells.T)].sum()]
-    for place in found.places: print('PLACE', len(place.cells), place.low.round(2), place.high.round(2), place.photos, 'better', better[tuple(place.cells.T)].sum(), 'worse', worse[tuple(place.cells.T)].sum(), flush=True)  # noqa
     kept = around(old, places, rules.margin)
     return ChangedSpace(kept.cells & space.cells, kept.places)
 

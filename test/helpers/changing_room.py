@@ -23,8 +23,7 @@ HALF = 0.22
 WIDE = ViewExpansion.to_size(SOURCE, 128, 128)
 ROOM = Experiment(
     seed=3, view=ViewConfig((64, 64), (128, 128)),
-    field=FieldConfig(steps=1200, voxels=120_000, rays_per_step=1024, shell=0, device='cpu',
-                      near=0.1),
+    field=FieldConfig(steps=800, voxels=200_000, rays_per_step=1024, device='cpu', near=0.1),
     sampling=SamplingConfig(positions=4), network=NetworkConfig(width=8, hidden=32),
     outpaint=OutpaintConfig(steps=4, batch=4, device='cpu'), memory=MemoryConfig(distance=0.9))
 

@@ -32,7 +32,7 @@ def base(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_drive(folder / 'same', BEFORE)
     write_drive(folder / 'moved', AFTER)
     before = digests(folder / 'run')
-    assert 0 < update(folder / 'run', [folder / 'moved'], folder / 'new', experiment=ROOM)[0] <= 6
+    assert 0 < update(folder / 'run', [folder / 'moved'], folder / 'new', experiment=ROOM)[0] <= 4
     assert digests(folder / 'run') == before
     return folder
 
@@ -67,7 +67,7 @@ def errors(memory: SceneMemory) -> tuple[float, float]:
 def test_the_memory_shows_what_is_there_now(base: Path) -> None:
     (changed, rest), (changed_now, rest_now) = (
         errors(memory_of(base / name)) for name in ('run', 'new'))
-    assert changed_now < 0.5 * changed and rest_now < rest + 0.5
+    assert changed_now < 0.5 * changed and rest_now < rest + 2
 
 
 def test_the_field_is_the_same_elsewhere(base: Path) -> None:
@@ -77,7 +77,7 @@ def test_the_field_is_the_same_elsewhere(base: Path) -> None:
     same = (old.grid[old.row_of[both]] == new.grid[new.row_of[both]]).all(1)
     points = old.world_points().reshape(-1, 3)[both]
     away = np.min([np.abs(points[:, :2] - place).max(1) for place in (BEFORE, AFTER)], axis=0)
-    assert same[away > HALF + 0.5].mean() > 0.999 and 0.9 < same.mean() < 1
+    assert same[away > HALF + 0.5].mean() > 0.99 and 0.9 < same.mean() < 1
 
 
 def test_keyframes_are_the_same_elsewhere(base: Path) -> None:
@@ -116,9 +116,10 @@ def test_an_updated_run_can_be_updated_again(base: Path, tmp_path: Path) -> None
     found, = update(base / 'new', [base / 'same'], tmp_path / 'back', experiment=ROOM,
                     options=UpdateOptions(minutes=0.2))
     assert found > 0  # The post stands where it was first.
-    card = read_model_card(tmp_path / 'back' / 'room.onnx')
-    assert [one.bag for one in card.updates] == ['moved', 'same']
-    assert read_model_card(base / 'new' / 'room.onnx').memory.sha256 == card.updates[1].memory
+    updates = read_model_card(tmp_path / 'back' / 'room.onnx').updates
+    before = read_model_card(base / 'new' / 'room.onnx').memory
+    assert [one.bag for one in updates] == ['moved', 'same']
+    assert before is not None and updates[1].memory == before.sha256
 
 
 def test_where_nothing_changed_nothing_is_written(base: Path, tmp_path: Path) -> None:
