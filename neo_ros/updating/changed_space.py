@@ -121,7 +121,7 @@ def _vote(field: VoxelField, index: np.ndarray, compared: ComparedPhotos, photos
     cosine = np.ones(len(points), np.float32)
     count_votes(points, pinholes(compared.photos.intrinsics, compared.photos.T_world_cam[photos]),
                 compared.depth[photos], compared.contradicts[photos], compared.agrees[photos],
-                np.float32(field.voxel), np.float32(rules.behind), against, agree, cosine)
+                np.float32(rules.behind), against, agree, cosine)
     return against.reshape(lead), agree.reshape(lead), cosine.reshape(lead)
 
 

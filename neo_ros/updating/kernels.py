@@ -8,10 +8,8 @@ from numba import prange
 import numpy as np
 
 FAST = {'nsz', 'arcp', 'contract', 'afn', 'reassoc'}
-# Globals, as kernels are compiled with their values in them. A surface that an image agrees with
-# may lie so much farther than the memory says, as a share of the distance.
-SAME_SURFACE = 0.04
-# Metres that a point lies before the camera at least.
+# Metres that a point lies before the camera at least; a global, as kernels are compiled with its
+# value in them.
 NEAREST = 0.1
 
 
@@ -75,25 +73,24 @@ def ask_witnesses(points, colours, cameras, depth, images, gains, one_surface, g
 
 
 @njit(parallel=True, fastmath=FAST, error_model='numpy')
-def count_votes(points, cameras, depth, contradicts, agrees, slack, behind, against, agree,
-                cosine):
+def count_votes(points, cameras, depth, contradicts, agrees, behind, against, agree, cosine):
     """
     Count for points float32 (N, 3) the photos that contradict what was there, and that agree.
 
     cameras: Pinholes; depth float32 (P, h, w), metres along the ray to what the memory shows,
-    0 = unknown; contradicts, agrees bool (P, h, w). A photo agrees with what lies before its
-    surface, up to `slack` metres behind it; it contradicts what lies up to `behind` metres behind
-    it. Fills int32 (N,), and float32 (N,) cosine: the widest angle between the first that
-    contradicts and another.
+    0 = unknown; contradicts, agrees bool (P, h, w). What a photo says holds for all points on its
+    ray, up to `behind` metres behind the surface. Fills int32 (N,), and float32 (N,) cosine: the
+    widest angle between the first that contradicts and another.
     """
     height, width = depth.shape[1], depth.shape[2]
     for i in prange(len(points)):
         votes_against, votes_for, least, first = 0, 0, 1.0, 0
         for n in range(len(depth)):
             u, v, distance = _seen_at(points[i], cameras, n, width, height)
-            if u < 0 or depth[n, v, u] <= 0:
+            if u < 0 or depth[n, v, u] <= 0 or distance > depth[n, v, u] + behind:
                 continue
-            if contradicts[n, v, u] and distance <= depth[n, v, u] + behind:
+            votes_for += agrees[n, v, u]
+            if contradicts[n, v, u]:
                 if votes_against == 0:
                     first = n
                 one, other = cameras.positions[first], cameras.positions[n]
@@ -104,8 +101,6 @@ def count_votes(points, cameras, depth, contradicts, agrees, slack, behind, agai
                     others += (points[i, k] - other[k]) ** 2
                 least = min(least, along / math.sqrt(lengths * others))
                 votes_against += 1
-            elif agrees[n, v, u]:
-                votes_for += distance <= (1 + SAME_SURFACE) * depth[n, v, u] + slack
         against[i], agree[i], cosine[i] = votes_against, votes_for, least
 
 
