@@ -48,8 +48,7 @@ LAW: dict[str, set[str]] = {
     # Trains with the pipeline, which itself scores with `evaluation`.
     'benchmark': {'geometry', 'machine', 'pictures', 'scenes', 'captures', 'flat', 'field',
                   'outpaint', 'runtime', 'memory', 'baking', 'messages', 'reports', 'evaluation',
-                  'training', 'updating', 'bags', 'pipeline', 'experiment', 'torch', 'cv2',
-                  'pycolmap'},
+                  'training', 'pipeline', 'experiment', 'bags', 'torch', 'cv2', 'pycolmap'},
     'speed': {'geometry', 'machine', 'scenes', 'flat', 'field', 'outpaint', 'runtime', 'messages',
               'bags', 'memory', 'baking', 'viewer', 'evaluation', 'torch', 'cv2', 'onnx'},
     # Reads what the others say of themselves; nothing imports it.

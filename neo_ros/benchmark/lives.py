@@ -2,26 +2,21 @@
 What the memory learns of a flat that changes from visit to visit.
 
     python -m neo_ros.benchmark.lives [--frames DIR] [--drive 130] [--visits 4] [--out FILE]
-    python -m neo_ros.benchmark.lives --field RUN --scene SCENE [--drive 130] ...
 
 On each visit to the demo flat (see `flat/visits.py`) the shipped model drives through it and
 learns; then other walks are widened by the memory as it was trained, and as it has become. Scores
 are of the ring in the frames that show something changed, with exact truth. Frames are kept in
-DIR: casting them takes longer than all the rest. With `--field` the same model is updated by the
-same drive of visit 1, as `neo update` does it, instead of learning: with the field and the photos
-of a run of `neo train` on SCENE, the demo flat. Its row is added to FILE.
+DIR: casting them takes longer than all the rest.
 """
 import argparse
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 import json
 from pathlib import Path
 import shutil
 import tempfile
-import time
 from typing import Any
 
-from neo_ros.bags import write_demo_bag
 from neo_ros.evaluation.metrics import auroc, psnr
 from neo_ros.flat.demo_flat import build_demo_flat, walking_paths
 from neo_ros.flat.visits import CHAIRS, changed_flat, PLANT, VISITS
@@ -29,12 +24,7 @@ from neo_ros.geometry import CameraPose
 from neo_ros.machine.files import share_dir, write_bytes
 from neo_ros.machine.host import commit, host
 from neo_ros.memory.contradiction import contradiction
-from neo_ros.reports.report import write_report
 from neo_ros.runtime import FovExtrapolator
-from neo_ros.runtime.model_card import read_model_card
-from neo_ros.scenes.upright import read_upright_scene
-from neo_ros.training.time_plan import read_plan
-from neo_ros.updating.update import update_once, UpdateOptions, UpdateRun
 import numpy as np
 
 
@@ -178,43 +168,6 @@ def measure(frames: Path, visits: int, driven: int) -> list[dict[str, Any]]:
     return rows
 
 
-def measure_update(fitted: Path, scene: Path, frames: Path, driven: int) -> dict[str, Any]:
-    """Update the shipped model on visit 1, with a field and its photos; return a row."""
-    models = share_dir() / 'models'
-    model = models / 'demo_flat.onnx'
-    card = read_model_card(model)
-    ring, camera = FovExtrapolator.load(model, guided=False).extrapolated_mask, card.expansion
-    found = read_upright_scene(scene)
-    experiment = replace(read_plan(fitted).experiment,
-                         scale=camera.source.width / found.train.intrinsics.width)
-    run = UpdateRun(fitted, found, experiment, model, card, models / 'demo_flat.memory')
-    before, test, path = (walks_of(visit, seed, count, camera.target, frames)
-                          for visit, seed, count in ((0, RULES.test_seed, 8),
-                                                     (1, RULES.test_seed, 8),
-                                                     (1, RULES.drive_seed + 1, 20)))
-    with tempfile.TemporaryDirectory() as folder:
-        bag, new = Path(folder) / 'bag', Path(folder) / 'new'
-        new.mkdir()
-        write_demo_bag(bag, (
-            (10 ** 9 + number * 10 ** 8, image, CameraPose(T))
-            for number, (image, T) in enumerate(zip(path.images[:driven], path.T))), camera)
-        started = time.process_time()
-        told = update_once(run, bag, new, UpdateOptions())
-        minutes = (time.process_time() - started) / 60
-        if told is not None:
-            write_report(frames / 'update.html', 'Visit 1', told[1])
-        none, as_trained = score(model, test, before)
-        scores, updated = score(new / 'demo_flat.onnx', test, before)
-        scores['contradiction_auroc'] = None  # What was taken up contradicts no more.
-        np.savez(frames / 'shown_update.npz', none=as_trained, update=updated)
-        return {'visit': 1, 'mode': 'update', **scores,
-                'unchanged_before_psnr': none['unchanged_ring_psnr'],
-                'false_change_share': false_changes(test, before, as_trained, updated, ring),
-                'memory_mb': (new / 'demo_flat.memory').stat().st_size / 1e6,
-                'scene': 'demo_flat', 'update_minutes': minutes, 'commit': commit(),
-                'host': host()}
-
-
 def _apart(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     return np.abs(one.astype(np.float32) - other).mean(-1)
 
@@ -231,15 +184,8 @@ def main() -> None:
     parser.add_argument('--drive', type=int, default=130, help='frames of each drive')
     parser.add_argument('--visits', type=int, default=len(VISITS))
     parser.add_argument('--out', type=Path, default=Path('results/lives.json'))
-    parser.add_argument('--field', type=Path, help='folder of a run of the flat')
-    parser.add_argument('--scene', type=Path, help='the scene folder of that run')
     given = parser.parse_args()
-    if given.field is None:
-        rows = measure(given.frames, given.visits, given.drive)
-    else:
-        rows = json.loads(given.out.read_text()) if given.out.exists() else []
-        rows = [row for row in rows if row['mode'] != 'update']
-        rows.append(measure_update(given.field, given.scene, given.frames, given.drive))
+    rows = measure(given.frames, given.visits, given.drive)
     write_bytes(given.out, (json.dumps(rows, indent=1) + '\n').encode())
 
 

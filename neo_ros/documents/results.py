@@ -137,14 +137,13 @@ REAL = (
     Column('aligned', 'aligned_held_out_psnr', DB),
     Column('minutes of the processor', 'cpu_minutes', '{:.1f}'))
 LIVES = (
-    Column('model', 'scene'), Column('visit', 'visit'), Column('memory', 'mode'),
+    Column('visit', 'visit'), Column('memory', 'mode'),
     Column('ring that changed, dB', 'changed_ring_psnr', DB),
     Column('ring that did not, dB', 'unchanged_ring_psnr', DB),
     Column('false changes', 'false_change_share', '{:.2f} %', 100),
     Column('AUROC of contradicted', 'contradiction_auroc', RATIO),
     Column('poses right', 'pose_share', '{:.0f} %', 100),
-    Column('memory and journal, MB', 'memory_mb', '{:.2f}'),
-    Column('update, minutes of the processor', 'update_minutes', '{:.1f}'))
+    Column('memory and journal, MB', 'memory_mb', '{:.2f}'))
 BUILDING = (
     Column('rooms', 'layout'), Column('search', 'search'), Column('searches', 'searches'),
     Column('wrong place believed', 'wrong_places'), Column('ambiguous', 'ambiguous'),
