@@ -27,7 +27,8 @@ from neo_ros.evaluation.evaluate import evaluate, TruthFrames
 from neo_ros.evaluation.geometry import score_geometry
 from neo_ros.evaluation.metrics import score_frame
 from neo_ros.evaluation.stability import DepthOf
-from neo_ros.experiment import Experiment, read_experiment
+from neo_ros.experiment import Experiment
+from neo_ros.field.config import FieldConfig
 from neo_ros.field.radiance_field import RadianceField
 from neo_ros.field.rendering import render_view
 from neo_ros.machine.progress import no_stage_progress, StageProgress
@@ -119,8 +120,7 @@ def main() -> None:
     if len(sys.argv) != 4:
         sys.exit('usage: python -m neo_ros.benchmark.measured_depth FLAT MODEL.onnx WORK')
     scene, model, work = (Path(argument) for argument in sys.argv[1:])
-    base = read_experiment(Path('config/experiments/demo_flat.yaml'))
-    measure(scene, model, work, base)
+    measure(scene, model, work, Experiment(field=FieldConfig(voxels=4_000_000)))
 
 
 if __name__ == '__main__':

@@ -1,6 +1,7 @@
 """Baked light of the demo flat: irradiance on every face, by Monte Carlo with the same rays."""
 from dataclasses import dataclass
 from functools import lru_cache
+import math
 from pathlib import Path
 
 from neo_ros.errors import SceneError
@@ -8,6 +9,7 @@ from neo_ros.flat.raycast import cast_rays
 from neo_ros.flat.rooms import demo_solids, LAMPS, WINDOWS
 from neo_ros.flat.shapes import BOX, FACES, Solids
 from neo_ros.flat.surfaces import chart_places, face_sizes, locate, SurfacePoints
+from neo_ros.machine.compiled import njit
 import numpy as np
 
 BRIGHTEST = 5.0  # irradiance that is stored as 255; stored values are square roots
@@ -63,19 +65,33 @@ class LightMap:
 
     def look_up(self, places: SurfacePoints, wraps: np.ndarray) -> np.ndarray:
         """Interpolate the light at M points: float32 (M, 3); `wraps` (M,) closes round sides."""
-        chart = places.solid.astype(np.int32) * FACES + places.face
-        start, columns, rows = self.start[chart], self.columns[chart], self.rows[chart]
-        x = places.across * columns.astype(np.float32) - np.float32(0.5)
-        y = places.up * rows.astype(np.float32) - np.float32(0.5)
-        left, low = np.floor(x).astype(np.int32), np.floor(y).astype(np.int32)
-        u, v = (x - left)[:, None], (y - low)[:, None]
-        i0 = np.where(wraps, left % columns, np.clip(left, 0, columns - 1))
-        i1 = np.where(wraps, (left + 1) % columns, np.clip(left + 1, 0, columns - 1))
-        j0 = start + np.clip(low, 0, rows - 1) * columns
-        j1 = start + np.clip(low + 1, 0, rows - 1) * columns
-        lower = self.values[j0 + i0] * (1 - u) + self.values[j0 + i1] * u
-        upper = self.values[j1 + i0] * (1 - u) + self.values[j1 + i1] * u
-        return lower * (1 - v) + upper * v
+        light = np.empty((len(places.solid), 3), np.float32)
+        _look_up(self.values, self.start, self.columns, self.rows,
+                 places.solid * FACES + places.face, places.across, places.up, wraps, light)
+        return light
+
+
+@njit(error_model='numpy', nogil=True)
+def _look_up(values, starts, all_columns, all_rows, charts, across, up, wraps, light):
+    half = np.float32(0.5)
+    for m in range(len(charts)):
+        chart = charts[m]
+        start, columns, rows = starts[chart], all_columns[chart], all_rows[chart]
+        x = across[m] * np.float32(columns) - half
+        y = up[m] * np.float32(rows) - half
+        left, low = math.floor(x), math.floor(y)
+        u, v = np.float32(x - left), np.float32(y - low)
+        if wraps[m]:
+            i0, i1 = left % columns, (left + 1) % columns
+        else:
+            i0, i1 = min(max(left, 0), columns - 1), min(max(left + 1, 0), columns - 1)
+        j0 = start + min(max(low, 0), rows - 1) * columns
+        j1 = start + min(max(low + 1, 0), rows - 1) * columns
+        one = np.float32(1)
+        for k in range(3):
+            lower = values[j0 + i0, k] * (one - u) + values[j0 + i1, k] * u
+            upper = values[j1 + i0, k] * (one - u) + values[j1 + i1, k] * u
+            light[m, k] = lower * (one - v) + upper * v
 
 
 def chart_layout(solids: Solids, texel: float = FINE.texel) -> Layout:

@@ -1,7 +1,9 @@
 """Points on the demo flat's solids: which face, where on it, in metres and as shares of it."""
 from dataclasses import dataclass
+import math
 
 from neo_ros.flat.shapes import BOX, FACES, FRUSTUM, Solids
+from neo_ros.machine.compiled import njit
 import numpy as np
 
 # The two axes along the faces of a box, by the axis of the face's normal; the second goes up.
@@ -31,58 +33,75 @@ class SurfacePoints:
 def locate(solids: Solids, solid: np.ndarray, points: np.ndarray,
            directions: np.ndarray) -> SurfacePoints:
     """Take solid (M,), points and ray directions (M, 3) float32 to places on the surfaces."""
-    half = solids.half.astype(np.float32)[solid]
-    local = points - solids.centre.astype(np.float32)[solid]
-    yaw = solids.yaw[solid]
-    turned = np.flatnonzero(yaw)
-    cos, sin = np.cos(yaw[turned]).astype(np.float32), np.sin(yaw[turned]).astype(np.float32)
-    local[turned] = _turned(local[turned], cos, sin)
-    rays = directions / np.sqrt((directions * directions).sum(axis=1, keepdims=True))
-    rays[turned] = _turned(rays[turned], cos, sin)
-    # Patterns of unturned solids go on in world coordinates, across the pieces of a wall.
-    patterned = np.where((yaw == 0)[:, None], points, local + half)
-    kind = solids.kind[solid]
-    rows = np.arange(len(solid))
-    axis = np.argmax(np.abs(local) / half, axis=1)
-    face = 2 * axis + (local[rows, axis] > 0)
-    i, j = _ALONG[axis, 0], _ALONG[axis, 1]
-    u, v = patterned[rows, i], patterned[rows, j]
-    across = local[rows, i] / half[rows, i] * 0.5 + 0.5
-    up = local[rows, j] / half[rows, j] * 0.5 + 0.5
-    slant = np.abs(rays[rows, axis])
-    round_ = np.flatnonzero(kind != BOX)
-    if len(round_):
-        found = _locate_round(kind[round_] == FRUSTUM, local[round_], half[round_], rays[round_])
-        for target, values in zip((face, u, v, across, up, slant), found):
-            target[round_] = values
-    return SurfacePoints(solid, face, u, v, np.clip(across, 0, 1), np.clip(up, 0, 1), slant)
+    count = len(solid)
+    face = np.empty(count, np.int64)
+    found = np.empty((5, count), np.float32)  # u, v, across, up, slant
+    turns = np.stack([np.cos(solids.yaw), np.sin(solids.yaw)], axis=1).astype(np.float32)
+    _locate(solids.kind, solids.centre.astype(np.float32), solids.half.astype(np.float32), turns,
+            solid, points, directions, face, found)
+    return SurfacePoints(solid, face, *found)
 
 
-def _turned(vectors: np.ndarray, cos: np.ndarray, sin: np.ndarray) -> np.ndarray:
-    x, y = vectors[:, 0], vectors[:, 1]
-    return np.stack([cos * x + sin * y, cos * y - sin * x, vectors[:, 2]], axis=1)
+@njit(error_model='numpy', nogil=True)
+def _locate(kinds, centres, halves, turns, solid, points, directions, face, found):
+    one, half_one = np.float32(1), np.float32(0.5)
+    for m in range(len(solid)):
+        index = solid[m]
+        half, cos, sin = halves[index], turns[index, 0], turns[index, 1]
+        x = points[m, 0] - centres[index, 0]
+        y = points[m, 1] - centres[index, 1]
+        z = points[m, 2] - centres[index, 2]
+        a, b, c = directions[m, 0], directions[m, 1], directions[m, 2]
+        length = math.sqrt(a * a + b * b + c * c)
+        a, b, c = a / length, b / length, c / length
+        turned = sin != 0 or cos != one
+        if turned:
+            x, y = cos * x + sin * y, cos * y - sin * x
+            a, b = cos * a + sin * b, cos * b - sin * a
+        if kinds[index] != BOX:
+            face[m], u, v, across, up, slant = _locate_round(
+                kinds[index] == FRUSTUM, (x, y, z), half, (a, b, c))
+        else:
+            off = (abs(x) / half[0], abs(y) / half[1], abs(z) / half[2])
+            axis = 0
+            if off[1] > off[0]:
+                axis = 1
+            if off[2] > off[axis]:
+                axis = 2
+            i, j = (1 if axis == 0 else 0), (1 if axis == 2 else 2)
+            local = (x, y, z)
+            face[m] = 2 * axis + (1 if local[axis] > 0 else 0)
+            # Patterns of unturned solids go on in world coordinates, across the pieces of a wall.
+            u = local[i] + half[i] if turned else points[m, i]
+            v = local[j] + half[j] if turned else points[m, j]
+            across = local[i] / half[i] * half_one + half_one
+            up = local[j] / half[j] * half_one + half_one
+            slant = abs((a, b, c)[axis])
+        found[0, m], found[1, m] = u, v
+        found[2, m] = min(max(across, np.float32(0)), one)
+        found[3, m] = min(max(up, np.float32(0)), one)
+        found[4, m] = slant
 
 
-def _locate_round(frustum: np.ndarray, local: np.ndarray, half: np.ndarray,
-                  rays: np.ndarray) -> tuple[np.ndarray, ...]:
-    x, y, z = local.T
-    bottom, top, height = half.T
-    height = np.where(frustum, height, half[:, 2])
-    radius = np.where(frustum, (bottom + top) / 2 + (top - bottom) / (2 * height) * z, bottom)
-    cap = frustum & (np.abs(z) / height > np.hypot(x, y) / np.maximum(radius, 1e-6))
-    across = np.arctan2(y, x) / np.float32(2 * np.pi) + np.float32(0.5)
+@njit(error_model='numpy', nogil=True)
+def _locate_round(frustum, local, half, ray):
+    x, y, z = local
+    bottom, top = half[0], half[1]
+    height = half[2]
+    widest = max(bottom, top)
+    if frustum:
+        radius = (bottom + top) / 2 + (top - bottom) / (2 * height) * z
+        if abs(z) / height > math.hypot(x, y) / max(radius, 1e-6):
+            return (2 if z > 0 else 1, x, y, x / widest * 0.5 + 0.5, y / widest * 0.5 + 0.5,
+                    abs(ray[2]))
+        normal = (x, y, (bottom - top) / (2 * height) * radius)
+    else:
+        normal = (x / half[0] ** 2, y / half[1] ** 2, z / half[2] ** 2)
+    across = math.atan2(y, x) / (2 * math.pi) + 0.5
     up = z / height * 0.5 + 0.5
-    widest = np.maximum(bottom, top)
-    u, v = across * 2 * np.pi * widest, up * 2 * height
-    slope = (bottom - top) / (2 * height)
-    normal = np.where(frustum[:, None], np.stack([x, y, slope * radius], axis=1),
-                      local / half ** 2)
-    normal = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
-    slant = np.where(cap, np.abs(rays[:, 2]), np.abs((normal * rays).sum(axis=1)))
-    face = np.where(cap, np.where(z > 0, 2, 1), 0)
-    across = np.where(cap, x / widest * 0.5 + 0.5, across)
-    up = np.where(cap, y / widest * 0.5 + 0.5, up)
-    return face, np.where(cap, x, u), np.where(cap, y, v), across, up, slant
+    length = max(math.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2), 1e-9)
+    slant = abs(normal[0] * ray[0] + normal[1] * ray[1] + normal[2] * ray[2]) / length
+    return 0, across * 2 * math.pi * widest, up * 2 * height, across, up, slant
 
 
 def face_sizes(solids: Solids) -> np.ndarray:
@@ -98,6 +117,11 @@ def face_sizes(solids: Solids) -> np.ndarray:
         else:
             sizes[index, 0] = np.pi * (a + b), 2 * c
     return sizes.reshape(-1, 2)
+
+
+def _turned(vectors: np.ndarray, cos: np.ndarray, sin: np.ndarray) -> np.ndarray:
+    x, y = vectors[:, 0], vectors[:, 1]
+    return np.stack([cos * x + sin * y, cos * y - sin * x, vectors[:, 2]], axis=1)
 
 
 def chart_places(solids: Solids, index: int, face: int, across: np.ndarray,

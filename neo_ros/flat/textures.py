@@ -2,9 +2,11 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+import math
 
 from neo_ros.flat.pictures import draw_picture, noise_bitmap
 from neo_ros.flat.shapes import Material
+from neo_ros.machine.compiled import njit
 import numpy as np
 
 
@@ -26,23 +28,29 @@ class MipMap:
         level = np.clip(np.rint(np.log2(pixels)), 0, len(self._levels) - 1).astype(np.int8)
         result = np.empty((len(x), self._levels[0].shape[2]), np.float32)
         for index in np.unique(level):
-            chosen = level == index
-            result[chosen] = self._bilinear(self._levels[index], x[chosen], y[chosen])
+            _interpolate(self._levels[index], self._wrap, level == index, x, y, result)
         return result
 
-    def _bilinear(self, bitmap: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        height, width = bitmap.shape[:2]
-        x, y = x * np.float32(width) - np.float32(0.5), y * np.float32(height) - np.float32(0.5)
-        left, top = np.floor(x).astype(np.int32), np.floor(y).astype(np.int32)
-        u, v = (x - left)[:, None], (y - top)[:, None]
-        if self._wrap:
+
+@njit(error_model='numpy', nogil=True)
+def _interpolate(bitmap, wrap, chosen, x, y, result):
+    height, width = bitmap.shape[:2]
+    half, one = np.float32(0.5), np.float32(1)
+    for m in range(len(x)):
+        if not chosen[m]:
+            continue
+        across, down = x[m] * np.float32(width) - half, y[m] * np.float32(height) - half
+        left, top = math.floor(across), math.floor(down)
+        u, v = np.float32(across - left), np.float32(down - top)
+        if wrap:
             i0, i1, j0, j1 = left % width, (left + 1) % width, top % height, (top + 1) % height
         else:
-            i0, i1 = np.clip(left, 0, width - 1), np.clip(left + 1, 0, width - 1)
-            j0, j1 = np.clip(top, 0, height - 1), np.clip(top + 1, 0, height - 1)
-        upper = bitmap[j0, i0] * (1 - u) + bitmap[j0, i1] * u
-        lower = bitmap[j1, i0] * (1 - u) + bitmap[j1, i1] * u
-        return upper * (1 - v) + lower * v
+            i0, i1 = min(max(left, 0), width - 1), min(max(left + 1, 0), width - 1)
+            j0, j1 = min(max(top, 0), height - 1), min(max(top + 1, 0), height - 1)
+        for k in range(bitmap.shape[2]):
+            upper = bitmap[j0, i0, k] * (one - u) + bitmap[j0, i1, k] * u
+            lower = bitmap[j1, i0, k] * (one - u) + bitmap[j1, i1, k] * u
+            result[m, k] = upper * (one - v) + lower * v
 
 
 @dataclass(frozen=True)

@@ -41,8 +41,8 @@ class PlanRules:
     measured_photos: int = 24      # in it, so wide and of so many voxels: they are read at once
     measured_width: int = 128
     measured_voxels: int = 500_000
-    # A fit is so many times slower than its first seconds, which have coarse voxels.
-    slower: float = 2.0
+    # A fit is so many times slower than the middle step of its first seconds, of coarse voxels.
+    slower: float = 2.5
 
 
 @dataclass(frozen=True)
@@ -212,7 +212,7 @@ def _network_shrink(experiment: Experiment, scene: Scene, rules: PlanRules) -> i
 
 
 def _fitting_rate(photos: PosedImages, base: Experiment, rules: PlanRules) -> float:
-    """Fit some photos for some seconds; return pixels a second. The first step compiles."""
+    """Fit some photos for some seconds; return pixels a second, of steps that do not compile."""
     chosen = photos.subset(np.unique(
         np.linspace(0, len(photos) - 1, rules.measured_photos).astype(int)).tolist())
     scale = base.scale * min(
@@ -222,7 +222,8 @@ def _fitting_rate(photos: PosedImages, base: Experiment, rules: PlanRules) -> fl
     trainer = field_trainer(chosen.read_images(scale), photos.intrinsics.scaled(scale),
                             chosen.T_world_cam, config, base.seed)
     trainer.train_step()
-    first = trainer.seconds
-    while trainer.seconds - first < rules.measured_seconds:
+    ends = [trainer.seconds]
+    while ends[-1] - ends[0] < rules.measured_seconds:
         trainer.train_step()
-    return (trainer.step - 1) * config.rays_per_step / (trainer.seconds - first)
+        ends.append(trainer.seconds)
+    return config.rays_per_step / float(np.median(np.diff(ends)))

@@ -124,8 +124,9 @@ def test_landmarks_follow_a_camera_that_is_partly_hidden(
     for step, pose in enumerate(walking_paths(FLAT, 1, 40, 5)[0][:6]):
         image = FLAT.render(shipped[1].source, pose)[0]
         if step >= 2:
-            left = 8 * step
-            image[:, left:left + 48] = pattern.repeat(16, 0).repeat(12, 1)
+            side = len(image) // 16
+            left = side * step
+            image[:, left:left + 6 * side] = pattern.repeat(2 * side, 0).repeat(3 * side // 2, 1)
         found = guide.guide(image)
         assert found is not None and apart(found.pose, pose)[0] < 0.03, step
 

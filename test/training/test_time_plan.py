@@ -46,13 +46,29 @@ def test_any_camera_gets_a_field_and_a_network_that_the_minutes_allow(
     assert experiment.memory is not None
     minutes = [part.minutes or 0 for part in (
         experiment.field, experiment.memory, experiment.outpaint)]
-    fitted = RATE / 2 * 60 * minutes[0]
+    fitted = RATE / PlanRules().slower * 60 * minutes[0]
     shown = 1000 * size[0] * size[1] / experiment.field.shrink ** 2
     assert shown < 2.5 * fitted or experiment.field.shrink == 8
     view = experiment.expansion(scene.train.intrinsics, None)
     assert max(view.source.width, view.source.height) <= 160 * experiment.network.shrink
     assert view.source.width > 0.9 * size[0]
     assert min(minutes) > 0 and sum(minutes) < 30
+
+
+def test_steps_that_compile_do_not_count_in_how_fast_the_machine_is(
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    class Trainer:
+        seconds, step = 0.0, 0
+
+        def train_step(self) -> None:
+            self.step += 1
+            self.seconds += 1.5 if self.step in (1, 5) else 0.1
+
+    photos = scene_of(64, 64, 3).train
+    monkeypatch.setattr(PosedImages, 'read_images', lambda *of: np.zeros((3, 64, 64, 3), np.uint8))
+    monkeypatch.setattr(time_plan, 'field_trainer', lambda *of: Trainer())
+    rate = time_plan._fitting_rate(photos, Experiment(), PlanRules())
+    assert rate == pytest.approx(Experiment().field.rays_per_step / 0.1)
 
 
 def test_more_minutes_and_faster_machines_see_finer(
