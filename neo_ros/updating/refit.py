@@ -140,7 +140,7 @@ def _seen_differently(one: VoxelField, other: VoxelField, reached: np.ndarray,
     photos, thick = compared.photos, rules.thick * one.voxel
     counts = np.zeros((3, len(one.row_of)), np.int32)
     last = np.zeros(len(one.row_of), np.int32)
-    for index in np.flatnonzero(reached.any((1, 2))):
+    for index in map(int, np.flatnonzero(reached.any((1, 2)))):
         pixels = reached[index]
         origin, rays = world_rays(photos.intrinsics, compared.pose(index))
         rays = np.ascontiguousarray(rays[pixels], np.float32)
@@ -155,7 +155,7 @@ def _seen_differently(one: VoxelField, other: VoxelField, reached: np.ndarray,
                 (nearer, first), (nearer, then.depth), (~nearer, first))):
             count_spans(origin.astype(np.float64), rays[chosen],
                         np.maximum(begin[chosen] - thick, one.near), then.depth[chosen] + thick,
-                        one.box, np.array(one.shape), 3 * int(index) + kind + 1, last,
+                        one.box, np.array(one.shape), 3 * index + kind + 1, last,
                         counts[kind])
     return _Seen(*counts.reshape(3, *one.shape))
 

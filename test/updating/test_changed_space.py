@@ -69,9 +69,9 @@ def test_where_the_memory_was_wrong_before_nothing_has_changed() -> None:
 
 def test_from_one_place_nothing_is_found() -> None:
     seen = drive(40)[20]
+    x, y, z = seen.position
     found = compared(BEFORE, BEFORE, AFTER, poses=[
-        CameraPose.from_planar(*seen.position + [0, 0.005 * step, 0], seen.yaw)
-        for step in range(8)])
+        CameraPose.from_planar(x, y + 0.005 * step, z, seen.yaw) for step in range(8)])
     assert found.contradicts[found.old:].mean() > 0.05
     assert not find_changed_space(empty_field(), found).places
 
