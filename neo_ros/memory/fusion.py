@@ -1,4 +1,4 @@
-"""Join camera image, guide and the network's picture into one wide view."""
+"""Join camera image and guide into one wide view."""
 from dataclasses import dataclass
 
 import cv2
@@ -46,22 +46,18 @@ class FusionThresholds:
     least_error: float = 1.0
     # Of a gap that is filled from around it.
     gap_error: float = 38.0
-    # Share of the wide view that may be missing before the network is worth its time.
-    most_missing: float = 0.02
 
 
-def fuse(image: np.ndarray, guide: Guide, network_image: np.ndarray | None,
-         expansion: ViewExpansion, thresholds: FusionThresholds = FusionThresholds()
-         ) -> tuple[np.ndarray, np.ndarray]:
+def fuse(image: np.ndarray, guide: Guide, expansion: ViewExpansion,
+         thresholds: FusionThresholds = FusionThresholds()) -> tuple[np.ndarray, np.ndarray]:
     """
     Return the wide image, uint8 RGB (H, W, 3), and the expected error of its pixels.
 
     The camera's pixels stay as they are. Around them the guide is drawn, its colours bent to
     the last images' where these saw the surface, and to the present one's near the seam; where
-    the memory knows nothing, the network's image, uint8 (H, W, 3), fills in, or without one the
-    colours around the gap. The error, float32 (H, W) in units of full brightness, follows from
-    how image and guide differ at the nearest part of the seam or in the last images, and from
-    the guide's edges; it is NaN where the network's picture is.
+    the memory knows nothing, the colours around the gap fill it. The error, float32 (H, W) in
+    units of full brightness, follows from how image and guide differ at the nearest part of the
+    seam or in the last images, and from the guide's edges.
     """
     rows, columns = expansion.observed
     correction, error = _carried_outward(image, guide, expansion, thresholds)
@@ -71,15 +67,14 @@ def fuse(image: np.ndarray, guide: Guide, network_image: np.ndarray | None,
     kernels.bend_colours(guide.image, correction, difference, weight,
                          np.float32(thresholds.seen_before), np.float32(thresholds.least_error),
                          wide, error)
-    unknown = ~guide.known
-    if network_image is not None:
-        wide[unknown] = network_image[unknown]
-    elif unknown.any():
-        wide = _filled(wide, guide.known)
+    wide[rows, columns] = image
+    known = guide.known.copy()
+    known[rows, columns] = True
+    if not known.all():
+        wide = _filled(wide, known)
     kernels.add_slope(_slope(wide), np.float32(thresholds.slope), guide.stretched,
                       np.float32(thresholds.stretched), np.float32(thresholds.least_error), error)
-    error[unknown] = np.nan if network_image is not None else thresholds.gap_error / 255
-    wide[rows, columns] = image
+    error[~known] = thresholds.gap_error / 255
     error[rows, columns] = 0
     return wide, error
 

@@ -39,7 +39,7 @@ class GuidedView:
             memory.change(Changes(patches))
         guide = SceneGuide(memory, expansion, threads)
         view, shown = cls(guide), guide.warm_up()
-        view.fuse(expansion.crop(shown.image).astype(np.uint8), shown, None)
+        view.fuse(expansion.crop(shown.image).astype(np.uint8), shown)
         if learn != 'never':
             guide.learner = Learner(memory, expansion, partial(
                 JournalWriter, journal, sha256, most_bytes(path.stat().st_size)),
@@ -68,17 +68,10 @@ class GuidedView:
         """Whether there is no guide because several places explain the last image."""
         return self._guide.ambiguous
 
-    def needs_network(self, guide: Guide) -> bool:
-        """Tell whether the memory has gaps that are worth the time of the network."""
-        missing = ~guide.known
-        missing[self._guide.expansion.observed] = False  # The camera shows that.
-        return bool(missing.mean() > self._thresholds.most_missing)
-
-    def fuse(self, image: np.ndarray, guide: Guide, network_image: np.ndarray | None
-             ) -> tuple[np.ndarray, np.ndarray]:
+    def fuse(self, image: np.ndarray, guide: Guide) -> tuple[np.ndarray, np.ndarray]:
         """Return wide image and expected error: see `fusion.fuse`."""
         with self._guide.loops():
-            return fuse(image, guide, network_image, self._guide.expansion, self._thresholds)
+            return fuse(image, guide, self._guide.expansion, self._thresholds)
 
     def reset(self) -> None:
         """Forget the frames so far."""

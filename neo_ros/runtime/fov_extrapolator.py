@@ -126,12 +126,8 @@ class FovExtrapolator:
         if guided is None or guide is None:
             return WideView(*self._run_network(image),
                             ambiguous=guided is not None and guided.ambiguous)
-        network = self._run_network(image) if guided.needs_network(guide) else None
-        wide, error = guided.fuse(image, guide, network[0] if network else None)
-        confidence = confidence_of(error)
-        if network is not None:
-            confidence = np.where(np.isnan(error), network[1], confidence)
-        return WideView(wide, confidence.astype(np.uint8), guided=True, guide=guide)
+        wide, error = guided.fuse(image, guide)
+        return WideView(wide, confidence_of(error).astype(np.uint8), guided=True, guide=guide)
 
     def _run_network(self, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the wide image and the confidence that the network alone gives."""

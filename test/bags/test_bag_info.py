@@ -49,6 +49,7 @@ def test_a_recorded_walk_is_described(walk_bag: Path) -> None:
     assert _topic(info, '/tf_static').rate_hz is None
 
 
+@pytest.mark.slow
 def test_the_next_command_is_one_that_exists(walk_bag: Path, tmp_path: Path) -> None:
     plain = shlex.split(read_bag_info(walk_bag).next)
     assert plain == ['neo', 'import', str(walk_bag), 'out/scenes/walk', '--image-topic', IMAGE]

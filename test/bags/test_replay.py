@@ -70,6 +70,7 @@ def _good(seed: int) -> dict:
     return image_fields(image)
 
 
+@pytest.mark.slow
 def test_output_has_the_wide_view_and_everything_that_was_there(
         tmp_path, walk_bag, extrapolator) -> None:
     result = replay(walk_bag, extrapolator, tmp_path / 'out')

@@ -49,6 +49,7 @@ def contents(path):
     return found
 
 
+@pytest.mark.slow
 def test_pose_and_status_are_written_and_depth_when_asked(tmp_path, bag, extrapolator):
     replay(bag, extrapolator, tmp_path / 'usual')
     usual = contents(tmp_path / 'usual')

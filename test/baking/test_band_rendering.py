@@ -58,6 +58,7 @@ def drawn(room: Any, block: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return render_band(room, POSITION, rays, block, BAND.wraps, 0.1, 0.01, 0.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('block', [2, 3])
 @pytest.mark.parametrize('has_sky', [False, True])
 def test_few_rays_show_what_all_show(block: int, has_sky: bool) -> None:

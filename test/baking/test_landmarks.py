@@ -30,6 +30,7 @@ def landmarks_of(photos: PosedImages, work: Path, most_photos: int = 400
     return found, said
 
 
+@pytest.mark.slow
 def test_the_photos_landmarks_find_the_camera(
         corner: tuple[PosedImages, TruthFrames], tmp_path: Path,
         monkeypatch: pytest.MonkeyPatch) -> None:
@@ -42,6 +43,7 @@ def test_the_photos_landmarks_find_the_camera(
     assert found is not None and apart(found.pose, frames.images.poses[0])[0] < 0.05
 
 
+@pytest.mark.slow
 def test_what_a_mask_leaves_out_has_no_features(
         corner: tuple[PosedImages, TruthFrames], tmp_path: Path) -> None:
     photos, _ = corner

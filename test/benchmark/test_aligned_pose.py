@@ -34,6 +34,7 @@ def whole_field() -> None:
     FIELD.update_occupancy()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('gain', [np.ones(3), np.array([0.8, 1.0, 1.1])], ids=['', 'exposure'])
 @pytest.mark.parametrize('someone', [False, True], ids=['', 'someone stands there'])
 def test_a_pose_that_is_off_is_put_right(gain: np.ndarray, someone: bool) -> None:

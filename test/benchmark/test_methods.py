@@ -37,6 +37,7 @@ def bank(corner):
     return read_photo_bank(photos, 1.0, folder / 'features.npz')
 
 
+@pytest.mark.slow
 def test_b2_covers_the_ring_with_what_the_photos_show(corner, bank):
     method = Warping(bank, EXPANSION)
     frame = score_frames(corner[2], method)[0]
@@ -45,6 +46,7 @@ def test_b2_covers_the_ring_with_what_the_photos_show(corner, bank):
     assert method.uncovered == frame['uncovered']
 
 
+@pytest.mark.slow
 def test_b2_shows_nothing_that_masks_leave_out(corner, bank, tmp_path):
     folder, photos, frames = corner
     usable = np.ones((96, 96), bool)
@@ -91,6 +93,7 @@ def test_b2_without_a_photo_that_fits_extends_the_edges(bank):
     assert method.uncovered == 1.0
 
 
+@pytest.mark.slow
 def test_b3_finds_the_pose_and_renders_there(corner, bank):
     model = read_sparse_model(bank, corner[0] / 'sparse')
     assert len(model.points) > 100

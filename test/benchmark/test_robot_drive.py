@@ -27,6 +27,7 @@ def bag(tmp_path_factory):
     return path
 
 
+@pytest.mark.slow
 def test_images_come_as_a_usb_camera_sends_them(bag):
     with BagReader(bag) as reader:
         images = [message.read() for message in reader.messages([IMAGE_TOPIC])]

@@ -213,6 +213,7 @@ def test_options_that_cannot_be_are_refused(options: dict[str, Any], message: st
         BagOptions(**options)
 
 
+@pytest.mark.slow
 def test_a_frame_that_looks_along_x_is_advised_its_option(tmp_path: Path) -> None:
     with CameraBag(tmp_path / 'bag') as bag:
         add_camera(bag)

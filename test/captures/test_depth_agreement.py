@@ -45,6 +45,7 @@ def write_arc(folder: Path, unit: float = 0.001, lengths: float = 1.0) -> Captur
     return Capture(tuple(frames))
 
 
+@pytest.mark.slow
 def test_depth_that_fits_is_said_to_fit(tmp_path: Path) -> None:
     notes = write_capture(write_arc(tmp_path), tmp_path / 'scene')
     found = measure_agreement(read_scene(tmp_path / 'scene').train)

@@ -43,6 +43,7 @@ def test_the_view_is_the_middle_of_the_columns(width, source):
     assert expansion.left == expansion.right and expansion.target.width == width
 
 
+@pytest.mark.slow
 def test_the_import_holds_runs_back_again_and_again(capture, tmp_path):
     scene = tmp_path / 'scene'
     for _ in range(2):
@@ -64,6 +65,7 @@ def test_the_import_holds_runs_back_again_and_again(capture, tmp_path):
     assert {path.name for path in held_out.image_paths} <= trained
 
 
+@pytest.mark.slow
 def test_an_import_without_test_runs_has_no_test_frames(capture, tmp_path):
     scene = tmp_path / 'scene'
     for options in (['--test-runs', '2'], []):

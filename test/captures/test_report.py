@@ -169,6 +169,7 @@ def test_lengths_have_the_unit_of_the_scene(tmp_path: Path, arbitrary: bool, m: 
     assert ('metres' in page) != arbitrary
 
 
+@pytest.mark.slow
 def test_the_page_stands_alone_and_says_what_the_terminal_says(tmp_path: Path) -> None:
     scene = make_scene(tmp_path, turning(12, full=0.3))
     lines = write_capture_report(tmp_path, scene, ['4 frames <lost> their pose'])

@@ -36,6 +36,7 @@ def test_a_bag_becomes_a_scene_with_a_report(tmp_path: Path) -> None:
     assert len(read_scene(tmp_path / 'scene').train) == 5
 
 
+@pytest.mark.slow
 def test_the_next_command_is_on_one_line_and_trains_elsewhere(
         tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
@@ -58,6 +59,7 @@ def test_keyframes_are_chosen_on_the_way(tmp_path: Path) -> None:
     assert found.poses[0].position[0] < 2.85 < found.poses[1].position[0]
 
 
+@pytest.mark.slow
 def test_an_imported_scene_can_be_imported_again(tmp_path: Path) -> None:
     run(write_seven_scenes(tmp_path / 'source', demo_photos()), tmp_path / 'a')
     run(tmp_path / 'a', tmp_path / 'b')
@@ -75,6 +77,7 @@ def turned(folder: Path, T: np.ndarray) -> Path:
     return source
 
 
+@pytest.mark.slow
 def test_a_world_that_is_not_level_is_pointed_out_and_levelled(tmp_path: Path) -> None:
     c, s = math.cos(1.2), math.sin(1.2)
     source = turned(tmp_path / 'source', np.array([
@@ -125,6 +128,7 @@ def test_a_wrong_format_is_named(tmp_path: Path, arguments: list[str], error: ty
         run(source, tmp_path / 'scene', *arguments)
 
 
+@pytest.mark.slow
 def test_photos_become_a_scene_and_stay_where_they_are(tmp_path: Path) -> None:
     pytest.importorskip('pycolmap', reason='needs pycolmap (the train extra)')
     camera = Intrinsics.from_hfov(240, 180, math.radians(75))
@@ -166,6 +170,7 @@ def test_a_source_that_is_not_there_is_named(tmp_path: Path) -> None:
         run(tmp_path / 'nothing', tmp_path / 'scene')
 
 
+@pytest.mark.slow
 def test_a_camera_on_its_side_does_not_turn_the_world_of_a_bag(tmp_path: Path) -> None:
     roll = np.array([[0.0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
     photos = demo_photos()

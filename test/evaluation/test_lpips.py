@@ -83,6 +83,7 @@ def test_equal_images_are_at_distance_zero(measure):
     assert scores(measure, picture(), picture()) == (0, 0, 0)
 
 
+@pytest.mark.slow
 def test_distance_grows_with_noise_and_is_symmetric(measure):
     truth = picture()
     distances = [scores(measure, truth, noisy(truth, sigma)) for sigma in (4, 16, 64)]

@@ -49,6 +49,7 @@ def errors_of(frames, wide_images):
     return [(frame.get('warping_error'), frame.get('truth_warping_error')) for frame in scored]
 
 
+@pytest.mark.slow
 def test_the_truth_is_steady_and_noise_is_not(frames):
     truth = [wide for _, wide in frames]
     random = np.random.default_rng(0)
@@ -63,6 +64,7 @@ def test_the_truth_is_steady_and_noise_is_not(frames):
     assert all(s > 2 * t for s, t in zip(shaking, steady) if s is not None)
 
 
+@pytest.mark.slow
 def test_what_masks_leave_out_of_two_frames_is_not_compared(frames, tmp_path):
     truth = [wide for _, wide in frames]
     size = truth[0].shape[:2]

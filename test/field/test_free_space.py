@@ -58,6 +58,7 @@ def test_what_no_photo_looked_into_is_not_free() -> None:
     assert both.contains(CENTRE[:2] + np.array([[1.4, 0.8], [-1.0, 0.8]])).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('robot_radius', [0.2, 0.5])
 def test_photos_close_to_both_sides_of_a_wall_leave_it_standing(robot_radius: float) -> None:
     field = furnished((-0.06, -3, -3), (0.06, 3, 3), voxels=200_000)

@@ -106,6 +106,7 @@ def write_mesh(path: Path, across: int = 40, textured: bool = False) -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('kind, psnr, centimetres', [
     ('splats.ply', 26, 4.0), ('mesh.ply', 30, 0.1), ('mesh.obj', 30, 0.1), ('mesh.glb', 30, 0.1),
 ])
@@ -139,6 +140,7 @@ def test_the_back_of_a_wall_was_seen_by_no_photo(photos: PosedImages, tmp_path: 
     assert hit.mean() > 0.3 and shown.coverage[hit].mean() < 0.2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('turn, axes', [
     (np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0.0]]), 'x,-z,y'),
     (100 * UPRIGHT, '0.01x,0.01y,0.01z'),
@@ -155,6 +157,7 @@ def test_geometry_elsewhere_is_refused_and_told_what_fits(
     assert given.digest != GivenGeometry(file).digest
 
 
+@pytest.mark.slow
 def test_geometry_of_another_place_fits_nowhere(photos: PosedImages, tmp_path: Path) -> None:
     points, *_ = surface(60)
     file = write_splats(tmp_path / 'splats.ply')
@@ -207,6 +210,7 @@ def test_files_that_show_nothing_are_refused(photos: PosedImages, tmp_path: Path
             field_of_geometry(GivenGeometry(tmp_path / name), UPRIGHT, photos, FieldConfig())
 
 
+@pytest.mark.slow
 def test_a_run_takes_its_field_from_the_file(photos: PosedImages, tmp_path: Path) -> None:
     scene = Scene('room', photos, None, None, None, turn=UPRIGHT)
     given = GivenGeometry(write_splats(tmp_path / 'splats.ply'))

@@ -79,6 +79,7 @@ def test_resampling_onto_the_same_grid_changes_nothing() -> None:
     np.testing.assert_allclose(again.grid[inner], field.grid[inner], atol=5e-3)
 
 
+@pytest.mark.slow
 def test_a_sparse_field_keeps_matter_and_the_air_around_it() -> None:
     field = room_field(30_000, sh_degree=1)
     dense, sparse = (field.resampled(60_000, CENTRE, WALLS * 1.2, sparse=sparse)

@@ -31,6 +31,7 @@ def _inside(room, yaw_deg=70.0):
     return CameraPose.from_planar(x, y, z, np.radians(yaw_deg + 180 * room.turned))
 
 
+@pytest.mark.slow
 def test_twins_look_the_same_and_other_rooms_do_not(building):
     rooms = building.rooms(0)
     same = [number for number, room in enumerate(rooms) if room.piece == rooms[0].piece]
@@ -59,6 +60,7 @@ def test_depth_is_that_of_rays_against_all_solids(building):
     np.testing.assert_allclose(building.render(CAMERA, pose)[1], depth, rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_the_whole_building_is_closed_but_for_windows(building):
     walkable = building.walkable(0)
     for x, y in walkable.sample(np.random.default_rng(0), 6).tolist():
@@ -152,6 +154,7 @@ def test_the_plan_grows_with_its_rooms():
     assert BuildingPlan(floors=2, rooms=125).area == pytest.approx(5000, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_building_becomes_a_scene_with_a_map_for_each_floor(tmp_path, monkeypatch):
     monkeypatch.setattr(building_module, 'ROOM_LIGHT',
                         LightQuality(texel=1.0, shadow_rays=2, bounce_rays=2, bounces=1))

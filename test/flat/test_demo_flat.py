@@ -27,6 +27,7 @@ def test_two_renders_are_identical(flat):
     assert np.array_equal(first[0], second[0]) and np.array_equal(first[1], second[1])
 
 
+@pytest.mark.slow
 def test_another_process_renders_the_same(flat):
     code = (
         'import sys, numpy as np\n'

@@ -21,6 +21,7 @@ def test_the_shipped_file_is_small():
     assert demo_light.LIGHT_FILE.stat().st_size < 200_000
 
 
+@pytest.mark.slow
 def test_gathering_light_anew_agrees_with_the_shipped_light(light):
     fewer = demo_light.LightQuality(shadow_rays=12, bounce_rays=48)  # noisier, but a test's time
     sizes = light.columns * light.rows

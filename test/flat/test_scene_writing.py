@@ -65,6 +65,7 @@ def test_a_broken_off_run_goes_on(scene_folder, tmp_path):
     assert _files(folder) == {**whole, 'train/0001.png': b'kept'}
 
 
+@pytest.mark.slow
 def test_processes_write_the_same_files(scene_folder, tmp_path):
     write_demo_scene(tmp_path / 'flat', **SIZES, seed=4, workers=2)
     assert _files(tmp_path / 'flat') == _files(scene_folder)
@@ -104,6 +105,7 @@ def test_an_unwritable_folder_is_named(tmp_path):
         write_demo_scene(tmp_path / 'file' / 'flat', **SIZES, workers=1)
 
 
+@pytest.mark.slow
 def test_depth_maps_lie_beside_the_photos_where_they_are_asked_for(scene_folder, tmp_path):
     assert read_scene(scene_folder).train.read_depths() is None
     write_demo_scene(tmp_path, **SIZES, seed=4, workers=1, depth=True)

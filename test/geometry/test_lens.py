@@ -47,6 +47,7 @@ def distorted_photo(lens: Lens) -> np.ndarray:
     return cv2.remap(wide_view(), x, y, cv2.INTER_LINEAR)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('lens', LENSES.values(), ids=LENSES.keys())
 def test_a_straightened_photo_is_the_pinhole_view_of_the_scene(lens: Lens) -> None:
     pinhole = common_pinhole({lens: 'a.png'})

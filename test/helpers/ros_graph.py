@@ -18,7 +18,7 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 
 # How long a test waits for what never comes; a stall of the machine is shorter.
-WAIT_S = 60.0
+WAIT_S = 120.0
 # A shell starts what it runs in the background deaf to SIGINT, and that is inherited.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)

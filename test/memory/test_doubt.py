@@ -54,6 +54,7 @@ def test_a_prior_says_which_of_two_equal_rooms_it_is(twins: SceneGuide) -> None:
         assert after is not None and apart(after.pose, found.pose)[0] < 0.2
 
 
+@pytest.mark.slow
 def test_what_tells_the_rooms_apart_is_believed_at_once(with_picture: SceneGuide) -> None:
     for image, true in ((photo_at(AT_THE_PICTURE), AT_THE_PICTURE),
                         (view_with_picture(AT_THE_PICTURE), _in_twin(AT_THE_PICTURE))):
@@ -62,6 +63,7 @@ def test_what_tells_the_rooms_apart_is_believed_at_once(with_picture: SceneGuide
         assert found is not None and apart(found.pose, true)[0] < 0.03
 
 
+@pytest.mark.slow
 def test_a_turn_to_the_picture_resolves_the_doubt(with_picture: SceneGuide) -> None:
     for take, true in ((photo_at, lambda pose: pose), (view_with_picture, _in_twin)):
         with_picture.reset()
@@ -90,6 +92,7 @@ def test_a_place_that_the_image_does_not_fit_any_more_is_dropped(twins: SceneGui
     assert twins.guide(noise) is None and not twins.ambiguous
 
 
+@pytest.mark.slow
 def test_a_single_room_is_never_ambiguous() -> None:
     guide = SceneGuide(box_memory(), EXPANSION)
     for yaw in range(0, 360, 40):

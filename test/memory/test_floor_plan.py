@@ -38,6 +38,7 @@ def height_at(plan: FloorPlan, x: float, y: float, around: float = 0.05) -> np.n
                        max(int(column) - reach, 0):int(column) + reach + 1]
 
 
+@pytest.mark.slow
 def test_the_box_room_is_a_floor_within_walls() -> None:
     plan = draw_floor_plan(box_memory())
     low, high = plan.pixel(0, 0), plan.pixel(HIGH[0], HIGH[1])

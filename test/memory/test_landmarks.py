@@ -100,6 +100,7 @@ def shipped() -> tuple[SceneMemory, ViewExpansion]:
     return SceneMemory.read(path, card.memory.sha256), card.expansion
 
 
+@pytest.mark.slow
 def test_landmarks_lead_where_alignment_is_drawn_aside(
         shipped: tuple[SceneMemory, ViewExpansion], monkeypatch: pytest.MonkeyPatch) -> None:
     memory, expansion = shipped
@@ -117,6 +118,7 @@ def test_landmarks_lead_where_alignment_is_drawn_aside(
     assert not drawn or max(drawn) > 0.05
 
 
+@pytest.mark.slow
 def test_landmarks_follow_a_camera_that_is_partly_hidden(
         shipped: tuple[SceneMemory, ViewExpansion]) -> None:
     guide = SceneGuide(*shipped)
@@ -131,6 +133,7 @@ def test_landmarks_follow_a_camera_that_is_partly_hidden(
         assert found is not None and apart(found.pose, pose)[0] < 0.03, step
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('whole', 'partial', 'believed'), [
     (0.6, 0.9, True), (0.4, 0.98, True), (0.4, 0.9, False)])
 def test_what_landmarks_say_is_believed_unless_all_differs(

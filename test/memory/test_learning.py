@@ -67,6 +67,7 @@ def true_patch(pose: CameraPose, batch: int = 0) -> Patch:
     return Patch.of(pose, SOURCE, image, np.where(board, depth, 0), 0, batch)
 
 
+@pytest.mark.slow
 def test_a_patch_changes_its_surface_and_nothing_else() -> None:
     memory = box_memory()
     before, rest = error(memory)
@@ -83,6 +84,7 @@ def test_a_patch_changes_its_surface_and_nothing_else() -> None:
     assert error(memory) == (before, rest)
 
 
+@pytest.mark.slow
 def test_what_stays_is_learnt(tmp_path: Path) -> None:
     before, rest = error(box_memory())
     memory, journal = learnt(tmp_path, lambda number: 1.8)
@@ -93,6 +95,7 @@ def test_what_stays_is_learnt(tmp_path: Path) -> None:
     assert error(again) == pytest.approx((after, rest_after), abs=0.3)
 
 
+@pytest.mark.slow
 def test_what_moves_is_not_learnt(tmp_path: Path) -> None:
     before, rest = error(box_memory())
     memory, _ = learnt(tmp_path, lambda number: 0.4 + 0.15 * number)
@@ -172,6 +175,7 @@ def kill_once(folder: Path, after: float) -> int:
     return len(found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('after', [0.0, 0.003, 0.02, 0.05])
 def test_killed_at_any_moment_it_holds_whole_patches(tmp_path: Path, after: float) -> None:
     assert kill_once(tmp_path, after) >= 0

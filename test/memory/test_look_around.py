@@ -80,6 +80,7 @@ def test_the_outline_is_the_frame_of_the_image(around: LookAround) -> None:
         assert len(line) > 1 and np.isfinite(line).all()
 
 
+@pytest.mark.slow
 def test_what_was_just_seen_is_marked_and_corrects_the_memory(around: LookAround) -> None:
     before = planar(1.9, 1.7, 110)
     # Under another exposure, with something that was not there: it is shown in that of now.

@@ -202,7 +202,7 @@ def test_what_has_changed_is_shown_where_the_camera_has_just_seen_it() -> None:
         image = np.ascontiguousarray(EXPANSION.crop(truth))
         guide = guided.guide(image)
     assert guide is not None
-    wide, _ = guided.fuse(image, guide, None)
+    wide, _ = guided.fuse(image, guide)
     changed = RING & (np.abs(truth.astype(int) - view(pose, EXPANSION.target)[0]).max(-1) > 25)
     assert changed.sum() > 50
     error = np.abs(wide.astype(int) - truth)[changed].mean()
@@ -237,6 +237,7 @@ def test_a_camera_that_was_lost_begins_anew() -> None:
     assert first.seen_before is None
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(ALL_THREADS < 2, reason='one processor')
 def test_the_number_of_threads_changes_no_bit() -> None:
     seen = []

@@ -133,6 +133,7 @@ def test_bad_images_are_refused_with_a_stable_reason(changes, reason):
 sizes = st.one_of(st.integers(0, 12), st.integers(0, 2**32 - 1))
 
 
+@pytest.mark.slow
 @given(sizes, sizes, sizes, st.one_of(st.sampled_from(sorted(ENCODINGS)), st.text(max_size=12)),
        st.binary(max_size=600), st.integers(0, 255))
 def test_any_fields_give_an_image_or_a_refusal(height, width, step, encoding, data, endian):

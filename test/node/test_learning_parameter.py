@@ -31,6 +31,7 @@ def test_it_learns_where_it_is_asked_to(tmp_path: Path, learn: bool) -> None:
     model.stop_learning()
 
 
+@pytest.mark.slow
 def test_learning_leaves_images_as_they_are_while_nothing_changed(tmp_path: Path) -> None:
     model = write_box_model(tmp_path)
     plain, learning, other = (FovExtrapolator.load(model, learn=learn)

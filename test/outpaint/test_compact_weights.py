@@ -28,6 +28,7 @@ def test_rounding_moves_weights_by_half_a_step_at_most(network: nn.Module) -> No
             assert (largest <= 0.502 * step).all() and largest.max() > 0
 
 
+@pytest.mark.slow
 def test_the_compact_file_is_the_same_function_in_less_space(
         network: nn.Module, tmp_path: Path) -> None:
     round_weights(network)
@@ -43,6 +44,7 @@ def test_the_compact_file_is_the_same_function_in_less_space(
         np.testing.assert_allclose(result, network(image).numpy(), atol=1e-5)
 
 
+@pytest.mark.slow
 def test_weights_that_were_not_rounded_stay(network: nn.Module, tmp_path: Path) -> None:
     path = tmp_path / 'model.onnx'
     torch.onnx.export(network, (torch.rand(1, 3, 8, 8),), str(path), input_names=['x'],
@@ -52,6 +54,7 @@ def test_weights_that_were_not_rounded_stay(network: nn.Module, tmp_path: Path) 
     assert path.stat().st_size > 0.98 * size
 
 
+@pytest.mark.slow
 def test_a_file_that_cannot_be_written_leaves_the_old_one(
         network: nn.Module, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     round_weights(network)

@@ -60,6 +60,7 @@ def exported(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
     return Export(expansion, function, path, onnxruntime.InferenceSession(str(path)))
 
 
+@pytest.mark.slow
 def test_the_export_is_one_complete_file_of_stock_operators(exported: Export) -> None:
     assert [path.name for path in exported.path.parent.iterdir()] == ['model.onnx']
     model = onnx.load(str(exported.path), load_external_data=False)
@@ -118,6 +119,7 @@ def test_parity_counts_every_value() -> None:
     assert worst == 9 and within == pytest.approx(1 - 4 / (32 * 32 * 4))
 
 
+@pytest.mark.slow
 def test_an_export_with_a_wrong_confidence_is_refused(tmp_path: Path) -> None:
     expansion, path = EXPANSIONS['square'], tmp_path / 'model.onnx'
     function = export_onnx(randomised(expansion), expansion, path)
@@ -183,6 +185,7 @@ def test_colours_are_rounded_and_scales_become_confidence(
     assert sure[0][ring].unique().tolist() == [confidence]
 
 
+@pytest.mark.slow
 def test_a_refused_graph_leaves_nothing_behind(
         tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     expansion = EXPANSIONS['to the right alone']

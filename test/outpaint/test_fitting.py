@@ -125,6 +125,7 @@ def test_uncovered_truth_changes_no_weight() -> None:
     assert not same(weights(first.network), weights(third.network))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('precision', ['fp32', 'bf16'])
 def test_a_few_pictures_are_learnt(precision: str) -> None:
     learning = trainer(precision=precision, steps=60, learning_rate=2e-2)
@@ -291,6 +292,7 @@ def test_gradients_are_clipped() -> None:
     assert norm(1e-3) == pytest.approx(1e-3, rel=1e-2) and norm(1e3) > 1e-2
 
 
+@pytest.mark.slow
 def test_mat_learns_in_the_default_precision() -> None:
     learning = OutpaintTrainer(
         EXPANSION, NetworkConfig(name='mat', patch=4, width=32, depth=2, window=4),

@@ -32,6 +32,7 @@ def sampler(*offsets: tuple[float, float],
     return PoseSampler(places, yaw_range, LEVEL, (float(CENTRE[2]), 0.0))
 
 
+@pytest.mark.slow
 def test_a_batch_is_the_same_however_the_training_came_to_it(field: VoxelField) -> None:
     through = PairStream(field, sampler(), VIEW, 50, seed=4)
     batches = [through.batch(step, 3) for step in range(6)]
@@ -104,6 +105,7 @@ def test_views_of_which_no_photo_saw_half_are_drawn_again() -> None:
     assert min(view[..., 3].float().mean() for view in batch) < 200, 'not only views of seen parts'
 
 
+@pytest.mark.slow
 def test_a_scene_that_no_photo_saw_is_an_error() -> None:
     field = room_field(4000)
     field.update_occupancy()

@@ -165,6 +165,7 @@ def test_a_full_disk_is_named(field: VoxelField, tmp_path: Path,
         pool(field, cache=PanoramaCache(tmp_path, 1e9)).fill(1)
 
 
+@pytest.mark.slow
 def test_blurred_views_are_drawn_again(field: VoxelField, tmp_path: Path) -> None:
     sharp, plain = pool(field), pool(field)
     sharp.require_sharpness(photos(field, tmp_path), 1.0)
