@@ -75,7 +75,7 @@ def train(scene_folder: Path, experiment: Experiment, out: Path,
         check_training(run)
         if rank == 0:
             make_output_folder(out)
-            claim(out, scene, experiment, geometry)
+            claim(out, scene, experiment, geometry, scene_folder)
             if field_of is not None:
                 take_field(out, scene, experiment, field_of)
         wait_for_all()

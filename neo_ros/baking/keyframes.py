@@ -100,8 +100,8 @@ def bake_memory(field: RadianceField, photos: Photos, expansion: ViewExpansion,
         clock.finished += frame is not None
         if frame is None:
             # One is 70 MB for a camera of 640 pixels: it is compressed at once.
-            keyframe = _bake_keyframe(field, photos, seen, gains, position, band,
-                                      expansion.target.fx, rules)
+            keyframe = bake_keyframe(field, photos, seen, gains, position, band,
+                                     keyframe_size(band, expansion.target.fx, rules), rules)
             frame = (*compress(keyframe), keyframe_glances(
                 [keyframe], band, expansion.source, glance_rotations(sampler)))
             _write_finished(path, *frame)
@@ -132,7 +132,7 @@ def _seen_by_photos(field: RadianceField, photos: Photos, rules: BakingRules, pr
         rendering = render_rays(field, *world_rays(camera, CameraPose(T)))
         seen[index] = np.where(rendering.coverage > rules.least_coverage, rendering.depth, 0)
         usable = np.ones(image.shape[:2], bool) if photos.usable is None else photos.usable[index]
-        clear = _clear(usable, camera)
+        clear = clear_pixels(usable, camera)
         seen[index][~clear] = 0
         gains.append(_gain(rendering.image[clear], image[usable]))
         progress(index + 1, len(photos.images))
@@ -153,7 +153,7 @@ def _of_scene_alone(field: RadianceField, photos: Photos, gains: np.ndarray, rul
         yield image
 
 
-def _clear(usable: np.ndarray, camera: Intrinsics) -> np.ndarray:
+def clear_pixels(usable: np.ndarray, camera: Intrinsics) -> np.ndarray:
     """
     Return bool (h, w) of the camera's size: no pixel that a mask leaves out is near.
 
@@ -240,13 +240,23 @@ def keyframe_size(band: Band, focal: float, rules: BakingRules = BakingRules()
             max(round(FINER * focal / mesh), 1))
 
 
-def _bake_keyframe(field: RadianceField, photos: Photos, seen: np.ndarray, gains: np.ndarray,
-                   position: np.ndarray, band: Band, focal: float, rules: BakingRules
-                   ) -> Keyframe:
-    height, width, finer = keyframe_size(band, focal, rules)
+def bake_keyframe(field: RadianceField, photos: Photos, seen: np.ndarray, gains: np.ndarray,
+                  position: np.ndarray, band: Band, size: tuple[int, int, int],
+                  rules: BakingRules, part: tuple[slice, slice] | None = None) -> Keyframe:
+    """
+    Render and colour a keyframe of a size as `keyframe_size` tells.
+
+    seen, gains: of the photos, see `_seen_by_photos`; part: rows and columns of the mesh that are
+    made, None: all.
+    """
+    height, width, finer = size
     dense = min(finer, rules.dense)
-    rays = band.rays(height * dense, width * dense)
-    depth, colours, own = render_band(field, position, rays, dense, band.wraps,
+    rays, wraps = band.rays(height * dense, width * dense), band.wraps and part is None
+    if part is not None:
+        rays = np.ascontiguousarray(rays[tuple(
+            slice(dense * one.start, dense * one.stop) for one in part)])
+    height, width = rays.shape[0] // dense, rays.shape[1] // dense
+    depth, colours, own = render_band(field, position, rays, dense, wraps,
                                       rules.one_surface, FAR, rules.least_coverage)
     texture = np.empty((height * finer, width * finer, 3), np.uint8)
     centres = photos.T_world_cam[:, :3, 3]
@@ -259,7 +269,7 @@ def _bake_keyframe(field: RadianceField, photos: Photos, seen: np.ndarray, gains
                     np.ascontiguousarray(photos.T_world_cam[near, :3, :3], np.float32),
                     centres[near].astype(np.float32), gains[near],
                     camera.fx, camera.fy, camera.cx, camera.cy),
-        band.wraps, rules.one_surface, texture, own, dense)
+        wraps, rules.one_surface, texture, own, dense)
     return Keyframe(position, mesh_depth(depth, dense, rules.one_surface), texture)
 
 

@@ -71,6 +71,8 @@ def _card_rows(card: 'ModelCard') -> list[tuple[str, str]]:
             str(value) for name, value in asdict(tensor).items() if name != 'name')))
     rows += [('mask', card.mask_polarity), ('config', card.config_hash)]
     rows += [(f'score {name}', f'{value:.3f}') for name, value in card.scores.items()]
+    rows += [('updated', f'{update.at} UTC with {update.bag} ({update.photos} photos)')
+             for update in card.updates]
     rows += [
         ('export parity', f'at most {card.parity.max_abs_error}/255 from torch, '
          f'{100 * card.parity.share_within_1:.2f} % of the pixels within 1/255'),

@@ -20,6 +20,7 @@ from neo_ros.cli.record import record
 from neo_ros.cli.replay import replay
 from neo_ros.cli.soak import soak
 from neo_ros.cli.train import train
+from neo_ros.cli.update import update
 from neo_ros.cli.view import view
 from neo_ros.errors import NeoError
 import typer
@@ -41,6 +42,7 @@ app.command('import', rich_help_panel=PREPARE)(import_scene)
 app.command(rich_help_panel=PREPARE)(floor)
 app.command('bag-info', rich_help_panel=PREPARE)(bag_info)
 app.command(rich_help_panel=PREPARE)(train)
+app.command(rich_help_panel=PREPARE)(update)
 app.command(rich_help_panel=PREPARE)(evaluate)
 app.command(rich_help_panel=PREPARE)(export)
 app.command(rich_help_panel=PREPARE)(compare)

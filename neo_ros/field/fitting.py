@@ -68,7 +68,15 @@ class FieldTrainer:
             int(config.voxels * STAGES[0][1]), (low + high) / 2, (high - low) / 2,
             config.shell, config.sh_degree, near=fit_near(config.near))
         self.view_near = self.field.near if config.near is None else config.near
+        self._fixed: np.ndarray | None = None
         self._allocate()
+
+    def change_only(self, field: VoxelField, points: np.ndarray) -> None:
+        """Go on from a field that is fitted; of its grid points these, bool (X, Y, Z), change."""
+        self.field, self.stage = field, len(STAGES) - 1
+        self._allocate()
+        self._fixed = np.ones(len(field.grid), bool)
+        self._fixed[field.row_of[points.ravel() & (field.row_of >= 0)]] = False
 
     @property
     def placed(self) -> FittedField:
@@ -171,6 +179,8 @@ class FieldTrainer:
                            arrays, weights, self.slopes, error, d_gain)
         scatter_gradients(
             rays_d, self.slopes, arrays, get_num_threads(), self.gradient, self.touched)
+        if self._fixed is not None:
+            self.touched[self._fixed] = 0
         rate = np.float32(config.learning_rate * 0.1 ** self.share)
         adam_step(
             field.grid, self.gradient, self.first, self.second, self.touched, self.updates, rate)

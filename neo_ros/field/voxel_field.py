@@ -35,6 +35,7 @@ class VoxelField:
     step    ray step in voxels
     near    metres in front of a camera that are taken for empty
     row_of  int32 (X * Y * Z,): the row of each grid point in `grid`, -1 for air that is not kept
+    searched  bool (X, Y, Z): cells that rays sample even if they are air; None: no cell
     """
 
     grid: np.ndarray
@@ -46,6 +47,7 @@ class VoxelField:
     near: float = 0.1
     initial_alpha: float = 1e-4
     row_of: Any = None
+    searched: np.ndarray | None = None
     skip: np.ndarray = field(init=False)
     seen: np.ndarray = field(init=False)
     device: ClassVar = torch.device('cpu')
@@ -151,11 +153,25 @@ class VoxelField:
 
     def of_seen_cells(self) -> 'VoxelField':
         """Return the field without the points that are a corner of no seen cell."""
-        kept = (self.row_of >= 0) & dilated(self.seen.reshape(self.shape), 0).ravel()
-        result = replace(self, grid=self.grid[self.row_of[kept]], row_of=numbered(kept))
-        result.seen = self.seen
+        result = self.keeping(
+            (self.row_of >= 0) & dilated(self.seen.reshape(self.shape), 0).ravel())
         result.update_occupancy()
         return result
+
+    def keeping(self, points: np.ndarray) -> 'VoxelField':
+        """Return the field of just these points, bool (X * Y * Z,): air where it had none."""
+        row_of = numbered(points)
+        grid = np.zeros((int(points.sum()), self.grid.shape[1]), np.float32)
+        both = points & (self.row_of >= 0)
+        grid[row_of[both]] = self.grid[self.row_of[both]]
+        result = replace(self, grid=grid, row_of=row_of)
+        result.seen = self.seen.copy()
+        return result
+
+    @property
+    def matter(self) -> np.ndarray:
+        """Tell which cells are not empty air, bool (X, Y, Z), even among those `searched`."""
+        return self._occupied(self.grid).reshape(self.shape)
 
     def is_matter(self, points: np.ndarray) -> np.ndarray:
         """Tell which world points (..., 3) lie in cells that are not empty air: bool (...)."""
@@ -177,6 +193,8 @@ class VoxelField:
         if not occupied.any():
             self.skip[:] = len(self.grid) < len(self.row_of)
             return 0.0
+        if self.searched is not None:
+            occupied |= self.searched.ravel()
         cells = np.pad(occupied.reshape(self.shape), [(0, size % 2) for size in self.shape])
         x, y, z = (size // 2 for size in cells.shape)
         blocks = cells.reshape(x, 2, y, 2, z, 2).any(axis=(1, 3, 5))

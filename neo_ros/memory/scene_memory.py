@@ -1,5 +1,5 @@
 """The scene memory: what a robot keeps of a scene to see it again from other poses."""
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 import hashlib
@@ -138,6 +138,14 @@ class SceneMemory:
         textures, depths = zip(*map(compress, keyframes))
         return cls(np.stack([keyframe.position for keyframe in keyframes]), band, textures,
                    depths, glances)
+
+    def replaced(self, keyframes: Mapping[int, Keyframe], landmarks: Landmarks | None
+                 ) -> 'SceneMemory':
+        """Return the memory with other keyframes at these places, and other landmarks."""
+        textures, depths = list(self._textures), list(self._depths)
+        for index, keyframe in keyframes.items():
+            textures[index], depths[index] = compress(keyframe)
+        return SceneMemory(self.positions, self.band, textures, depths, self.glances, landmarks)
 
     def write(self, path: Path) -> str:
         """Write the memory; returns the file's SHA-256, for the model's card."""

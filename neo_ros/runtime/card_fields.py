@@ -48,7 +48,7 @@ def check_part(name: str, value: object, kind: type) -> None:
 def read_part(kind: type, value: dict[str, Any],
               **parts: Callable[[dict[str, Any]], object]) -> Any:
     """
-    Build a dataclass from a JSON object; `parts` read the fields that are objects themselves.
+    Build a dataclass from a JSON object; `parts` read the fields that are objects or lists.
 
     Raises ModelError for unknown and missing keys, and whatever the dataclass refuses.
     """
@@ -72,6 +72,10 @@ def read_part(kind: type, value: dict[str, Any],
                 given[name] = parts[name](value[name])
             except NeoError as error:
                 raise ModelError(f'{name}.{error}') from None
+        elif name in parts and isinstance(value[name], list):
+            for item in value[name]:
+                check_part(name, item, dict)
+            given[name] = tuple(map(parts[name], value[name]))
     return kind(**given)
 
 

@@ -97,6 +97,22 @@ class MemoryFile:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Update:
+    """What `neo update` made a scene memory of."""
+
+    memory: str     # sha256 of the memory before
+    bag: str        # its name
+    photos: int     # of the bag, that were looked at
+    at: str         # when: date and time, UTC
+
+    def __post_init__(self) -> None:
+        check_text('memory', self.memory, '[0-9a-f]{64}')
+        check_text('bag', self.bag)
+        check_whole('photos', self.photos)
+        check_text('at', self.at)
+
+
+@dataclass(frozen=True, kw_only=True)
 class ModelCard:
     """
     What a model file says of itself.
@@ -125,6 +141,7 @@ class ModelCard:
     scene_reference: SceneReference | None = None
     memory: MemoryFile | None = None    # the scene memory; None: the network works alone
     arbitrary_scale: bool = False       # nobody knows how long a unit of the scene is
+    updates: tuple[Update, ...] = ()    # of the memory since the training, the oldest first
 
     def __post_init__(self) -> None:
         check_same('schema_version', self.schema_version, SCHEMA_VERSION)
@@ -145,6 +162,9 @@ class ModelCard:
         check_part('arbitrary_scale', self.arbitrary_scale, bool)
         if self.memory is not None:
             check_part('memory', self.memory, MemoryFile)
+        check_part('updates', self.updates, tuple)
+        for update in self.updates:
+            check_part('updates', update, Update)
 
     @classmethod
     def from_json(cls, text: str) -> 'ModelCard':
@@ -179,6 +199,7 @@ _READERS: dict[str, Any] = {
     'parity': partial(read_part, Parity),
     'scene_reference': partial(read_part, SceneReference),
     'memory': partial(read_part, MemoryFile),
+    'updates': partial(read_part, Update),
 }
 
 

@@ -18,13 +18,18 @@ RUN_FILE = 'run.json'
 
 
 def claim(out: Path, scene: Scene, experiment: Experiment,
-          geometry: GivenGeometry | None = None) -> None:
-    """Refuse a folder that holds another run, so that no two are ever mixed."""
+          geometry: GivenGeometry | None = None, folder: Path | None = None) -> None:
+    """
+    Refuse a folder that holds another run, so that no two are ever mixed.
+
+    folder: where the scene lies, noted for `scene_folder`.
+    """
     note, path = _run_note(scene, experiment), out / RUN_FILE
     if geometry is not None:
         note['geometry'] = geometry.digest
     if path.exists():
         found = _read_run_note(path)
+        found.pop('folder', None)  # It may have been moved.
         if geometry is None and (out / 'field.npz').exists():
             found.pop('geometry', None)  # It is read no more.
         if found != note and {**note, **found} == note:
@@ -39,7 +44,39 @@ def claim(out: Path, scene: Scene, experiment: Experiment,
     if any(path.name != PLAN_FILE for path in out.iterdir()):
         raise ConfigError(f'{out}: expected an empty folder or an earlier run; it holds '
                           'other files')
+    if folder is not None:
+        note['folder'] = str(folder.resolve())
     write_bytes(path, json.dumps(note).encode())
+
+
+def note_update(out: Path, run: Path, scene: Scene) -> None:
+    """Note in a new folder that it holds the run in the folder `run`, of more photos."""
+    note = {**_read_run_note(run / RUN_FILE), 'photos': list_digest(scene.train)[:12]}
+    note.pop('folder', None)
+    write_bytes(out / RUN_FILE, json.dumps(note).encode())
+
+
+def scene_folder(run: Path) -> Path:
+    """Return the scene that a run was trained on: in its folder, or where it was then."""
+    note = _read_run_note(run / RUN_FILE)
+    inside = run / str(note.get('scene'))
+    if inside.is_dir():
+        return inside
+    if 'folder' not in note:
+        raise ConfigError(f'{run / RUN_FILE}: does not say where the scene is: an older neo_ros '
+                          'wrote it; name it with --scene')
+    return Path(note['folder'])
+
+
+def check_run(run: Path, scene: Scene, experiment: Experiment) -> None:
+    """Raise ConfigError where a run is of other photos, or of other settings of the field."""
+    found, own = _read_run_note(run / RUN_FILE), _run_note(scene, experiment)
+    advice = {'photos': 'name its scene with --scene',
+              'field': 'give the experiment that it was trained with, --config'}
+    for name, what in advice.items():
+        if found.get(name) != own[name]:
+            raise ConfigError(f'{run}: expected a run of these photos and settings, it is one of '
+                              f'other {name} ({found.get(name)}, not {own[name]}); {what}')
 
 
 def _run_note(scene: Scene, experiment: Experiment) -> dict[str, Any]:

@@ -217,7 +217,7 @@ def test_finished_keyframes_are_not_baked_again(
     assert bake_with_post(tmp_path / 'work').write(tmp_path / 'a') == whole
     finished, = (tmp_path / 'work').iterdir()
     with monkeypatch.context() as patch:
-        patch.setattr(keyframes, '_bake_keyframe', lambda *arguments: 1 / 0)
+        patch.setattr(keyframes, 'bake_keyframe', lambda *arguments: 1 / 0)
         assert bake_with_post(tmp_path / 'work').write(tmp_path / 'b') == whole
     finished.write_bytes(finished.read_bytes()[:1000])
     assert bake_with_post(tmp_path / 'work').write(tmp_path / 'c') == whole

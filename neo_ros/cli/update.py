@@ -1,0 +1,57 @@
+"""`neo update`: change a trained scene where bags show that it has changed."""
+from pathlib import Path
+from typing import Annotated, Optional
+
+import typer
+
+
+def update(
+    run: Annotated[Path, typer.Argument(
+        help='Output folder of neo train, or of an earlier neo update.')],
+    bags: Annotated[list[Path], typer.Argument(
+        help='Bags of later days, the oldest first.')],
+    out: Annotated[Path, typer.Option(
+        help='Folder of the updated run; must not exist yet.')],
+    scene: Annotated[Optional[Path], typer.Option(
+        help='Scene folder that RUN was trained on; default: where it was then.')] = None,
+    config: Annotated[Optional[Path], typer.Option(
+        help='Experiment file that RUN was trained with, if it was with one.')] = None,
+    image_topic: Annotated[Optional[str], typer.Option(
+        help='Camera image, raw or compressed; default: the only one of the size the model '
+             'takes.')] = None,
+    info_topic: Annotated[Optional[str], typer.Option(
+        help='The CameraInfo of the images, where it is not beside them.')] = None,
+    rectify: Annotated[bool, typer.Option(
+        '--rectify', help='Take the distortion out of the images first.')] = False,
+    minutes: Annotated[Optional[float], typer.Option(
+        help='Fit the changed part of the field for so many minutes, for each bag; default: as '
+             'many as it takes.',
+        min=0.1)] = None,
+) -> None:
+    """
+    Change a trained scene where bags show that it has changed, and nowhere else.
+
+    Leaves model, scene memory, field, photos and report.html in OUT; RUN stays as it is. Broken
+    off? Run the same command again.
+    """
+    from neo_ros.cli.options import tell_next
+    from neo_ros.cli.progress import stage_progress
+    from neo_ros.experiment import read_experiment
+    from neo_ros.updating.update import update as update_run, UpdateOptions
+    import rich
+    from rich.markup import escape
+
+    options = UpdateOptions(image_topic=image_topic, info_topic=info_topic, rectify=rectify,
+                            minutes=minutes)
+    with stage_progress() as show:
+        places = update_run(run, bags, out, options, scene,
+                            None if config is None else read_experiment(config), show)
+    for bag, count in zip(bags, places):
+        what = f'{count} changed places' if count else 'nothing has changed'
+        rich.print(f'{escape(bag.name)}: {what}')
+    if not any(places):
+        rich.print('Nothing is written: the run is up to date.')
+        return
+    model, = out.glob('*.onnx')
+    rich.print(f'Written: {escape(str(model))}, its memory and report.html')
+    tell_next('neo', 'replay', bags[-1], '--model', model, '--out', 'WIDE')

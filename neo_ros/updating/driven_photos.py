@@ -1,0 +1,85 @@
+"""Photos out of a bag: images of which the scene memory knows where they were taken."""
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+from neo_ros.bags import BagReader
+from neo_ros.bags.camera_topics import as_raw_image, find_camera
+from neo_ros.errors import BagError, ImageRejected
+from neo_ros.geometry import CameraPose
+from neo_ros.geometry.camera_pose import rotation_angle
+from neo_ros.machine.progress import no_progress, Progress
+from neo_ros.memory.learning import LearningThresholds
+from neo_ros.memory.sight import Guide
+from neo_ros.messages import camera_info_of, FrameProcessor
+from neo_ros.messages.frame_processor import WideFrame
+from neo_ros.messages.image_reader import ImageReader
+from neo_ros.runtime import FovExtrapolator
+import numpy as np
+
+# Of a bag so many photos are kept at most; of a longer one those that are farther apart.
+MOST_PHOTOS = 400
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """Photos of a bag, uint8 RGB (h, w, 3) each, their poses, and how many images it has."""
+
+    images: list[np.ndarray]
+    poses: list[CameraPose]
+    seen: int
+
+
+def drive_through(bag: Path, extrapolator: FovExtrapolator, image_topic: str | None = None,
+                  info_topic: str | None = None, rectify: bool = False,
+                  progress: Progress = no_progress,
+                  limits: LearningThresholds = LearningThresholds()) -> Drive:
+    """
+    Follow a bag's camera through the memory, and keep photos a little apart.
+
+    Raises BagError for bags and topics that cannot be used, and where no image is believed.
+    """
+    photos: list[tuple[np.ndarray, CameraPose]] = []
+    seen, metres, radians = 0, limits.metres, limits.radians
+    extrapolator.reset()
+    with BagReader(bag) as reader:
+        for frame in _frames(reader, extrapolator, image_topic, info_topic, rectify, progress):
+            seen += 1
+            guide = cast(Guide | None, frame.guide)
+            if guide is None or guide.agreement < limits.least_agreement or (
+                    photos and not _moved(guide.pose, photos[-1][1], metres, radians)):
+                continue
+            assert frame.image is not None
+            photos.append((np.array(extrapolator.expansion.crop(frame.image)), guide.pose))
+            if len(photos) == MOST_PHOTOS:
+                photos, metres, radians = photos[::2], 2 * metres, 2 * radians
+    if not photos:
+        raise BagError(f'{bag}: of {seen} images none shows the scene of '
+                       f'{extrapolator.card.scene_id}; give bags of the same place and camera')
+    images, poses = zip(*photos)
+    return Drive(list(images), list(poses), seen)
+
+
+def _frames(reader: BagReader, extrapolator: FovExtrapolator, image_topic: str | None,
+            info_topic: str | None, rectify: bool, progress: Progress) -> Iterator[WideFrame]:
+    """Yield the WideFrame of each image that can be read."""
+    topics = find_camera(reader, extrapolator.expansion.source, image_topic, info_topic)
+    processor, images, info = FrameProcessor(extrapolator, rectify), ImageReader(), None
+    names = [topic.name for topic in (topics.image, topics.info) if topic is not None]
+    total = sum(topic.count for topic in (topics.image, topics.info) if topic is not None)
+    for done, message in enumerate(reader.messages(names), 1):
+        progress(min(done, total), total)
+        try:
+            content = as_raw_image(message.read(), message.topic, images)
+            if message.topic == topics.info:
+                info = camera_info_of(content, topics.image.name)
+            elif message.topic == topics.image:
+                yield processor.process(content, info)
+        except (BagError, ImageRejected):
+            continue
+
+
+def _moved(pose: CameraPose, other: CameraPose, metres: float, radians: float) -> bool:
+    T = other.inverse() @ pose.T_world_cam
+    return bool(np.linalg.norm(T[:3, 3]) > metres or rotation_angle(T[:3, :3]) > radians)

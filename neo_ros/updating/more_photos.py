@@ -1,0 +1,67 @@
+"""The photos of an updated scene: those of before, masked where out of date, and new ones."""
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+from neo_ros.baking.keyframes import Photos
+from neo_ros.geometry import CameraPose
+from neo_ros.machine.files import share_file, write_bytes
+from neo_ros.pictures.usable import write_usable
+from neo_ros.scenes.scene import Scene
+from neo_ros.scenes.transforms_json import write_transforms
+from neo_ros.scenes.walkable import write_walkable
+import numpy as np
+
+
+def write_more_photos(folder: Path, scene: Scene, chosen: Sequence[int], photos: Photos) -> None:
+    """
+    Write a scene folder that can be trained on, or updated again.
+
+    chosen: which of the scene's photos are the first of `photos`, whose pixels count as far as
+    they are usable; the others, whose numbers are higher, are new.
+    """
+    train = scene.train
+    assert photos.usable is not None
+    old = sum(index < len(train) for index in chosen)
+    size = (train.intrinsics.width, train.intrinsics.height)
+    masks = dict(zip(chosen[:old], photos.usable))
+    paths, mask_paths = [], list[Path | None]()
+
+    def add(name: str, usable: np.ndarray | None) -> None:
+        paths.append(folder / 'train' / name)
+        if usable is None or usable.all():
+            mask_paths.append(None)
+            return
+        mask = folder / 'masks' / f'{Path(name).stem}.png'
+        mask_paths.append(mask)
+        write_usable(mask, cv2.resize(
+            usable.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST_EXACT) > 0)
+
+    (folder / 'train').mkdir(parents=True)
+    for index, path in enumerate(train.image_paths):
+        usable = masks.get(index)
+        add(f'{index:06d}{path.suffix}', train.read_usable(index) if usable is None else usable)
+        share_file(path, paths[-1])
+    for number, (image, usable) in enumerate(zip(photos.images[old:], photos.usable[old:]),
+                                             len(train)):
+        add(f'{number:06d}.png', usable)
+        if image.shape[1::-1] != size:
+            image = cv2.resize(image, size, interpolation=cv2.INTER_CUBIC)
+        write_bytes(paths[-1], cv2.imencode('.png', image[..., ::-1])[1].tobytes())
+    new = len(photos.images) - old
+    depth_paths = list[Path | None]()
+    for index, depth in enumerate(train.depth_paths):
+        depth_paths.append(None if depth is None else folder / 'depth' / (
+            f'{index:06d}{depth.suffix}'))
+        if depth is not None:
+            (folder / 'depth').mkdir(exist_ok=True)
+            share_file(depth, folder / 'depth' / f'{index:06d}{depth.suffix}')
+    write_transforms(folder / 'transforms_train.json', replace(
+        train, image_paths=tuple(paths), z_up=True,  # It was stood up.
+        poses=(*train.poses, *map(CameraPose, photos.T_world_cam[old:])),
+        path_ids=(*train.path_ids, *[1 + max(train.path_ids)] * new),
+        depth_paths=(*depth_paths, *[None] * new) if depth_paths else (),
+        mask_paths=tuple(mask_paths)))
+    if scene.walkable is not None:
+        write_walkable(folder / 'walkable.json', scene.walkable)

@@ -1,0 +1,191 @@
+"""Fit a field anew in a part of its space, and leave the rest bit by bit as it was."""
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+from neo_ros.baking.keyframes import BakingRules
+from neo_ros.field import kernels
+from neo_ros.field.config import FieldConfig
+from neo_ros.field.fitting import FieldTrainer
+from neo_ros.field.rendering import render_rays, world_rays
+from neo_ros.field.voxel_field import AIR_KEPT, dilated, VoxelField
+from neo_ros.geometry import CameraPose
+from neo_ros.machine.progress import no_progress, Progress
+from neo_ros.memory.contradiction import contradicted, contradiction
+from neo_ros.updating.changed_space import around, ChangedSpace, ChangeRules, space_of
+from neo_ros.updating.compared_photos import ComparedPhotos
+from neo_ros.updating.kernels import count_spans
+import numpy as np
+from scipy import ndimage
+
+
+@dataclass(frozen=True)
+class RefitRules:
+    """How long it takes, and what stays."""
+
+    # Each pixel is fitted so often, at most.
+    passes: float = 12.0
+    least_steps: int = 600
+    most_steps: int = 3000
+    # Of the steps; then what is as before goes back, and old photos that agree with what the new
+    # ones have made have their say.
+    new_alone: float = 0.6
+    # A surface has changed where photos contradict it, the fit is nearer to them, by more than so
+    # many grey levels, and so many of them see that, of all that see the surface.
+    grey_levels: float = 15.0
+    least_photos: int = 3
+    least_share: float = 0.3
+    # Photos of before show what was there, not what is: where more than so many of them for each
+    # that does are nearer to the fit, the field was poor, and nothing has changed.
+    most_as_new: float = 0.5
+    # Cells before and behind a surface that are of it; and around all that has changed.
+    thick: float = 1.5
+    margin: int = 1
+
+
+def refit(field: VoxelField, space: ChangedSpace, compared: ComparedPhotos, config: FieldConfig,
+          seed: int, minutes: float | None = None, progress: Progress = no_progress,
+          rules: RefitRules = RefitRules()) -> tuple[VoxelField, ChangedSpace]:
+    """
+    Return the field as new photos show it, and what of the space has changed in truth.
+
+    All other grid points stay as they are. minutes: of fitting; None: as many as it takes.
+    """
+    photos, beyond = compared.photos, BakingRules.one_surface
+    usable = space.reached_by(field, compared, beyond, compared.old)
+    if not usable.any():
+        return field, ChangedSpace(np.zeros_like(space.cells), [])
+    steps = int(np.clip(rules.passes * usable.sum() / config.rays_per_step, rules.least_steps,
+                        rules.most_steps))
+    trainer = FieldTrainer(
+        photos.images, photos.intrinsics, photos.T_world_cam,
+        replace(config, steps=steps, minutes=minutes, exposure=False, vignetting=False,
+                sharpness=0.0), seed, usable=usable)
+    trainer.camera.log_gain = -np.log(compared.gains).astype(np.float32)
+    trainer.change_only(*opened(field, space))
+    _fit(trainer, rules.new_alone, progress)
+    fitted = trainer.field
+    space = truly_changed(field, fitted, usable, compared, space, rules)
+    if not space.places:
+        return field, space
+    narrower, points = opened(field, space)
+    rows = points.ravel()
+    narrower.grid[narrower.row_of[rows]] = fitted.grid[fitted.row_of[rows]]
+    narrower.update_occupancy()
+    usable[:] = space.reached_by(field, compared, beyond)
+    usable[:compared.old] &= agreeing(narrower, compared, usable)[:compared.old]
+    trainer.change_only(narrower, points)
+    _fit(trainer, 1.0, progress)
+    usable[:compared.old] = False
+    return _finished(field, trainer.field, space, usable, compared), space
+
+
+def _fit(trainer: FieldTrainer, share: float, progress: Progress) -> None:
+    while trainer.share < share:
+        trainer.train_step()
+        progress(*trainer.done)
+
+
+def opened(field: VoxelField, space: ChangedSpace) -> tuple[VoxelField, np.ndarray]:
+    """Return a copy of the field that keeps all points of a space, and these, bool (X, Y, Z)."""
+    points = dilated(space.cells, 0)
+    copy = field.keeping((field.row_of >= 0) | points.ravel())
+    copy.searched = space.cells
+    copy.update_occupancy()
+    return copy, points
+
+
+def truly_changed(old: VoxelField, new: VoxelField, reached: np.ndarray,
+                  compared: ComparedPhotos, space: ChangedSpace, rules: RefitRules
+                  ) -> ChangedSpace:
+    """
+    Return the cells whose surfaces are others in the new field, which only new photos show.
+
+    reached bool (N, h, w): their pixels that see the space.
+    """
+    seen = _seen_differently(old, new, reached, compared, rules)
+    # What left is seen through, what came is seen; haze on the way is neither.
+    changed = np.zeros_like(space.cells)
+    for photos, matter in ((seen.through, old.matter), (seen.surface, new.matter)):
+        changed |= matter & (photos >= rules.least_photos) & (
+            photos >= rules.least_share * (photos + seen.same))
+    changed &= space.cells
+    changed = ndimage.binary_closing(changed, np.ones((3, 3, 3))) & space.cells
+    found = space_of(old, changed, seen.through, ChangeRules(), 0)
+    before = found.reached_by(old, compared, BakingRules.one_surface)
+    before[compared.old:] = False
+    better, worse = (_seen_differently(one, other, before, compared, rules).through
+                     for one, other in ((old, new), (new, old)))
+    places = [place for place in found.places if worse[tuple(place.cells.T)].sum()
+              * rules.most_as_new > better[tuple(place.cells.T)].sum()]
+    kept = around(old, places, rules.margin)
+    return ChangedSpace(kept.cells & space.cells, kept.places)
+
+
+class _Seen(NamedTuple):
+    """
+    How many photos see each cell of a field, three times int32 (X, Y, Z).
+
+    through, surface: in pixels that are nearer to another field, before the other's surface or at
+    it, and at it; same: in other pixels.
+    """
+
+    through: np.ndarray
+    surface: np.ndarray
+    same: np.ndarray
+
+
+def _seen_differently(one: VoxelField, other: VoxelField, reached: np.ndarray,
+                      compared: ComparedPhotos, rules: RefitRules) -> _Seen:
+    """Ask photos which of two fields they show; reached bool (N, h, w): the pixels that count."""
+    photos, thick = compared.photos, rules.thick * one.voxel
+    counts = np.zeros((3, len(one.row_of)), np.int32)
+    last = np.zeros(len(one.row_of), np.int32)
+    for index in map(int, np.flatnonzero(reached.any((1, 2)))):
+        pixels = reached[index]
+        origin, rays = world_rays(photos.intrinsics, compared.pose(index))
+        rays = np.ascontiguousarray(rays[pixels], np.float32)
+        shown, then = (render_rays(field, origin, rays) for field in (one, other))
+        photo = photos.images[index][pixels] * (compared.gains[index] / 255)
+        off, off_then = (np.abs(each.image - photo).max(-1) for each in (shown, then))
+        nearer = off - off_then > rules.grey_levels / 255
+        if index >= compared.old:
+            nearer &= ~compared.agrees[index][pixels]
+        first = np.minimum(shown.depth, then.depth)
+        for kind, (chosen, begin) in enumerate((
+                (nearer, first), (nearer, then.depth), (~nearer, first))):
+            count_spans(origin.astype(np.float64), rays[chosen],
+                        np.maximum(begin[chosen] - thick, one.near), then.depth[chosen] + thick,
+                        one.box, np.array(one.shape), 3 * index + kind + 1, last,
+                        counts[kind])
+    return _Seen(*counts.reshape(3, *one.shape))
+
+
+def agreeing(field: VoxelField, compared: ComparedPhotos, reached: np.ndarray) -> np.ndarray:
+    """Tell which of the reached pixels show what the field shows there: bool (N, h, w)."""
+    photos, agree = compared.photos, reached.copy()
+    for image, T, gain, pixels in zip(photos.images, photos.T_world_cam, compared.gains, agree):
+        if not pixels.any():
+            continue
+        origin, rays = world_rays(photos.intrinsics, CameraPose(T))
+        image = image.astype(np.float32)
+        shown = image.copy()
+        shown[pixels] = 255 * render_rays(field, origin, rays[pixels]).image / gain
+        pixels &= ~contradicted(contradiction(image, shown, pixels))
+    return agree
+
+
+def _finished(field: VoxelField, fitted: VoxelField, space: ChangedSpace, reached: np.ndarray,
+              compared: ComparedPhotos) -> VoxelField:
+    """Leave air out, and note as seen what the new photos reach."""
+    found = fitted.keeping((field.row_of >= 0) | (fitted.row_of >= 0) & dilated(
+        fitted.matter & space.cells, AIR_KEPT).ravel())
+    found.searched = None
+    found.update_occupancy()
+    seen, photos = np.zeros_like(found.seen), compared.photos
+    for T, pixels in zip(photos.T_world_cam[compared.old:], reached[compared.old:]):
+        origin, rays = world_rays(photos.intrinsics, CameraPose(T))
+        rays_d = np.ascontiguousarray(rays[pixels], np.float32)
+        kernels.mark_seen(np.broadcast_to(origin, rays_d.shape).copy(), rays_d, found.arrays,
+                          seen)
+    found.seen |= seen & space.cells.ravel().view(np.uint8)
+    return found

@@ -1,0 +1,237 @@
+"""Change a trained scene where bags of later days show that it has changed, and nowhere else."""
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime, timezone
+from pathlib import Path
+import shutil
+import time
+
+import cv2
+from neo_ros.baking.keyframes import BakingRules, clear_pixels, Photos
+from neo_ros.errors import ConfigError, ModelError, SceneError
+from neo_ros.experiment import Experiment
+from neo_ros.field.mesh_field import MeshField
+from neo_ros.field.rendering import render_rays, world_rays
+from neo_ros.field.voxel_field import VoxelField
+from neo_ros.machine.files import make_output_folder, share_file
+from neo_ros.machine.progress import no_stage_progress, of_stage, StageProgress
+from neo_ros.memory.landmarks import Landmarks
+from neo_ros.memory.scene_memory import SceneMemory
+from neo_ros.reports.report import Section, write_report
+from neo_ros.runtime import FovExtrapolator, ModelCard
+from neo_ros.runtime.fov_extrapolator import memory_path
+from neo_ros.runtime.model_card import MemoryFile, read_model_card, Update, write_model_card
+from neo_ros.scenes.scene import Scene
+from neo_ros.scenes.upright import read_upright_scene
+from neo_ros.training.folder import check_run, note_update, scene_folder
+from neo_ros.training.time_plan import PLAN_FILE, read_plan
+from neo_ros.updating.changed_keyframes import bake_changes
+from neo_ros.updating.changed_space import ChangedSpace, find_changed_space
+from neo_ros.updating.compared_photos import compare, ComparedPhotos
+from neo_ros.updating.driven_photos import Drive, drive_through
+from neo_ros.updating.more_photos import write_more_photos
+from neo_ros.updating.refit import agreeing, refit
+from neo_ros.updating.update_report import update_sections
+import numpy as np
+
+
+@dataclass(frozen=True, kw_only=True)
+class UpdateOptions:
+    """What a user may say; topics as of a replay, minutes for the fit of the field."""
+
+    image_topic: str | None = None
+    info_topic: str | None = None
+    rectify: bool = False
+    minutes: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class UpdateRun:
+    """A finished run: its folder, scene, settings and model."""
+
+    folder: Path
+    scene: Scene
+    experiment: Experiment
+    model: Path
+    card: ModelCard
+    memory: Path
+
+    @classmethod
+    def find(cls, folder: Path, scene: Path | None, experiment: Experiment | None) -> 'UpdateRun':
+        """Raise NeoError for a folder that is no finished run with a memory and a fitted field."""
+        if experiment is None:
+            planned = (folder / PLAN_FILE).exists()
+            experiment = read_plan(folder).experiment if planned else Experiment()
+        found = read_upright_scene(scene or scene_folder(folder))
+        check_run(folder, found, experiment)
+        if not (folder / 'field.npz').exists():
+            raise SceneError(f'{folder}: expected a finished run with its field.npz, there is '
+                             'none; train it to the end, or anew')
+        if MeshField.load(folder / 'field.npz') is not None:
+            raise SceneError(f'{folder}: expected a field that was fitted to photos, got a mesh '
+                             'or splats, which cannot be changed in part')
+        model = folder / f'{found.name}.onnx'
+        card = read_model_card(model)
+        if card.memory is None:
+            raise ModelError(f'{model}: expected a model with a scene memory; it has none')
+        return cls(folder, found, experiment, model, card, memory_path(model, card.memory))
+
+
+def update(run: Path, bags: Sequence[Path], out: Path, options: UpdateOptions = UpdateOptions(),
+           scene: Path | None = None, experiment: Experiment | None = None,
+           progress: StageProgress = no_stage_progress) -> list[int]:
+    """
+    Write into `out` the run as bags, the oldest first, show its scene; return places by bag.
+
+    Where nothing has changed nothing is written. `out` appears whole or not at all. Raises
+    NeoError for runs and bags that cannot be used.
+    """
+    if out.exists():
+        raise ConfigError(f'{out}: expected a folder that does not exist yet; choose another')
+    work = out.with_name(f'{out.name}.partial')
+    shutil.rmtree(work, ignore_errors=True)  # What was broken off begins anew.
+    try:
+        return _update(run, bags, out, options, scene, experiment, progress, work)
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
+
+
+def _update(run: Path, bags: Sequence[Path], out: Path, options: UpdateOptions,
+            scene: Path | None, experiment: Experiment | None, progress: StageProgress,
+            work: Path) -> list[int]:
+    newest, sections, found = run, list[Section](), list[int]()
+    for index, bag in enumerate(bags):
+        current = UpdateRun.find(newest, scene if newest == run else None, experiment)
+        folder = make_output_folder(work / str(index))
+        told = update_once(current, bag, folder, options, progress)
+        found.append(0 if told is None else told[0])
+        if told is not None:
+            newest, sections = folder, sections + told[1]
+    if newest != run:
+        write_report(newest / 'report.html', f'What has changed in {scene_folder(newest).name}',
+                     sections)
+        newest.rename(out)
+    return found
+
+
+def update_once(run: UpdateRun, bag: Path, out: Path, options: UpdateOptions,
+                progress: StageProgress) -> tuple[int, list[Section]] | None:
+    """Leave the run as a bag shows it in `out`; return places and a report, None if unchanged."""
+    started, named = time.monotonic(), run.card.memory
+    assert named is not None
+    # A copy without a journal: what was learnt meanwhile would hide what has changed.
+    model, memory_file = out / run.model.name, out / f'{run.model.stem}.memory'
+    share_file(run.model, model)
+    share_file(run.memory, memory_file)
+    drive = drive_through(bag, FovExtrapolator.load(model), options.image_topic,
+                          options.info_topic, options.rectify, of_stage(progress, bag.name))
+    field = VoxelField.load(run.folder / 'field.npz')
+    before = SceneMemory.read(memory_file, named.sha256)
+    compared = compare(_small_photos(run, drive), len(run.scene.train), before,
+                       of_stage(progress, 'photos'))
+    space = find_changed_space(field, compared)
+    if space.places:
+        field, space = refit(field, space, compared, run.experiment.field, run.experiment.seed,
+                             options.minutes, of_stage(progress, 'field'))
+    if not space.places:
+        return None
+    photos, seen, gains, chosen = _photos_that_see(run, field, space, drive, compared)
+    after = before.replaced(
+        bake_changes(field, space, before, photos, seen, gains, of_stage(progress, 'keyframes')),
+        _landmarks_outside(before.landmarks, field, space))
+    sha256 = after.write(memory_file)
+    field.save(out / 'field.npz')
+    write_model_card(model, replace(
+        run.card, memory=MemoryFile(file=memory_file.name, sha256=sha256),
+        updates=(*run.card.updates, Update(
+            memory=named.sha256, bag=bag.name, photos=len(drive.poses),
+            at=f'{datetime.now(timezone.utc):%Y-%m-%d %H:%M:%S}'))))
+    write_more_photos(out / run.scene.name, run.scene, chosen, photos)
+    note_update(out, run.folder, read_upright_scene(out / run.scene.name))
+    for name in (PLAN_FILE, 'field.json'):
+        if (run.folder / name).exists():
+            share_file(run.folder / name, out / name)
+    return len(space.places), update_sections(
+        bag.name, run.scene, run.card.expansion, drive, compared, space, before, after,
+        time.monotonic() - started)
+
+
+def _small_photos(run: UpdateRun, drive: Drive) -> Photos:
+    """Return all photos of the run, and behind them the new ones, as fine as the field shows."""
+    train, scale = run.scene.train, run.experiment.scale
+    camera = train.intrinsics.scaled(scale)
+    small = camera.scaled(min(BakingRules.photo_focal / camera.fx, 1.0))
+    count = len(train) + len(drive.poses)
+    images = np.empty((count, small.height, small.width, 3), np.uint8)
+    usable = np.ones(images.shape[:3], bool)
+    for index in range(count):
+        image, mask = _photo(run, drive, index)
+        images[index] = cv2.resize(image, (small.width, small.height),
+                                   interpolation=cv2.INTER_AREA)
+        if not mask.all():
+            usable[index] = clear_pixels(mask, small)
+    return Photos(images, small, np.concatenate(
+        [train.T_world_cam, np.stack([pose.T_world_cam for pose in drive.poses])]), usable)
+
+
+def _photo(run: UpdateRun, drive: Drive, index: int) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return photo `index` of the run, or of the drive behind them, and what of it is usable.
+
+    uint8 RGB (H, W, 3), bool (H, W); a photo of the drive stands in the middle of a black one.
+    """
+    train, scale = run.scene.train, run.experiment.scale
+    camera = train.intrinsics.scaled(scale)
+    if index < len(train):
+        mask = train.read_usable(index, scale)
+        return train.read_image(index, scale), (
+            np.ones((camera.height, camera.width), bool) if mask is None else mask)
+    image = np.zeros((camera.height, camera.width, 3), np.uint8)
+    usable = np.zeros(image.shape[:2], bool)
+    window = camera.window(run.card.expansion.source)
+    image[window], usable[window] = drive.images[index - len(train)], True
+    return image, usable
+
+
+def _photos_that_see(run: UpdateRun, field: VoxelField, space: ChangedSpace, drive: Drive,
+                     compared: ComparedPhotos
+                     ) -> tuple[Photos, np.ndarray, np.ndarray, list[int]]:
+    """
+    Return photos that see changed space, how far, gains, and which ones; last are all new ones.
+
+    Pixels of photos of before that show what is there no more are not usable.
+    """
+    rules, small = BakingRules(), compared.photos.intrinsics
+    reached = space.reached_by(field, compared, rules.one_surface)
+    assert compared.photos.usable is not None
+    reached[compared.old:] = compared.photos.usable[compared.old:]
+    chosen = [index for index, pixels in enumerate(reached) if pixels.any()]
+    agree = agreeing(field, compared, reached)
+    photos, masks = zip(*(_photo(run, drive, index) for index in chosen))
+    camera = run.scene.train.intrinsics.scaled(run.experiment.scale)
+    seen, usable = compared.depth[chosen], np.stack(masks)
+    for place, index in enumerate(chosen):
+        origin, rays = world_rays(small, compared.pose(index))
+        pixels = reached[index]
+        now = render_rays(field, origin, rays[pixels])
+        seen[place][pixels] = np.where(now.coverage > rules.least_coverage, now.depth, 0)
+        if index < compared.old:
+            wrong = pixels & ~agree[index]
+            seen[place][wrong] = 0
+            usable[place] &= ~_enlarged(wrong, camera.width, camera.height)
+    return (Photos(np.stack(photos), camera, compared.photos.T_world_cam[chosen], usable), seen,
+            compared.gains[chosen], chosen)
+
+
+def _enlarged(mask: np.ndarray, width: int, height: int) -> np.ndarray:
+    return cv2.resize(mask.astype(np.uint8), (width, height),
+                      interpolation=cv2.INTER_NEAREST_EXACT) > 0
+
+
+def _landmarks_outside(landmarks: Landmarks | None, field: VoxelField, space: ChangedSpace
+                       ) -> Landmarks | None:
+    """Leave out the landmarks that may be gone; None where none is left."""
+    if landmarks is None:
+        return None
+    stay = ~space.holds(field, landmarks.points)
+    return Landmarks(landmarks.points[stay], landmarks.descriptors[stay]) if stay.any() else None

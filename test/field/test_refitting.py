@@ -1,0 +1,51 @@
+"""A fitted field changes where it may, and nowhere else."""
+from neo_ros.field.config import FieldConfig
+from neo_ros.field.fitting import FieldTrainer
+from neo_ros.field.voxel_field import dilated, VoxelField
+from neo_ros.geometry import Intrinsics
+import numpy as np
+
+CAMERA = Intrinsics.from_hfov(16, 16, 1.2)
+
+
+def some_field() -> VoxelField:
+    field = VoxelField.empty(4000, np.zeros(3), np.ones(3), 0.2, 0)
+    field.grid[:, 0] = np.random.default_rng(0).normal(4, 3, len(field.grid))
+    field.update_occupancy()
+    return field
+
+
+def test_only_the_points_of_open_cells_change() -> None:
+    field = some_field()
+    cells = np.zeros(field.shape, bool)
+    cells[4:8, 4:8, 4:8] = True
+    corners = dilated(cells, 0)
+    T = np.tile(np.eye(4), (3, 1, 1))
+    T[:, 2, 3] = -0.9, -0.8, -0.7
+    images = np.random.default_rng(1).integers(0, 256, (3, 16, 16, 3), np.uint8)
+    trainer = FieldTrainer(images, CAMERA, T, FieldConfig(rays_per_step=256, device='cpu'), 0)
+    before = field.grid.copy()
+    trainer.change_only(field, corners)
+    for _ in range(5):
+        trainer.train_step()
+    changed = (trainer.field.grid != before).any(1)
+    assert changed.any() and not changed[field.row_of[~corners.ravel()]].any()
+
+
+def test_air_can_be_kept_and_searched() -> None:
+    field = some_field()
+    few = field.keeping(np.arange(len(field.row_of)) % 3 == 0)
+    wanted = (few.row_of >= 0) | (np.arange(len(field.row_of)) % 5 == 0)
+    more = few.keeping(wanted)
+    had = few.row_of >= 0
+    np.testing.assert_array_equal(more.grid[more.row_of[had]], field.grid[field.row_of[had]])
+    assert (more.grid[more.row_of[wanted & ~had]] == 0).all()
+    air = VoxelField.empty(4000, np.zeros(3), np.ones(3), 0.2, 0)
+    air.grid[0, 0] = 20.0  # One corner is matter; elsewhere rays hop.
+    air.update_occupancy()
+    cells = np.zeros(air.shape, bool)
+    cells[8, 8, 8] = True
+    assert air.skip.reshape(air.shape)[8, 8, 8] > 0
+    air.searched = cells
+    air.update_occupancy()
+    assert air.skip.reshape(air.shape)[8, 8, 8] == 0

@@ -1,0 +1,109 @@
+"""Where a scene has changed: photos vote on the cells of its field."""
+from box_room import HIGH, SOURCE
+from changing_room import AFTER, BEFORE, drive, look, Place, remembered
+from neo_ros.baking.keyframes import Photos
+from neo_ros.field.voxel_field import VoxelField
+from neo_ros.geometry import CameraPose
+from neo_ros.updating.changed_space import ChangedSpace, find_changed_space
+from neo_ros.updating.compared_photos import compare, ComparedPhotos
+import numpy as np
+import pytest
+
+AWAY = (99.0, 99.0)
+
+
+def photos_of(poses: list[CameraPose], posts: list[Place]) -> tuple[np.ndarray, np.ndarray]:
+    return (np.stack([look(pose, SOURCE, post)[0] for pose, post in zip(poses, posts)]),
+            np.stack([pose.T_world_cam for pose in poses]))
+
+
+def compared(before: Place, memory: Place, now: Place, walker: bool = False,
+             poses: list[CameraPose] | None = None) -> ComparedPhotos:
+    """Compare a drive with a memory, and with photos of before; a walker is never in one place."""
+    old, new = drive(40)[1::2], drive(40)[::2] if poses is None else poses
+    places = [(3.4 + 0.3 * np.sin(9 * number), 2 + 1.3 * np.sin(5 * number)) if walker else now
+              for number in range(len(new))]
+    images, T = (np.concatenate(one) for one in zip(
+        photos_of(old, [before] * len(old)), photos_of(new, places)))
+    return compare(Photos(images, SOURCE, T, np.ones(images.shape[:3], bool)), len(old),
+                   remembered(memory))
+
+
+def empty_field() -> VoxelField:
+    return VoxelField.empty(60_000, HIGH / 2, HIGH / 2 + 0.2, 0.2, 0)
+
+
+def at(space: ChangedSpace, place: Place) -> bool:
+    points = np.array([[*place, z] for z in np.linspace(1.0, 1.8, 9)])
+    return bool(space.holds(empty_field(), points).mean() > 0.5)
+
+
+def there(place: Place) -> np.ndarray:
+    return np.stack([look(pose, SOURCE, place)[2] for pose in drive(40)[::2]])
+
+
+def test_what_left_and_what_came_is_found() -> None:
+    found = compared(BEFORE, BEFORE, AFTER)
+    changed, truth = found.contradicts[found.old:], there(BEFORE) | there(AFTER)
+    assert changed[truth].mean() > 0.7 and changed[~truth].mean() < 0.01
+    space = find_changed_space(empty_field(), found)
+    assert at(space, BEFORE) and at(space, AFTER)
+    assert not at(space, (1.0, 2.0)) and not at(space, (4.6, 2.0))
+    assert all(place.photos >= 3 for place in space.places)
+
+
+def test_nothing_is_found_where_nothing_changed() -> None:
+    # Keyframes that do not see all sides of the post make a memory that photos contradict.
+    found = compared(BEFORE, BEFORE, BEFORE)
+    assert found.contradicts[found.old:].mean() > 0.01
+    space = find_changed_space(empty_field(), found)
+    assert not space.places and not space.cells.any()
+
+
+def test_where_the_memory_was_wrong_before_nothing_has_changed() -> None:
+    # Photos of before show the post where it is now: only the memory has it elsewhere.
+    found = compared(AFTER, BEFORE, AFTER)
+    assert found.agrees[found.old:].mean() < 0.95
+    assert not find_changed_space(empty_field(), found).places
+
+
+def test_from_one_place_nothing_is_found() -> None:
+    seen = drive(40)[20]
+    x, y, z = seen.position
+    found = compared(BEFORE, BEFORE, AFTER, poses=[
+        CameraPose.from_planar(x, y + 0.005 * step, z, seen.yaw) for step in range(8)])
+    assert found.contradicts[found.old:].mean() > 0.05
+    assert not find_changed_space(empty_field(), found).places
+
+
+def test_who_walks_about_is_no_change() -> None:
+    moving = find_changed_space(empty_field(), compared(AWAY, AWAY, AWAY, walker=True))
+    standing = find_changed_space(empty_field(), compared(AWAY, AWAY, AFTER))
+    assert moving.cells.sum() < 0.3 * standing.cells.sum()
+
+
+def test_an_image_that_contradicts_as_a_whole_has_no_say() -> None:
+    wrong = drive(40)[0]
+    elsewhere = CameraPose.from_planar(1.0, 1.0, wrong.position[2], wrong.yaw + 2)
+    found = compared(BEFORE, BEFORE, BEFORE, poses=[wrong])
+    photos = found.photos
+    photos.T_world_cam[-1] = elsewhere.T_world_cam
+    found = compare(photos, found.old, remembered(BEFORE))
+    usable = found.photos.usable
+    assert usable is not None and usable[0].all() and not usable[-1].any()
+    assert not found.contradicts[-1].any()
+
+
+@pytest.mark.parametrize('reach, met', [(0.0, True), (1.0, False), (3.0, True)])
+def test_rays_meet_cells_up_to_their_reach(reach: float, met: bool) -> None:
+    field = empty_field()
+    cells = np.zeros(field.shape, bool)
+    index = ((field.grid_position(np.array([3.5, 2.0, 1.3])) + 1) / 2 * (
+        np.array(field.shape) - 1)).astype(int)
+    cells[tuple(index)] = True
+    space = ChangedSpace(cells, [])
+    middle = field.world_points(index + 0.5)
+    origin = middle - [2.0, 0, 0]
+    rays = np.array([[1.0, 0, 0], [-1.0, 0, 0], [0, 1.0, 0]], np.float32)
+    found = space.met_by(field, origin, rays, np.full(3, reach, np.float32))
+    assert found.tolist() == [met, False, False]

@@ -1,0 +1,177 @@
+"""`neo update` from bag to folder: what has changed is changed, and nothing else."""
+import hashlib
+from pathlib import Path
+
+from changing_room import (
+    AFTER, BEFORE, cast_with_post, drive, HALF, look, ROOM, WIDE, write_drive, write_room)
+import cv2
+from neo_ros.bags import write_demo_bag
+from neo_ros.cli.main import app
+from neo_ros.errors import BagError, ConfigError, NeoError, SceneError
+from neo_ros.field.voxel_field import VoxelField
+from neo_ros.geometry import CameraPose
+from neo_ros.memory.rendering import MemoryRenderer
+from neo_ros.memory.scene_memory import SceneMemory
+from neo_ros.pipeline import train
+from neo_ros.runtime import read_model_card
+from neo_ros.updating import update as update_module
+from neo_ros.updating.update import update, UpdateOptions
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+pytestmark = [pytest.mark.slow, pytest.mark.torch]
+
+
+@pytest.fixture(scope='module')
+def base(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with the run of a room, bags of it, and the run that one updated."""
+    folder = tmp_path_factory.mktemp('updating')
+    write_room(folder / 'room')
+    train(folder / 'room', ROOM, folder / 'run')
+    write_drive(folder / 'same', BEFORE)
+    write_drive(folder / 'moved', AFTER)
+    before = digests(folder / 'run')
+    assert 0 < update(folder / 'run', [folder / 'moved'], folder / 'new', experiment=ROOM)[0] <= 4
+    assert digests(folder / 'run') == before
+    return folder
+
+
+def digests(folder: Path) -> dict[Path, str]:
+    return {path: hashlib.sha256(path.read_bytes()).hexdigest()
+            for path in folder.rglob('*') if path.is_file()}
+
+
+def memory_of(folder: Path) -> SceneMemory:
+    named = read_model_card(folder / 'room.onnx').memory
+    assert named is not None
+    return SceneMemory.read(folder / named.file, named.sha256)
+
+
+def errors(memory: SceneMemory) -> tuple[float, float]:
+    """Return the mean error where something has changed, and elsewhere, of wide views."""
+    renderer = MemoryRenderer(memory)
+    off: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])
+    for pose in drive(12):
+        x, y, z = pose.position
+        pose = CameraPose.from_planar(x + 0.1, y + 0.1, z, pose.yaw + 0.2)
+        truth, _, after = look(pose, WIDE.target, AFTER)
+        before = look(pose, WIDE.target, BEFORE)[2]
+        apart = np.abs(renderer.render(pose, WIDE.target).image - truth).mean(-1)
+        for kept, pixels in zip(off, (after | before, ~(after | before))):
+            kept.append(apart[pixels])
+    changed, rest = (float(np.concatenate(one).mean()) for one in off)
+    return changed, rest
+
+
+def test_the_memory_shows_what_is_there_now(base: Path) -> None:
+    (changed, rest), (changed_now, rest_now) = (
+        errors(memory_of(base / name)) for name in ('run', 'new'))
+    assert changed_now < 0.5 * changed and rest_now < rest + 2
+
+
+def test_the_field_is_the_same_elsewhere(base: Path) -> None:
+    old, new = (VoxelField.load(base / name / 'field.npz') for name in ('run', 'new'))
+    both = (old.row_of >= 0) & (new.row_of >= 0)
+    assert both.sum() == (old.row_of >= 0).sum()
+    same = (old.grid[old.row_of[both]] == new.grid[new.row_of[both]]).all(1)
+    points = old.world_points().reshape(-1, 3)[both]
+    away = np.min([np.abs(points[:, :2] - place).max(1) for place in (BEFORE, AFTER)], axis=0)
+    assert same[away > HALF + 0.5].mean() > 0.99 and 0.9 < same.mean() < 1
+
+
+def test_keyframes_are_the_same_elsewhere(base: Path) -> None:
+    old, new = memory_of(base / 'run'), memory_of(base / 'new')
+    np.testing.assert_array_equal(old.glances.pictures, new.glances.pictures)
+    touched, elsewhere = [], []
+    for before, after in zip(old.each(), new.each()):
+        other = before.depth != after.depth
+        touched.append(other.mean())
+        rays = old.band.rays(*other.shape)
+        changed = np.any([cast_with_post(before.position, rays, post)[2]
+                          for post in (BEFORE, AFTER)], axis=0)
+        around = cv2.dilate(changed.astype(np.uint8), np.ones((15, 15), np.uint8)) > 0
+        elsewhere.append(other[~around].mean())
+        texture = np.abs(before.texture.astype(int) - after.texture)
+        if not other.any() and not texture.any():
+            continue
+        # Compressed once more, but not drawn anew.
+        finer = len(before.texture) // len(before.depth)
+        near = cv2.dilate(other.astype(np.uint8), np.ones((41, 41), np.uint8)) > 0
+        assert texture[~near.repeat(finer, 0).repeat(finer, 1)].mean() < 1.5
+    assert 0 < max(touched) < 0.3 and np.mean(elsewhere) < 0.01
+
+
+def test_the_card_tells_where_it_comes_from(base: Path) -> None:
+    before, after = (read_model_card(base / name / 'room.onnx') for name in ('run', 'new'))
+    assert before.updates == () and after.memory != before.memory
+    entry, = after.updates
+    assert before.memory is not None and entry.memory == before.memory.sha256
+    assert entry.bag == 'moved' and 10 < entry.photos <= 60
+    assert 'photos that say so' in (base / 'new' / 'report.html').read_text()
+    assert not list((base / 'new').glob('*.journal'))
+
+
+def test_an_updated_run_can_be_updated_again(base: Path, tmp_path: Path) -> None:
+    found, = update(base / 'new', [base / 'same'], tmp_path / 'back', experiment=ROOM,
+                    options=UpdateOptions(minutes=0.2))
+    assert found > 0  # The post stands where it was first.
+    updates = read_model_card(tmp_path / 'back' / 'room.onnx').updates
+    before = read_model_card(base / 'new' / 'room.onnx').memory
+    assert [one.bag for one in updates] == ['moved', 'same']
+    assert before is not None and updates[1].memory == before.sha256
+
+
+def test_where_nothing_changed_nothing_is_written(base: Path, tmp_path: Path) -> None:
+    done = CliRunner().invoke(app, [
+        'update', str(base / 'run'), str(base / 'same'), '--out', str(tmp_path / 'new'),
+        '--config', str(experiment_file(tmp_path))])
+    assert done.exit_code == 0 and 'nothing has changed' in done.output, done.output
+    assert {path.name for path in tmp_path.iterdir()} == {'room.yaml'}
+
+
+def experiment_file(folder: Path) -> Path:
+    from dataclasses import asdict
+
+    import yaml
+    path = folder / 'room.yaml'
+    settings = asdict(ROOM)
+    settings['view'] = {name: list(size) for name, size in settings['view'].items()}
+    path.write_text(yaml.safe_dump(settings))
+    return path
+
+
+def test_what_was_broken_off_begins_anew(base: Path, tmp_path: Path,
+                                         monkeypatch: pytest.MonkeyPatch) -> None:
+    def killed(*arguments: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(update_module, 'find_changed_space', killed)
+        patch.setattr(update_module.shutil, 'rmtree', lambda *_, **__: None)  # Nobody tidies up.
+        with pytest.raises(KeyboardInterrupt):
+            update(base / 'run', [base / 'moved'], tmp_path / 'new', experiment=ROOM)
+    assert [path.name for path in tmp_path.iterdir()] == ['new.partial']
+    assert sum(update(base / 'run', [base / 'same'], tmp_path / 'new', experiment=ROOM)) == 0
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_cannot_be_updated_is_refused(base: Path, tmp_path: Path) -> None:
+    noise = np.random.default_rng(0)
+    write_demo_bag(tmp_path / 'other', (
+        (10 ** 9 + n, noise.integers(0, 256, (128, 128, 3), np.uint8), drive()[0])
+        for n in range(6)), WIDE)
+    bags = [base / 'same']
+    with pytest.raises(BagError, match='of 6 images none shows the scene of room'):
+        update(base / 'run', [tmp_path / 'other'], tmp_path / 'new', experiment=ROOM)
+    with pytest.raises(ConfigError, match='does not exist yet'):
+        update(base / 'run', bags, base / 'new', experiment=ROOM)
+    with pytest.raises(ConfigError, match='other field .*--config'):
+        update(base / 'run', bags, tmp_path / 'new')
+    with pytest.raises(NeoError, match='run.json'):
+        update(base / 'room', bags, tmp_path / 'new', scene=base / 'room')
+    unfinished = tmp_path / 'unfinished'
+    unfinished.mkdir()
+    (unfinished / 'run.json').write_bytes((base / 'run' / 'run.json').read_bytes())
+    with pytest.raises(SceneError, match='field.npz'):
+        update(unfinished, bags, tmp_path / 'new', experiment=ROOM)
