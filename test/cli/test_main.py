@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 COMMANDS = ['bag', 'bag-info', 'bench', 'benchmark', 'compare', 'demo', 'evaluate', 'export',
             'field-curve', 'floor', 'import', 'inspect', 'play', 'record', 'replay', 'soak',
-            'train', 'view']
+            'train', 'update', 'view']
 
 
 def run_main(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:

@@ -20,7 +20,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-pytestmark = [pytest.mark.slow, pytest.mark.torch]
+# Its one fit is dear, and runs beside others.
+pytestmark = [pytest.mark.slow, pytest.mark.torch, pytest.mark.timeout(900)]
 
 
 @pytest.fixture(scope='module')
