@@ -20,9 +20,9 @@ FRAMES = 60
 
 
 def documented(word: str) -> list[str]:
-    """Return the documented command line that begins with `neo WORD`, without `neo`."""
-    line, = [line.strip() for line in DOCUMENT.read_text().splitlines()
-             if line.startswith(f'    neo {word} ')]
+    """Return the first documented command line that begins with `neo WORD`, without `neo`."""
+    line = next(line.strip() for line in DOCUMENT.read_text().splitlines()
+                if line.startswith(f'    neo {word} '))
     return shlex.split(line)[1:]
 
 
