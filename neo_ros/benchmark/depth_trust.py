@@ -14,7 +14,7 @@ from typing import Any
 
 from neo_ros.benchmark.true_depth import demo_depth
 from neo_ros.evaluation.evaluate import TruthFrames
-from neo_ros.evaluation.geometry import DepthScores, follow, OccupancyGrid
+from neo_ros.evaluation.geometry import DepthScores, follow, OccupancyGrid, TrueSpace
 from neo_ros.evaluation.stability import DepthOf
 from neo_ros.flat.scene_writing import write_demo_scene
 from neo_ros.machine.progress import no_progress, Progress
@@ -24,7 +24,7 @@ from neo_ros.runtime import FovExtrapolator
 from neo_ros.scenes.upright import read_upright_scene
 
 RESULTS = Path('results/depth_trust.json')
-SEED, WALKS, FRAMES = 77, 8, 10  # of walks that nothing else is measured on
+SEED, WALKS, FRAMES = 77, 4, 6  # of walks that nothing else is measured on
 NEVER = 1e9
 TRIED = {
     'all that is remembered': TrustThresholds(NEVER, least_confidence=0),
@@ -47,11 +47,11 @@ def measure(model: Path, frames: TruthFrames, true_depth: DepthOf, results: Path
     for index, view in follow(frames, FovExtrapolator.load(model)):
         if view.guide is not None:
             told += 1
-            true = true_depth(index)
+            truth = TrueSpace(
+                true_depth(index), frames.images.poses[index], frames.expansion, grid)
             for name, thresholds in tried.items():
-                scores[name].add(
-                    view.guide.trusted_depth(view.wide_image, view.confidence, thresholds), true,
-                    frames.images.poses[index], view.guide.pose, frames.expansion, grid)
+                scores[name].add(view.guide.trusted_depth(
+                    view.wide_image, view.confidence, thresholds), view.guide.pose, truth)
         progress(index + 1, len(frames))
     kept = ResultRows(results)
     for name, found in scores.items():

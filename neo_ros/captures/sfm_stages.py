@@ -9,8 +9,8 @@ from typing import Any
 from neo_ros.errors import NeoError, SceneError
 from neo_ros.geometry import Intrinsics
 from neo_ros.geometry.lens import Lens
+from neo_ros.machine.evenly import evenly
 from neo_ros.machine.progress import StageProgress
-import numpy as np
 
 # All pairs up to this number of photos; beyond it photos are taken for a walk.
 EXHAUSTIVE_UP_TO = 100
@@ -35,7 +35,7 @@ def photo_pairs(names: Sequence[str]) -> list[tuple[str, str]]:
     while steps[-1] * 2 < min(count, 256):
         steps.append(1 << steps[-1].bit_length())
     pairs = {(i, i + step) for i in range(count) for step in steps if i + step < count}
-    anchors = np.unique(np.linspace(0, count - 1, ANCHORS).round().astype(int)).tolist()
+    anchors = evenly(count, ANCHORS).tolist()
     pairs.update(combinations(anchors, 2))
     return [(names[i], names[j]) for i, j in sorted(pairs)]
 

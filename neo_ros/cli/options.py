@@ -1,8 +1,16 @@
-"""Options that do not go together, and the command that comes next."""
+"""Options that commands share, or that do not go together, and the command that comes next."""
 import shlex
+from typing import Annotated, Optional
 
 from neo_ros.errors import ConfigError
 import typer
+
+ImageTopic = Annotated[Optional[str], typer.Option(
+    help='Camera image, raw or compressed; default: the only one of the size the model takes.')]
+InfoTopic = Annotated[Optional[str], typer.Option(
+    help='The CameraInfo of the images, where it is not beside them.')]
+Rectify = Annotated[bool, typer.Option(
+    '--rectify', help='Take the distortion out of the images first.')]
 
 
 def refuse(why: str, **options: object) -> None:

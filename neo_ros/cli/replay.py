@@ -3,6 +3,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, Any, Optional
 
+from neo_ros.cli.options import ImageTopic, InfoTopic, Rectify
 import typer
 
 
@@ -11,19 +12,15 @@ def replay(
     out: Annotated[Path, typer.Option(help='Folder of the new bag; must not exist yet.')],
     model: Annotated[Optional[Path], typer.Option(
         help='Model file (.onnx); default: the shipped demo_flat.onnx.')] = None,
-    image_topic: Annotated[Optional[str], typer.Option(
-        help='Camera image, raw or compressed; default: the only one of the size the model '
-             'takes.')] = None,
-    info_topic: Annotated[Optional[str], typer.Option(
-        help='The CameraInfo of the images, where it is not beside them.')] = None,
+    image_topic: ImageTopic = None,
+    info_topic: InfoTopic = None,
     start: Annotated[float, typer.Option(
         help='Begin so many seconds after the first message.', min=0)] = 0.0,
     end: Annotated[Optional[float], typer.Option(
         help='Stop so many seconds after the first message.')] = None,
     every: Annotated[int, typer.Option(
         help='Widen only every so many-th image.', min=1)] = 1,
-    rectify: Annotated[bool, typer.Option(
-        '--rectify', help='Take the distortion out of the images first.')] = False,
+    rectify: Rectify = False,
     side_by_side: Annotated[Optional[Path], typer.Option(
         help='Also write a video (.mp4): camera and widened view.')] = None,
     score: Annotated[bool, typer.Option(

@@ -2,6 +2,7 @@
 from pathlib import Path
 from typing import Annotated, Optional
 
+from neo_ros.cli.options import ImageTopic, InfoTopic, Rectify
 import typer
 
 
@@ -16,13 +17,9 @@ def update(
         help='Scene folder that RUN was trained on; default: where it was then.')] = None,
     config: Annotated[Optional[Path], typer.Option(
         help='Experiment file that RUN was trained with, if it was with one.')] = None,
-    image_topic: Annotated[Optional[str], typer.Option(
-        help='Camera image, raw or compressed; default: the only one of the size the model '
-             'takes.')] = None,
-    info_topic: Annotated[Optional[str], typer.Option(
-        help='The CameraInfo of the images, where it is not beside them.')] = None,
-    rectify: Annotated[bool, typer.Option(
-        '--rectify', help='Take the distortion out of the images first.')] = False,
+    image_topic: ImageTopic = None,
+    info_topic: InfoTopic = None,
+    rectify: Rectify = False,
     minutes: Annotated[Optional[float], typer.Option(
         help='Fit the changed part of the field for so many minutes, for each bag; default: as '
              'many as it takes.',

@@ -15,6 +15,7 @@ from neo_ros.errors import ImageRejected, SceneError
 from neo_ros.evaluation.baselines import Method
 from neo_ros.evaluation.metrics import Estimate, score_frame, summarise
 from neo_ros.geometry import CameraPose, ViewExpansion
+from neo_ros.machine.evenly import evenly
 from neo_ros.machine.host import commit, host
 from neo_ros.reports.kept_pictures import KeptPictures, pick_frames, read_picture
 from neo_ros.scenes.posed_images import PosedImages
@@ -100,8 +101,8 @@ class TruthFrames:
         if test is None:
             raise SceneError('scene: expected wide test frames to score against, got none; '
                              'add transforms_test.json')
-        if most is not None and most < len(test):
-            test = test.subset(np.linspace(0, len(test) - 1, most).round().astype(int).tolist())
+        if most is not None:
+            test = test.subset(evenly(len(test), most).tolist())
         self.images = test
         self.expansion = expansion
         self.scale = expansion.target.fx / test.intrinsics.fx

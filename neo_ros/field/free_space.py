@@ -4,6 +4,7 @@ from dataclasses import dataclass
 import cv2
 from neo_ros.field.radiance_field import RadianceField
 from neo_ros.field.rendering import render_rays, world_rays
+from neo_ros.machine.evenly import evenly
 from neo_ros.scenes.pose_sampling import SamplingConfig
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.walkable import WalkableMap
@@ -69,9 +70,7 @@ def _looked_through(field: RadianceField, photos: PosedImages, low: np.ndarray,
     """Tell which cells a ray of a photo passed at this height: bool (rows, columns)."""
     passed = np.zeros(size[::-1], bool)
     camera = photos.intrinsics.scaled(rules.rays_across / photos.intrinsics.width)
-    count = min(len(photos), rules.most_photos)
-    chosen = np.linspace(0, len(photos) - 1, count).round().astype(int)
-    for pose in (photos.poses[index] for index in chosen):
+    for pose in (photos.poses[index] for index in evenly(len(photos), rules.most_photos)):
         origin, directions = world_rays(camera, pose)
         directions = directions.reshape(-1, 3)
         rendering = render_rays(field, origin, directions)

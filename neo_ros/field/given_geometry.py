@@ -20,6 +20,7 @@ from neo_ros.field.splat_field import splat_field
 from neo_ros.field.splat_file import is_splat_file, read_splats, Splats
 from neo_ros.field.voxel_field import VoxelField
 from neo_ros.geometry import Intrinsics
+from neo_ros.machine.evenly import evenly
 from neo_ros.scenes.posed_images import PosedImages
 import numpy as np
 
@@ -145,10 +146,9 @@ def _check_place(given: GivenGeometry, geometry: Geometry, world: np.ndarray,
                             FieldConfig.shell, 0.0, 1_000_000)
 
     def likeness(axes: str, count: int) -> float:
-        chosen = np.unique(np.linspace(0, len(photos) - 1, count).round().astype(int))
         turn = world @ GivenGeometry(given.path, axes).turn
         return float(np.median([_likeness(trial, photos, index, turn, rules)
-                                for index in chosen]))
+                                for index in evenly(len(photos), count)]))
 
     best = max((axes for axes in _other_axes(rules) if axes != given.axes),
                key=lambda axes: likeness(axes, rules.few_photos))

@@ -1,10 +1,10 @@
 """Baked light of the demo flat: irradiance on every face, by Monte Carlo with the same rays."""
 from dataclasses import dataclass
 from functools import lru_cache
-import math
 from pathlib import Path
 
 from neo_ros.errors import SceneError
+from neo_ros.flat.bilinear import neighbours
 from neo_ros.flat.raycast import cast_rays
 from neo_ros.flat.rooms import demo_solids, LAMPS, WINDOWS
 from neo_ros.flat.shapes import BOX, FACES, Solids
@@ -73,21 +73,13 @@ class LightMap:
 
 @njit(error_model='numpy', nogil=True)
 def _look_up(values, starts, all_columns, all_rows, charts, across, up, wraps, light):
-    half = np.float32(0.5)
+    one = np.float32(1)
     for m in range(len(charts)):
         chart = charts[m]
-        start, columns, rows = starts[chart], all_columns[chart], all_rows[chart]
-        x = across[m] * np.float32(columns) - half
-        y = up[m] * np.float32(rows) - half
-        left, low = math.floor(x), math.floor(y)
-        u, v = np.float32(x - left), np.float32(y - low)
-        if wraps[m]:
-            i0, i1 = left % columns, (left + 1) % columns
-        else:
-            i0, i1 = min(max(left, 0), columns - 1), min(max(left + 1, 0), columns - 1)
-        j0 = start + min(max(low, 0), rows - 1) * columns
-        j1 = start + min(max(low + 1, 0), rows - 1) * columns
-        one = np.float32(1)
+        columns = all_columns[chart]
+        i0, i1, u = neighbours(across[m], columns, wraps[m])
+        j0, j1, v = neighbours(up[m], all_rows[chart], False)
+        j0, j1 = starts[chart] + j0 * columns, starts[chart] + j1 * columns
         for k in range(3):
             lower = values[j0 + i0, k] * (one - u) + values[j0 + i1, k] * u
             upper = values[j1 + i0, k] * (one - u) + values[j1 + i1, k] * u

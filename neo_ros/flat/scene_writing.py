@@ -15,6 +15,7 @@ from neo_ros.flat.building_routes import door_walks, mapping_poses
 from neo_ros.flat.demo_flat import build_demo_flat, DemoFlat, sample_training_poses, walking_paths
 from neo_ros.flat.depth_sensor import DepthSensor
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
+from neo_ros.machine.evenly import evenly
 from neo_ros.machine.files import write_bytes
 from neo_ros.machine.processes import map_in_processes
 from neo_ros.machine.progress import no_progress, of_stage, Progress, StageProgress
@@ -96,8 +97,7 @@ def write_building_scene(folder: Path, plan: BuildingPlan, *, image_size: int = 
         if n_train > len(train):
             raise SceneError(f'photos: expected at most {len(train)}, which a mapping robot takes '
                              f'of this building, got {n_train}')
-        train = [train[index] for index in
-                 np.linspace(0, len(train) - 1, n_train).round().astype(int)]
+        train = [train[index] for index in evenly(len(train), n_train)]
     walks = [walk for floor in floors
              for walk in door_walks(building, floor, frames_per_path, plan.seed)]
     _write_views(folder, (plan, light), camera or square_camera(image_size), train, walks,

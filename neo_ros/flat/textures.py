@@ -2,8 +2,8 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-import math
 
+from neo_ros.flat.bilinear import neighbours
 from neo_ros.flat.pictures import draw_picture, noise_bitmap
 from neo_ros.flat.shapes import Material
 from neo_ros.machine.compiled import njit
@@ -35,18 +35,12 @@ class MipMap:
 @njit(error_model='numpy', nogil=True)
 def _interpolate(bitmap, wrap, chosen, x, y, result):
     height, width = bitmap.shape[:2]
-    half, one = np.float32(0.5), np.float32(1)
+    one = np.float32(1)
     for m in range(len(x)):
         if not chosen[m]:
             continue
-        across, down = x[m] * np.float32(width) - half, y[m] * np.float32(height) - half
-        left, top = math.floor(across), math.floor(down)
-        u, v = np.float32(across - left), np.float32(down - top)
-        if wrap:
-            i0, i1, j0, j1 = left % width, (left + 1) % width, top % height, (top + 1) % height
-        else:
-            i0, i1 = min(max(left, 0), width - 1), min(max(left + 1, 0), width - 1)
-            j0, j1 = min(max(top, 0), height - 1), min(max(top + 1, 0), height - 1)
+        i0, i1, u = neighbours(x[m], width, wrap)
+        j0, j1, v = neighbours(y[m], height, wrap)
         for k in range(bitmap.shape[2]):
             upper = bitmap[j0, i0, k] * (one - u) + bitmap[j0, i1, k] * u
             lower = bitmap[j1, i0, k] * (one - u) + bitmap[j1, i1, k] * u

@@ -111,6 +111,11 @@ class CameraPose:
         T[:3, :3] = U @ np.diag([1, 1, np.linalg.det(U @ Vt)]) @ Vt
         return cls(T)
 
+    def is_apart(self, other: 'CameraPose', metres: float, radians: float) -> bool:
+        """Tell whether the other camera stands farther away, or is turned by more."""
+        T = other.inverse() @ self.T_world_cam
+        return bool(np.linalg.norm(T[:3, 3]) > metres or rotation_angle(T[:3, :3]) > radians)
+
     def interpolated(self, other: 'CameraPose', fraction: float) -> 'CameraPose':
         """Return the pose at `fraction` in [0, 1] of the way to `other`: lerp and slerp."""
         R0, R1 = self.T_world_cam[:3, :3], other.T_world_cam[:3, :3]

@@ -10,7 +10,6 @@ from typing import Literal, NamedTuple, TYPE_CHECKING
 
 import cv2
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
-from neo_ros.geometry.camera_pose import rotation_angle
 from neo_ros.memory.changes import Changes
 from neo_ros.memory.contradiction import contradicted, contradiction, ContradictionThresholds
 from neo_ros.memory.journal import JournalWriter
@@ -95,7 +94,8 @@ class Learner:
         limits = self.thresholds
         now = time.time_ns()
         if agreement < limits.least_agreement or (
-                self._shots and not self._moved(pose, self._shots[-1].pose)):
+                self._shots and not pose.is_apart(
+                    self._shots[-1].pose, limits.metres, limits.radians)):
             return
         shot = self._shot(image, shown[self._observed], depth[self._observed], pose, gain, now)
         if shot.contradicted.mean() > limits.most_contradicted:
@@ -120,11 +120,6 @@ class Learner:
         self._closed.set()
         if self._pending is None and self._journal is not None:
             self._journal.close()
-
-    def _moved(self, pose: CameraPose, other: CameraPose) -> bool:
-        T = other.inverse() @ pose.T_world_cam
-        return bool(np.linalg.norm(T[:3, 3]) > self.thresholds.metres
-                    or rotation_angle(T[:3, :3]) > self.thresholds.radians)
 
     def _shot(self, image: np.ndarray, shown: np.ndarray, depth: np.ndarray, pose: CameraPose,
               gain: np.ndarray, stamp_ns: int) -> Shot:

@@ -15,6 +15,7 @@ from typing import Any
 from neo_ros.errors import ConfigError
 from neo_ros.experiment import Experiment, experiment_from
 from neo_ros.field.device import field_trainer
+from neo_ros.machine.evenly import evenly
 from neo_ros.machine.files import write_bytes
 from neo_ros.machine.progress import StageProgress
 from neo_ros.scenes.posed_images import PosedImages
@@ -213,8 +214,7 @@ def _network_shrink(experiment: Experiment, scene: Scene, rules: PlanRules) -> i
 
 def _fitting_rate(photos: PosedImages, base: Experiment, rules: PlanRules) -> float:
     """Fit some photos for some seconds; return pixels a second, of steps that do not compile."""
-    chosen = photos.subset(np.unique(
-        np.linspace(0, len(photos) - 1, rules.measured_photos).astype(int)).tolist())
+    chosen = photos.subset(evenly(len(photos), rules.measured_photos).tolist())
     scale = base.scale * min(
         1.0, rules.measured_width / (base.scale * photos.intrinsics.width))
     config = replace(base.field, minutes=rules.measured_seconds / 60,

@@ -8,7 +8,6 @@ from neo_ros.bags import BagReader
 from neo_ros.bags.camera_topics import as_raw_image, find_camera
 from neo_ros.errors import BagError, ImageRejected
 from neo_ros.geometry import CameraPose
-from neo_ros.geometry.camera_pose import rotation_angle
 from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.memory.learning import LearningThresholds
 from neo_ros.memory.sight import Guide
@@ -48,7 +47,7 @@ def drive_through(bag: Path, extrapolator: FovExtrapolator, image_topic: str | N
             seen += 1
             guide = cast(Guide | None, frame.guide)
             if guide is None or guide.agreement < limits.least_agreement or (
-                    photos and not _moved(guide.pose, photos[-1][1], metres, radians)):
+                    photos and not guide.pose.is_apart(photos[-1][1], metres, radians)):
                 continue
             assert frame.image is not None
             photos.append((np.array(extrapolator.expansion.crop(frame.image)), guide.pose))
@@ -78,8 +77,3 @@ def _frames(reader: BagReader, extrapolator: FovExtrapolator, image_topic: str |
                 yield processor.process(content, info)
         except (BagError, ImageRejected):
             continue
-
-
-def _moved(pose: CameraPose, other: CameraPose, metres: float, radians: float) -> bool:
-    T = other.inverse() @ pose.T_world_cam
-    return bool(np.linalg.norm(T[:3, 3]) > metres or rotation_angle(T[:3, :3]) > radians)
