@@ -8,7 +8,6 @@ too.
 """
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from functools import cached_property
 import time
 from types import SimpleNamespace
 from typing import Any
@@ -74,32 +73,6 @@ class OccupancyGrid:
         return np.unique(np.floor(points[kept, :2] / self.side).astype(np.int64), axis=0)
 
 
-@dataclass(frozen=True, eq=False)
-class TrueSpace:
-    """
-    What the ring of a wide view shows in truth.
-
-    depth (H, W) along the optical axis, from a camera at `pose`; grid: where the floor is at
-    z = 0, else None.
-    """
-
-    depth: np.ndarray
-    pose: CameraPose
-    expansion: ViewExpansion
-    grid: OccupancyGrid | None
-
-    @cached_property
-    def cells(self) -> tuple[np.ndarray, np.ndarray]:
-        """Cells of the grid (N, 2) that are occupied, and those that are free."""
-        grid, ring = self.grid, self.expansion.extrapolated_mask
-        assert grid is not None
-        rays = self.expansion.target.pixel_rays()
-        occupied = grid.occupied(self.depth[ring], rays[ring], self.pose, self.pose.position)
-        some = np.zeros_like(ring)
-        some[::grid.every, ::grid.every] = ring[::grid.every, ::grid.every]
-        return occupied, _without(grid.free(self.depth[some], rays[some], self.pose), occupied)
-
-
 @dataclass
 class DepthScores:
     """
@@ -112,16 +85,24 @@ class DepthScores:
     errors: list[np.ndarray] = field(default_factory=list)
     cells: list[tuple[int, int, int, int]] = field(default_factory=list)
 
-    def add(self, depth: np.ndarray, found: CameraPose, truth: TrueSpace) -> None:
-        """Score depth (H, W) along the optical axis, told of a camera at the pose `found`."""
-        ring = truth.expansion.extrapolated_mask
-        known = ring & np.isfinite(depth) & np.isfinite(truth.depth)
-        self.errors.append(((depth - truth.depth) / truth.depth)[known].astype(np.float32))
-        if truth.grid is None:
+    def add(self, depth: np.ndarray, true: np.ndarray, pose: CameraPose, found: CameraPose,
+            expansion: ViewExpansion, grid: OccupancyGrid | None) -> None:
+        """
+        Score depth (H, W) of a frame against the true one, both along the optical axis.
+
+        pose: the true one; found: from where the depth is told; grid: where the floor is at z = 0.
+        """
+        ring = expansion.extrapolated_mask
+        known = ring & np.isfinite(depth) & np.isfinite(true)
+        self.errors.append(((depth - true) / true)[known].astype(np.float32))
+        if grid is None:
             return
-        occupied, free = truth.cells
-        marked = truth.grid.occupied(depth[ring], truth.expansion.target.pixel_rays()[ring], found,
-                                     truth.pose.position)
+        rays = expansion.target.pixel_rays()
+        occupied = grid.occupied(true[ring], rays[ring], pose, pose.position)
+        marked = grid.occupied(depth[ring], rays[ring], found, pose.position)
+        some = np.zeros_like(ring)
+        some[::grid.every, ::grid.every] = ring[::grid.every, ::grid.every]
+        free = _without(grid.free(true[some], rays[some], pose), occupied)
         self.cells.append((len(occupied) - len(_without(occupied, marked)), len(occupied),
                            len(free) - len(_without(free, marked)), len(free)))
 
@@ -177,14 +158,13 @@ def score_geometry(scene: str, frames: TruthFrames, extrapolator: FovExtrapolato
     """
     expansion, scores = frames.expansion, _Scores()
     points = PointMaker(expansion.target, 2)
-    for index, view in follow(frames, extrapolator):
+    for index, view in _follow(frames, extrapolator):
         if view.guide is not None:
             pose = frames.images.poses[index]
             _score_pose(scores, pose, view.guide)
             depth = _timed_depth(scores, view, points)
             if true_depth is not None:
-                scores.depth.add(depth, view.guide.pose,
-                                 TrueSpace(true_depth(index), pose, expansion, grid))
+                scores.depth.add(depth, true_depth(index), pose, view.guide.pose, expansion, grid)
         progress(index + 1)
     row: dict[str, Any] = dict.fromkeys(GEOMETRY_KEYS)
     return row | {
@@ -194,8 +174,8 @@ def score_geometry(scene: str, frames: TruthFrames, extrapolator: FovExtrapolato
         'commit': commit(), 'host': host()}
 
 
-def follow(frames: TruthFrames, extrapolator: FovExtrapolator
-           ) -> Iterator[tuple[int, WideView]]:
+def _follow(frames: TruthFrames, extrapolator: FovExtrapolator
+            ) -> Iterator[tuple[int, WideView]]:
     """Yield (index, wide view) of all frames in their order; anew where another walk begins."""
     path_id = None
     for index, (image, _) in enumerate(frames):

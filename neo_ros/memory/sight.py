@@ -146,9 +146,6 @@ class TrustThresholds:
     around: int = 9
     # 0 ... 255. Where the colours are not sure, neither is the depth.
     least_confidence: int = 64
-    # By how much nearness (1 / depth) bends from pixel to pixel, as a share of itself: not at all
-    # on a plane, much at an edge, which may lie a pixel beside where it is remembered.
-    bend: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,8 +212,6 @@ class Guide:
             difference, weight = self.seen_before
             # Both are weighted: that compares without a division.
             doubted |= _large(cv2.absdiff(difference, np.zeros(1)), limits, weight)
-        if limits.bend is not None:
-            doubted |= _bends(depth, limits.bend)
         depth[doubted] = np.nan
         return depth
 
@@ -224,16 +219,6 @@ class Guide:
         """Draw the whole sphere around the camera, so many pixels wide, the live image in it."""
         assert self.draw_panorama is not None
         return self.draw_panorama(wide_image, width)
-
-
-def _bends(depth: np.ndarray, most: float) -> np.ndarray:
-    """Tell where a depth (H, W) leaves the plane of its neighbours by more than `most`."""
-    near = 1 / depth
-    bent = np.zeros(depth.shape, bool)
-    bent[1:-1] |= np.abs(near[:-2] - 2 * near[1:-1] + near[2:]) > most * near[1:-1]
-    bent[:, 1:-1] |= np.abs(
-        near[:, :-2] - 2 * near[:, 1:-1] + near[:, 2:]) > most * near[:, 1:-1]
-    return bent
 
 
 def _large(off: np.ndarray, limits: TrustThresholds, weight: np.ndarray | None = None

@@ -1,5 +1,5 @@
 """Occupancy on walls whose place is known, and how true a depth is."""
-from neo_ros.evaluation.geometry import _without, DepthScores, OccupancyGrid, TrueSpace
+from neo_ros.evaluation.geometry import _without, DepthScores, OccupancyGrid
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
 import numpy as np
 import pytest
@@ -38,14 +38,13 @@ def test_depth_is_scored_in_the_ring_where_it_is_told() -> None:
     depth[:16] = np.nan
     depth[expansion.observed] = 9  # The camera's own view is not scored.
     scores = DepthScores()
-    truth = TrueSpace(true, POSE, expansion, GRID)
-    scores.add(depth, POSE, truth)
+    scores.add(depth, true, POSE, POSE, expansion, GRID)
     figures = scores.figures()
     told = expansion.extrapolated_mask & np.isfinite(depth)
     assert figures['depth_within_5_percent'] == pytest.approx(told[:, :32].sum() / told.sum())
     assert figures['depth_too_far_10_percent'] == pytest.approx(told[:, 32:].sum() / told.sum())
     assert 0.1 < figures['occupied_marked'] < 0.6  # A part is told, and half of that is right.
     exact = DepthScores()
-    exact.add(true, POSE, truth)
+    exact.add(true, true, POSE, POSE, expansion, GRID)
     assert exact.figures()['occupied_marked'] == 1
     assert exact.figures()['free_marked_occupied'] == 0

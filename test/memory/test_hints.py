@@ -5,7 +5,6 @@ from neo_ros.geometry import CameraPose
 from neo_ros.memory.panorama import draw_panorama, REMEMBERED, SEEN, SPHERE, UNKNOWN
 from neo_ros.memory.rendering import MemoryRenderer
 from neo_ros.memory.scene_guide import SceneGuide
-from neo_ros.memory.sight import TrustThresholds
 import numpy as np
 import pytest
 
@@ -87,15 +86,6 @@ def test_panoramas_have_the_exposure_of_the_image():
     remembered = one.kinds == REMEMBERED
     ratio = half.image[remembered].mean() / one.image[remembered].mean()
     assert ratio == pytest.approx(0.5, abs=0.01)
-
-
-def test_depth_is_not_told_at_edges_if_asked(guide):
-    found = guide.guide(image(WALK[0]))
-    wide = view(WALK[0], EXPANSION.target)[0]
-    sure = np.full(wide.shape[:2], 255, np.uint8)
-    flat, all_of_it = (np.isfinite(found.trusted_depth(wide, sure, TrustThresholds(bend=bend)))
-                       for bend in (0.02, None))
-    assert 0.7 < flat.sum() / all_of_it.sum() < 0.99 and not (flat & ~all_of_it).any()
 
 
 def test_depth_is_not_told_where_somebody_stands(guide):
