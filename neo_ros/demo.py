@@ -24,10 +24,11 @@ from neo_ros.bags.demo_bag import IMAGE_TOPIC, TRUTH_TOPIC, write_demo_bag
 from neo_ros.errors import BagError, ModelError, NeoError
 from neo_ros.evaluation.metrics import score_frame
 from neo_ros.flat.demo_flat import build_demo_flat, walking_paths
-from neo_ros.flat.scene_writing import fingerprint, render_demo_views
-from neo_ros.geometry import ViewExpansion
+from neo_ros.flat.scene_writing import fingerprint, render_demo_views, write_demo_scene
+from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.machine.files import make_output_folder, write_bytes
 from neo_ros.machine.processes import end_process
+from neo_ros.machine.progress import no_stage_progress, of_stage, StageProgress
 from neo_ros.machine.ros_domain import own_domain
 from neo_ros.messages import read_image
 from neo_ros.messages.stamps import stamp_of
@@ -74,6 +75,23 @@ def make_demo_bag(path: Path, expansion: ViewExpansion, frames: int, rate: float
     period_ns = round(1e9 / rate)
     write_demo_bag(path, ((1_000_000_000 + index * period_ns, image, pose)
                           for index, (image, pose) in enumerate(zip(images, walk))), expansion)
+
+
+def train_demo(camera: Intrinsics, out: Path, minutes: float,
+               progress: StageProgress = no_stage_progress) -> Path:
+    """
+    Photograph the flat with a camera and train a model in so many minutes; return its file.
+
+    Both stay in `out`: what is there is not made again.
+    """
+    from neo_ros.experiment import Experiment
+    from neo_ros.pipeline import train  # torch, which a robot has not.
+
+    scene = out / SCENE
+    # Two test frames do: the walk of the demo is what shows how good the model is.
+    write_demo_scene(scene, camera=camera, n_paths=1, frames_per_path=2,
+                     progress=of_stage(progress, 'images'))
+    return train(scene, Experiment(), out / 'model', progress, minutes=minutes).model_path
 
 
 def run_demo(model: Path, out: Path, frames: int, rate: float,

@@ -1,7 +1,10 @@
 """The demo on a real ROS graph, with a tiny model; the shipped model knows the walk it shows."""
+from functools import partial
 import json
+import math
 from pathlib import Path
 import time
+from types import SimpleNamespace
 from urllib.request import urlopen
 
 from bag_files import write_walk_bag
@@ -11,10 +14,11 @@ from neo_ros.demo import _Graph, DemoResult, run_demo, WALK_SEED, WIDE_TOPIC
 from neo_ros.errors import ModelError, NeoError
 from neo_ros.evaluation.metrics import score_frame
 from neo_ros.flat.demo_flat import build_demo_flat, walking_paths
-from neo_ros.flat.scene_writing import render_demo_views
+from neo_ros.flat.scene_writing import render_demo_views, write_demo_scene
 from neo_ros.machine.files import share_dir
 from neo_ros.messages import read_image
 from neo_ros.runtime import FovExtrapolator
+from neo_ros.scenes.scene import read_scene
 import numpy as np
 import pytest
 from tiny_model import TINY_EXPANSION, write_tiny_model
@@ -95,6 +99,36 @@ def test_a_part_of_the_graph_that_ends_is_told_at_once(
             with pytest.raises(NeoError, match='recorder ended with code'):
                 graph.play(bag, subscribers=9)
     assert time.monotonic() - started < 60
+
+
+def test_another_camera_gets_a_model_of_its_own(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def train(scene, experiment, out, progress, minutes):
+        assert minutes == 0.5
+        out.mkdir()
+        write_tiny_model(out / 'demo_flat.onnx', scene_id=read_scene(scene).name)
+        return SimpleNamespace(model_path=out / 'demo_flat.onnx')
+
+    shown = []
+    monkeypatch.setattr('neo_ros.pipeline.train', train)
+    monkeypatch.setattr('neo_ros.demo.run_demo', lambda model, *others: shown.append(model))
+    monkeypatch.setattr('neo_ros.demo.write_demo_scene',
+                        partial(write_demo_scene, n_train=4, workers=1))
+    told = CliRunner().invoke(app, ['demo', '--out', str(tmp_path), '--camera', '32x24@69',
+                                    '--minutes', '0.5'])
+    assert told.exit_code == 0, told.output
+    assert shown == [tmp_path / '32x24@69/model/demo_flat.onnx'] and shown[0].is_file()
+    photos = read_scene(tmp_path / '32x24@69/demo_flat').train
+    assert (photos.intrinsics.width, photos.intrinsics.height) == (32, 24)
+    assert photos.intrinsics.hfov == pytest.approx(math.radians(69))
+
+
+@pytest.mark.parametrize('arguments, words', [
+    (['--camera', '640x480'], 'expected WIDTHxHEIGHT@DEGREES'),
+    (['--camera', '640x480@69', '--model', 'a.onnx'], '--camera trains one')])
+def test_a_camera_that_cannot_be_is_refused(arguments: list[str], words: str) -> None:
+    told = CliRunner().invoke(app, ['demo', *arguments])
+    assert told.exit_code != 0 and words in str(told.exception or told.output)
 
 
 @pytest.mark.parametrize('arguments, rounds', [([], 1), (['--watch'], 3)],

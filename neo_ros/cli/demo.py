@@ -10,6 +10,11 @@ def demo(
         help='Folder for the bags, the report and the pictures.')] = Path('out/demo'),
     model: Annotated[Optional[Path], typer.Option(
         help='A model of the demo flat; default: the one that comes with the package.')] = None,
+    camera: Annotated[Optional[str], typer.Option(
+        help='Another camera, WIDTHxHEIGHT@DEGREES, as 640x480@69: a model is trained for it '
+        'first, once.')] = None,
+    minutes: Annotated[float, typer.Option(
+        help='How long that training takes.', min=0)] = 30.0,
     frames: Annotated[int, typer.Option(help='Length of the walk.', min=2)] = 100,
     rate: Annotated[float, typer.Option(help='Frames per second.', min=0.1)] = 10.0,
     watch: Annotated[Optional[bool], typer.Option(
@@ -21,17 +26,22 @@ def demo(
 
     Renders the walk once, plays it to the node on a ROS graph of its own, records what comes
     out, scores it against the truth and shows it in report.html and strip.png. The page of the
-    remote assistant shows the stream meanwhile.
+    remote assistant shows the stream meanwhile. With --camera it photographs the flat and trains
+    a model first, in OUT; given again, the command goes on where it was broken off.
     """
     import os
     import sys
     import webbrowser
 
+    from neo_ros.cli.options import camera_of, refuse
     from neo_ros.cli.progress import stage_progress
-    from neo_ros.demo import run_demo
+    from neo_ros.demo import run_demo, train_demo
     from neo_ros.machine.files import share_dir
     import rich
 
+    if camera is not None:
+        refuse('--camera trains one', model=model)
+        seen = camera_of(camera)
     watching = sys.stdout.isatty() if watch is None else watch
     rounds = 0
 
@@ -51,6 +61,8 @@ def demo(
         return watching
 
     with stage_progress() as show:
+        if camera is not None:
+            model = train_demo(seen, out / camera, minutes, show)
         try:
             run_demo(model or share_dir() / 'models' / 'demo_flat.onnx', out, frames, rate, show,
                      shown_at, go_on)

@@ -1,7 +1,5 @@
 """`neo import`: bring a capture into a scene folder."""
-import math
 from pathlib import Path
-import re
 from typing import Annotated, Any, Optional
 
 from neo_ros.errors import ConfigError
@@ -116,13 +114,13 @@ def import_scene(
 
 def _write_demo(scene: Path, of_views: dict[str, Any], of_buildings: dict[str, Any], show: Any
                 ) -> None:
-    from neo_ros.cli.options import refuse
+    from neo_ros.cli.options import camera_of, refuse
     from neo_ros.flat.building_plan import BuildingPlan
     from neo_ros.flat.scene_writing import write_building_scene, write_demo_scene
 
     size, camera, photos = of_views['size'], None, of_views['photos']
     if of_views['camera'] is not None:
-        camera = _camera_of(of_views['camera'])
+        camera = camera_of(of_views['camera'])
         refuse('--camera says it', size=size)
     rooms, floors, twins, own_picture, seed = of_buildings.values()
     if rooms is None:
@@ -180,15 +178,6 @@ def _tell(scene: Path, found: Any, notes: list[str]) -> None:
     if out.resolve() == scene.resolve():  # A training wants a folder of its own.
         out = Path('out', f'{found.name}_model')
     tell_next('neo', 'train', scene, '--out', out)
-
-
-def _camera_of(text: str) -> Any:
-    from neo_ros.geometry import Intrinsics
-    match = re.fullmatch(r'(\d+)x(\d+)@(\d+(?:\.\d+)?)', text)
-    if match is None or not 0 < float(match[3]) < 180 or min(int(match[1]), int(match[2])) < 16:
-        raise ConfigError('--camera: expected WIDTHxHEIGHT@DEGREES, at least 16 pixels and below '
-                          f'180 degrees, as 640x480@69, got {text!r}')
-    return Intrinsics.from_hfov(int(match[1]), int(match[2]), math.radians(float(match[3])))
 
 
 def _named_format(name: str) -> Any:

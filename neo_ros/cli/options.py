@@ -1,8 +1,11 @@
 """Options that commands share, or that do not go together, and the command that comes next."""
+import math
+import re
 import shlex
 from typing import Annotated, Optional
 
 from neo_ros.errors import ConfigError
+from neo_ros.geometry import Intrinsics
 import typer
 
 ImageTopic = Annotated[Optional[str], typer.Option(
@@ -19,6 +22,15 @@ def refuse(why: str, **options: object) -> None:
              if value is not None and value is not False]
     if given:
         raise ConfigError(f'{", ".join(given)}: {why}; leave it out')
+
+
+def camera_of(text: str) -> Intrinsics:
+    """Return the camera that WIDTHxHEIGHT@DEGREES names; raises ConfigError for other words."""
+    match = re.fullmatch(r'(\d+)x(\d+)@(\d+(?:\.\d+)?)', text)
+    if match is None or not 0 < float(match[3]) < 180 or min(int(match[1]), int(match[2])) < 16:
+        raise ConfigError('--camera: expected WIDTHxHEIGHT@DEGREES, at least 16 pixels and below '
+                          f'180 degrees, as 640x480@69, got {text!r}')
+    return Intrinsics.from_hfov(int(match[1]), int(match[2]), math.radians(float(match[3])))
 
 
 def tell_next(*words: object) -> None:

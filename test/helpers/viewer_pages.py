@@ -49,6 +49,7 @@ class ServerProcess:
 def opened_page(browser: Any, allowed: str | None = None, **options: Any) -> Iterator[Any]:
     """Open an empty page that in the end has raised no error but those with `allowed` words."""
     context = browser.new_context(viewport={'width': 1000, 'height': 700}, **options)
+    context.set_default_timeout(1000 * WAIT_S)
     page = context.new_page()
     problems: list[str] = []
     page.on('pageerror', lambda error: problems.append(str(error)))

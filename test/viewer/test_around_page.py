@@ -36,6 +36,8 @@ def page(browser: Any, viewer: ServerProcess) -> Iterator[Any]:
         page.goto(viewer.url)
         page.wait_for_selector('#map', state='visible', timeout=60_000)
         wait_for(page, lambda: 'x 1.9' in page.inner_text('#place'))
+        # Only with its first picture the stage has its size: a click before would miss it.
+        wait_for(page, lambda: pixels(page, 'picture', [(0.5, 0.5)]).max() > 8)
         yield page
 
 
