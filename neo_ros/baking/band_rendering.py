@@ -48,6 +48,20 @@ def block_centres(pixels: np.ndarray, block: int) -> np.ndarray:
     return pixels[block // 2::block, block // 2::block]
 
 
+def mesh_depth(depth: np.ndarray, finer: int, one_surface: float) -> np.ndarray:
+    """
+    Take one depth of each block of finer x finer pixels: float32 (h, w) of (finer h, finer w).
+
+    The median; but where the middle two of an even number lie on two surfaces, or one is unknown,
+    the farther one: their mean would hang in mid-air.
+    """
+    height, width = depth.shape[0] // finer, depth.shape[1] // finer
+    blocks = depth.reshape(height, finer, width, finer).swapaxes(1, 2).reshape(height, width, -1)
+    blocks, count = np.sort(blocks, axis=-1), finer * finer
+    near, far = blocks[..., (count - 1) // 2], blocks[..., count // 2]
+    return np.where(far - near < one_surface * far, (near + far) / 2, far)
+
+
 def _smooth(depths: np.ndarray, wraps: bool, one_surface: float, far: float) -> np.ndarray:
     """Tell of every 2x2 depths, and of those around them, whether all are of one surface."""
     padded = np.pad(depths, ((1, 2), (0, 0)), mode='edge')

@@ -13,14 +13,16 @@ import time
 from zipfile import BadZipFile
 
 import cv2
-from neo_ros.baking.band_rendering import render_band
+from neo_ros.baking.band_rendering import mesh_depth, render_band
 from neo_ros.baking.glances import glance_rotations, keyframe_glances, photo_glances
 from neo_ros.baking.kernels import colour_from_photos, FAR, PanoramaPixels, PhotoArrays
+from neo_ros.baking.plain_surfaces import move_to_planes, NO_AXES, plane_axes, with_planes
 from neo_ros.errors import ConfigError, NeoError
 from neo_ros.field.panorama import view_band
 from neo_ros.field.radiance_field import RadianceField
 from neo_ros.field.rendering import render_rays, to_uint8, world_rays
 from neo_ros.geometry import Band, CameraPose, Intrinsics, ViewExpansion
+from neo_ros.machine.evenly import evenly
 from neo_ros.machine.files import whole_file
 from neo_ros.machine.progress import no_stage_progress, of_stage, Progress, StageProgress
 from neo_ros.memory.keyframe import compress, FINER, Keyframe
@@ -40,6 +42,7 @@ class BakingRules:
     one_surface: float = 0.1       # depths that differ by less than this share are of one surface
     least_coverage: float = 0.5    # of a pixel by what photos saw, for its depth to be known
     least_keyframes: int = 8       # however short the time
+    axes_photos: int = 100         # that tell which way the walls face
 
 
 @dataclass(frozen=True)
@@ -90,6 +93,7 @@ def bake_memory(field: RadianceField, photos: Photos, expansion: ViewExpansion,
                      sampler.yaw_range)
     positions = keyframe_positions(sampler, photos, config.distance)
     seen, gains = _seen_by_photos(field, photos, rules, of_stage(progress, 'depth of photos'))
+    axes = _put_on_planes(photos, seen, rules)
     frames: list[tuple[bytes, bytes, Glances]] = []
     clock = _BakingClock(ends - time.monotonic())
     for index, position in enumerate(positions):
@@ -101,7 +105,8 @@ def bake_memory(field: RadianceField, photos: Photos, expansion: ViewExpansion,
         if frame is None:
             # One is 70 MB for a camera of 640 pixels: it is compressed at once.
             keyframe = bake_keyframe(field, photos, seen, gains, position, band,
-                                     keyframe_size(band, expansion.target.fx, rules), rules)
+                                     keyframe_size(band, expansion.target.fx, rules), rules,
+                                     axes)
             frame = (*compress(keyframe), keyframe_glances(
                 [keyframe], band, expansion.source, glance_rotations(sampler)))
             _write_finished(path, *frame)
@@ -137,6 +142,26 @@ def _seen_by_photos(field: RadianceField, photos: Photos, rules: BakingRules, pr
         gains.append(_gain(rendering.image[clear], image[usable]))
         progress(index + 1, len(photos.images))
     return seen, np.stack(gains)
+
+
+def _put_on_planes(photos: Photos, seen: np.ndarray, rules: BakingRules) -> np.ndarray:
+    """
+    Put what is plain in `seen` on planes, in place, see `with_planes`.
+
+    Returns the directions that the surfaces of the scene face, see `plane_axes`.
+    """
+    size = seen.shape[:0:-1]
+    camera = photos.intrinsics.scaled(size[0] / photos.intrinsics.width)
+
+    def rays(index: int) -> np.ndarray:
+        return world_rays(camera, CameraPose(photos.T_world_cam[index]))[1]
+
+    chosen = evenly(len(seen), rules.axes_photos)
+    axes = plane_axes(seen[chosen], map(rays, chosen))
+    for index, image in enumerate(photos.images):
+        seen[index] = with_planes(seen[index], cv2.resize(
+            image, size, interpolation=cv2.INTER_AREA), rays(index), axes)
+    return axes
 
 
 def _of_scene_alone(field: RadianceField, photos: Photos, gains: np.ndarray, rules: BakingRules
@@ -242,12 +267,13 @@ def keyframe_size(band: Band, focal: float, rules: BakingRules = BakingRules()
 
 def bake_keyframe(field: RadianceField, photos: Photos, seen: np.ndarray, gains: np.ndarray,
                   position: np.ndarray, band: Band, size: tuple[int, int, int],
-                  rules: BakingRules, part: tuple[slice, slice] | None = None) -> Keyframe:
+                  rules: BakingRules, axes: np.ndarray = NO_AXES,
+                  part: tuple[slice, slice] | None = None) -> Keyframe:
     """
     Render and colour a keyframe of a size as `keyframe_size` tells.
 
-    seen, gains: of the photos, see `_seen_by_photos`; part: rows and columns of the mesh that are
-    made, None: all.
+    seen, gains: of the photos, see `_seen_by_photos`; axes: of planes that what is plain is put
+    on; part: rows and columns of the mesh that are made, None: all.
     """
     height, width, finer = size
     dense = min(finer, rules.dense)
@@ -258,6 +284,7 @@ def bake_keyframe(field: RadianceField, photos: Photos, seen: np.ndarray, gains:
     height, width = rays.shape[0] // dense, rays.shape[1] // dense
     depth, colours, own = render_band(field, position, rays, dense, wraps,
                                       rules.one_surface, FAR, rules.least_coverage)
+    move_to_planes(depth, to_uint8(colours), rays, dense, axes, rules.one_surface)
     texture = np.empty((height * finer, width * finer, 3), np.uint8)
     centres = photos.T_world_cam[:, :3, 3]
     near = np.sort(np.argsort(np.linalg.norm(centres - position, axis=1),
@@ -271,18 +298,3 @@ def bake_keyframe(field: RadianceField, photos: Photos, seen: np.ndarray, gains:
                     camera.fx, camera.fy, camera.cx, camera.cy),
         wraps, rules.one_surface, texture, own, dense)
     return Keyframe(position, mesh_depth(depth, dense, rules.one_surface), texture)
-
-
-def mesh_depth(depth: np.ndarray, finer: int,
-               one_surface: float = BakingRules.one_surface) -> np.ndarray:
-    """
-    Take one depth of each block of finer x finer pixels: float32 (h, w) of (finer h, finer w).
-
-    The median; but where the middle two of an even number lie on two surfaces, or one is unknown,
-    the farther one: their mean would hang in mid-air.
-    """
-    height, width = depth.shape[0] // finer, depth.shape[1] // finer
-    blocks = depth.reshape(height, finer, width, finer).swapaxes(1, 2).reshape(height, width, -1)
-    blocks, count = np.sort(blocks, axis=-1), finer * finer
-    near, far = blocks[..., (count - 1) // 2], blocks[..., count // 2]
-    return np.where(far - near < one_surface * far, (near + far) / 2, far)

@@ -2,11 +2,13 @@
 import math
 import re
 import shlex
-from typing import Annotated, Optional
+from typing import Annotated, Optional, TYPE_CHECKING
 
 from neo_ros.errors import ConfigError
-from neo_ros.geometry import Intrinsics
 import typer
+
+if TYPE_CHECKING:
+    from neo_ros.geometry import Intrinsics
 
 ImageTopic = Annotated[Optional[str], typer.Option(
     help='Camera image, raw or compressed; default: the only one of the size the model takes.')]
@@ -24,8 +26,10 @@ def refuse(why: str, **options: object) -> None:
         raise ConfigError(f'{", ".join(given)}: {why}; leave it out')
 
 
-def camera_of(text: str) -> Intrinsics:
+def camera_of(text: str) -> 'Intrinsics':
     """Return the camera that WIDTHxHEIGHT@DEGREES names; raises ConfigError for other words."""
+    from neo_ros.geometry import Intrinsics
+
     match = re.fullmatch(r'(\d+)x(\d+)@(\d+(?:\.\d+)?)', text)
     if match is None or not 0 < float(match[3]) < 180 or min(int(match[1]), int(match[2])) < 16:
         raise ConfigError('--camera: expected WIDTHxHEIGHT@DEGREES, at least 16 pixels and below '

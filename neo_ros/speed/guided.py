@@ -12,8 +12,9 @@ import tempfile
 import time
 
 import cv2
+from neo_ros.baking.band_rendering import mesh_depth
 from neo_ros.baking.glances import keyframe_glances
-from neo_ros.baking.keyframes import keyframe_size, mesh_depth
+from neo_ros.baking.keyframes import BakingRules, keyframe_size
 from neo_ros.field.panorama import view_band
 from neo_ros.flat.demo_flat import build_demo_flat, DemoFlat
 from neo_ros.geometry import Band, CameraPose, Intrinsics, ViewExpansion
@@ -101,7 +102,7 @@ def exact_keyframe(flat: DemoFlat, position: np.ndarray, band: Band, focal: floa
         rows = (local[..., 1] / ahead + rise) * scale - 0.5
         texture[mine] = cv2.remap(image, columns, rows, cv2.INTER_LINEAR)[mine]
         depth[mine] = (cv2.remap(z, columns, rows, cv2.INTER_NEAREST) / ahead)[mine]
-    return Keyframe(position, mesh_depth(depth, finer), texture)
+    return Keyframe(position, mesh_depth(depth, finer, BakingRules.one_surface), texture)
 
 
 def exact_landmarks(camera: Intrinsics, poses: Sequence[CameraPose]) -> Landmarks | None:

@@ -4,6 +4,7 @@ from pathlib import Path
 from box_room import BAND, cast, EXPANSION, HEIGHT, planar, SOURCE, view
 import cv2
 from neo_ros.baking import band_rendering, keyframes
+from neo_ros.baking.band_rendering import mesh_depth
 from neo_ros.baking.glances import glance_rotations
 from neo_ros.baking.kernels import colour_from_photos, PanoramaPixels, PhotoArrays
 from neo_ros.baking.keyframes import (
@@ -140,7 +141,7 @@ def test_a_distance_must_be_positive() -> None:
 ], ids=['edge', 'upright edge', 'corner', 'edge of the known', 'hardly known', 'three by three',
         'slope', 'steps of one surface'])
 def test_a_vertex_lies_on_a_surface(block: list[list[float]], expected: float) -> None:
-    found = keyframes.mesh_depth(np.array(block, np.float32), len(block))
+    found = mesh_depth(np.array(block, np.float32), len(block), 0.1)
     assert found.dtype == np.float32 and found.tolist() == [[expected]]
 
 
