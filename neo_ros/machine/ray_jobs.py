@@ -61,6 +61,8 @@ def _join(ray: Any) -> None:
         ray.init(address=address, log_to_driver=False, logging_level='error', **own)
     except (ConnectionError, RuntimeError, ValueError) as error:
         reason = str(error).strip().split('\n')[0]
+        if 'AuthenticationError' in str(error.__cause__):
+            reason = 'it asks for a token: see RAY_AUTH_MODE in the documentation of Ray'
         raise ConfigError(f'RAY_ADDRESS: expected a Ray cluster at {address}, got: {reason}'
                           ) from error
 
@@ -70,7 +72,9 @@ def _result(ray: Any, done: Any, retries: int) -> Any:
     try:
         return ray.get(done)
     except ray.exceptions.RayTaskError as error:
-        return NeoError(f'{type(error.cause).__name__}: {error.cause}')
+        # Of a module that is missing there, the last line names it.
+        reason = str(error.cause).strip().split('\n')[-1]
+        return NeoError(f'{type(error.cause).__name__}: {reason}')
     except ray.exceptions.RayError as error:
         return NeoError(f'given up after {retries + 1} attempts, its worker died: '
                         + str(error).strip().split('\n')[0])

@@ -1,4 +1,4 @@
-"""Many bags in one command: names, failures, what is finished, and the same bytes as one by one."""
+"""Many bags in one command: names, failures, what is finished, the same bytes as one by one."""
 import json
 import math
 from pathlib import Path
