@@ -1,6 +1,7 @@
 """Jobs that need nothing of each other, done by Ray: on this machine, or on a cluster."""
 from collections.abc import Callable, Iterator, Sequence
 import os
+import socket
 from typing import Any, TypeVar
 
 from neo_ros.errors import ConfigError, NeoError
@@ -9,6 +10,7 @@ Job = TypeVar('Job')
 Result = TypeVar('Result')
 # How often a job is begun anew whose worker or machine died.
 RETRIES = 3
+CONNECT_S = 10.0
 # Ray would set aside a third of the memory for what jobs hand over; ours hand over file names.
 _STORE_BYTES = 100 << 20
 
@@ -52,6 +54,7 @@ def map_on_ray(function: Callable[[Job], Result], jobs: Sequence[Job],
 def _join(ray: Any) -> None:
     """Connect to the cluster that the environment names, or start one here."""
     address = os.environ.get('RAY_ADDRESS') or 'local'
+    _check_answer(address)
     own: dict[str, Any] = {}
     if address == 'local':
         # Else it would report its use to its makers.
@@ -64,6 +67,18 @@ def _join(ray: Any) -> None:
         if 'AuthenticationError' in str(error.__cause__):
             reason = 'it asks for a token: see RAY_AUTH_MODE in the documentation of Ray'
         raise ConfigError(f'RAY_ADDRESS: expected a Ray cluster at {address}, got: {reason}'
+                          ) from error
+
+
+def _check_answer(address: str) -> None:
+    """Raise ConfigError where nobody listens at host:port: Ray would try for minutes."""
+    host, _, port = address.rpartition(':')
+    if not port.isdecimal() or '/' in host:
+        return
+    try:
+        socket.create_connection((host, int(port)), CONNECT_S).close()
+    except (OSError, OverflowError) as error:
+        raise ConfigError(f'RAY_ADDRESS: expected a Ray cluster at {address}, got: {error}'
                           ) from error
 
 
