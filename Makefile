@@ -73,7 +73,7 @@ endef
 
 $(VENV)/robot.stamp: WANTED := .[viewer]
 $(VENV)/train.stamp: WANTED := .[viewer,video,foxglove,heic,record3d,mesh,train]
-$(VENV)/dev.stamp: WANTED := .[viewer,video,foxglove,heic,record3d,mesh,train,dev]
+$(VENV)/dev.stamp: WANTED := .[viewer,video,foxglove,heic,record3d,mesh,cluster,train,dev]
 $(VENV)/robot.stamp: setup.py pyproject.toml constraints.txt | $(VENV)/pyvenv.cfg
 	$(pip_install)
 $(VENV)/train.stamp: $(VENV)/robot.stamp

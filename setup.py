@@ -42,6 +42,8 @@ EXTRAS = {
     'viewer': ['aiohttp'],
     # Video messages in bags, and the video of `neo replay --side-by-side`.
     'video': ['av'],
+    # Many bags on several cores or machines, in `neo replay --cluster`.
+    'cluster': ['ray'],
     # `colcon test` runs pytest when the extra of this name asks for it.
     'test': TEST,
     'dev': TEST + [

@@ -14,7 +14,7 @@ PACKAGE = Path(neo_ros.__file__).parent
 COMMON = {'errors'}
 # Room: the other rooms and the heavy libraries that it may import.
 LAW: dict[str, set[str]] = {
-    'machine': {'numba'},
+    'machine': {'numba', 'ray'},
     'pictures': {'machine', 'cv2'},
     'geometry': {'cv2'},
     'scenes': {'geometry', 'machine', 'pictures', 'cv2'},
@@ -38,6 +38,7 @@ LAW: dict[str, set[str]] = {
     # Of `outpaint` it has the weights of LPIPS, which are a training loss there.
     'evaluation': {'geometry', 'machine', 'pictures', 'scenes', 'field', 'outpaint', 'runtime',
                    'messages', 'memory', 'reports', 'torch', 'cv2', 'matplotlib'},
+    'replaying': {'machine', 'memory', 'runtime', 'bags', 'evaluation', 'reports'},
     # What the pipeline is made of.
     'training': {'geometry', 'machine', 'pictures', 'scenes', 'field', 'outpaint', 'runtime',
                  'memory', 'baking', 'reports', 'evaluation', 'experiment', 'torch', 'cv2'},
@@ -55,7 +56,7 @@ LAW: dict[str, set[str]] = {
     'documents': {'benchmark', 'cli', 'node', 'reports'},
 }
 HEAVY = {'torch', 'numba', 'scipy', 'cv2', 'onnx', 'onnxscript', 'onnxruntime', 'rosbags',
-         'mcap', 'rclpy', 'skimage', 'matplotlib', 'pycolmap'}
+         'mcap', 'rclpy', 'skimage', 'matplotlib', 'pycolmap', 'ray'}
 ROS_PACKAGES = {'rclpy', 'rcl_interfaces', 'ament_index_python', 'launch', 'launch_ros'}
 # What needs the train extra: absent from the base install.
 TRAINING = {'torch', 'scipy', 'onnx', 'onnxscript', 'skimage', 'pycolmap'}
@@ -138,10 +139,10 @@ def loaded_by(module: str) -> set[str]:
 @pytest.mark.parametrize('module', [
     'neo_ros.runtime', 'neo_ros.node.running', 'neo_ros.node.bag_player',
     'neo_ros.node.bag_recorder', 'neo_ros.bags', 'neo_ros.messages', 'neo_ros.cli.main',
-    'neo_ros.evaluation.evaluation_report'])
+    'neo_ros.evaluation.evaluation_report', 'neo_ros.replaying.many_bags'])
 def test_what_runs_on_a_robot_loads_nothing_of_the_training(module: str) -> None:
-    # Plots are drawn when a report is written.
-    assert loaded_by(module) & (TRAINING | {'matplotlib'}) == set()
+    # Plots are drawn when a report is written, Ray is asked for with an option.
+    assert loaded_by(module) & (TRAINING | {'matplotlib', 'ray'}) == set()
 
 
 @pytest.mark.parametrize('module', [

@@ -1,5 +1,5 @@
-"""`neo replay`: widen the camera of a bag without a ROS graph."""
-from contextlib import ExitStack
+"""`neo replay`: widen the camera of a bag, or of many, without a ROS graph."""
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Optional
 
@@ -8,8 +8,11 @@ import typer
 
 
 def replay(
-    bag: Annotated[Path, typer.Argument(help='Bag folder (MCAP or sqlite3), .mcap or .db3.')],
-    out: Annotated[Path, typer.Option(help='Folder of the new bag; must not exist yet.')],
+    bag: Annotated[list[Path], typer.Argument(
+        help='Bag folder (MCAP or sqlite3), .mcap or .db3; may be several.')],
+    out: Annotated[Path, typer.Option(
+        help='Folder of the new bag; must not exist yet. Of several: folder of the new bags; what '
+             'is finished there is not done again.')],
     model: Annotated[Optional[Path], typer.Option(
         help='Model file (.onnx); default: the shipped demo_flat.onnx.')] = None,
     image_topic: ImageTopic = None,
@@ -22,7 +25,7 @@ def replay(
         help='Widen only every so many-th image.', min=1)] = 1,
     rectify: Rectify = False,
     side_by_side: Annotated[Optional[Path], typer.Option(
-        help='Also write a video (.mp4): camera and widened view.')] = None,
+        help='Also write a video (.mp4): camera and widened view; of one bag.')] = None,
     score: Annotated[bool, typer.Option(
         '--score', help='Score: against the wide images of the bag, or, if it has none, '
                         "against the camera's own border.")] = False,
@@ -33,92 +36,105 @@ def replay(
              'panorama_mask; may be given several times; default: pose and status.')] = None,
     learn: Annotated[bool, typer.Option(
         '--learn', help='Learn what has changed in the scene: kept in a journal beside the scene '
-                        'memory, see neo memory.')] = False,
+                        'memory, see neo memory; from one bag.')] = False,
     copy: Annotated[bool, typer.Option(
         help='Copy the other topics of the bag into the new one.')] = True,
+    cluster: Annotated[bool, typer.Option(
+        '--cluster', help='Hand several bags to Ray: to the cluster of RAY_ADDRESS, else to all '
+                          'cores of this machine.')] = False,
 ) -> None:
     """
     Widen the camera of a bag: a new bag with its wide topics beside all that was in it.
 
     With --score also scores.csv, scores.json and report.html in the new folder.
+
+    Of several bags each becomes a new bag of its name in the folder, beside bags.json and
+    report.html of all. One that fails does not stop the others; the exit code is then 1.
     """
-    from neo_ros.bags import replay as replay_bag, Section
+    from neo_ros.bags import Section
     from neo_ros.bags.replay_outputs import DEFAULT_OUTPUTS
+    from neo_ros.cli.options import refuse
+    from neo_ros.machine.files import share_dir
+    from neo_ros.replaying.bag_replayer import ReplayOptions
+
+    model = model or share_dir() / 'models' / 'demo_flat.onnx'
+    options = ReplayOptions(
+        image_topic, info_topic, Section(start, end, every), rectify, score, truth_topic,
+        tuple(DEFAULT_OUTPUTS if output is None else output), copy)
+    if len(bag) == 1:
+        refuse('it shares out several bags, and there is one', cluster=cluster)
+        _replay_one(bag[0], model, out, options, side_by_side, learn)
+        return
+    refuse('of one bag only, and there are several', side_by_side=side_by_side)
+    refuse('what is learnt from one bag would change the next', learn=learn)
+    _replay_many(bag, model, out, options, cluster)
+
+
+def _replay_one(bag: Path, model: Path, out: Path, options: Any, side_by_side: Path | None,
+                learn: bool) -> None:
+    """Replay a bag and print what became of it; `options` are ReplayOptions."""
+    from contextlib import ExitStack
+
     from neo_ros.cli.options import tell_next
     from neo_ros.cli.progress import stage_progress
-    from neo_ros.machine.files import share_dir
-    from neo_ros.runtime import FovExtrapolator
-    import numpy as np
+    from neo_ros.replaying.bag_replayer import BagReplayer
     import rich
     from rich.markup import escape
 
-    model = model or share_dir() / 'models' / 'demo_flat.onnx'
-    section = Section(start, end, every)
-    extrapolator = FovExtrapolator.load(model, learn='at once' if learn else 'never')
-    scores, truth_topic = _prepare_scores(
-        bag, model, extrapolator, image_topic, truth_topic, score, info_topic)
+    replayer = BagReplayer(model, learn=learn)
     with ExitStack() as stack:
-        takers = [scores.add_frame] if scores is not None and truth_topic is None else []
+        on_frame = None
         if side_by_side is not None:
             from neo_ros.reports.side_by_side import SideBySide
-            takers.append(stack.enter_context(
-                SideBySide(side_by_side, extrapolator.expansion)).add)
-
-        def on_frame(stamp_ns: int, image: np.ndarray, wide_image: np.ndarray) -> None:
-            for take in takers:
-                take(stamp_ns, image, wide_image)
-
+            on_frame = stack.enter_context(
+                SideBySide(side_by_side, replayer.extrapolator.expansion)).add
         show = stack.enter_context(stage_progress())
-        result = replay_bag(
-            bag, extrapolator, out, image_topic, truth_topic, copy, section,
-            rectify, on_frame if takers else None, None if scores is None else scores.add_pair,
-            lambda done, total: show('replaying, messages', done, total),
-            DEFAULT_OUTPUTS if output is None else output, info_topic)
-    extrapolator.finish_learning()
-    guided = None
-    if extrapolator.card.memory is not None and result.frames:
-        guided = round(result.guided / result.frames, 4)
-    _print_result(result, guided)
-    if scores is not None and scores.rows:
-        about = {'bag': bag.name, 'image_topic': result.image_topic, 'truth_topic': truth_topic,
-                 'model': model.name, 'scene_id': extrapolator.card.scene_id,
-                 'config_hash': extrapolator.card.config_hash,
-                 # What the camera scores against itself are other frames than these.
-                 'guided': guided if truth_topic is not None else None}
-        scores.write(out, about)
-        _print_scores(scores, about)
-    elif truth_topic is not None:
-        rich.print(f'[yellow]no image of {escape(truth_topic)} has the stamp of a frame[/yellow]')
+        found = replayer.replay(bag, out, options, on_frame,
+                                lambda done, total: show('replaying, messages', done, total))
+    replayer.extrapolator.finish_learning()
+    _print_result(found.result, found.guided)
+    if found.scores is not None:
+        found.scores.write(out, found.about)
+        _print_scores(found.scores, found.about)
+    elif found.truth_topic is not None:
+        rich.print(
+            f'[yellow]no image of {escape(found.truth_topic)} has the stamp of a frame[/yellow]')
     for written in (out, side_by_side):
         if written is not None and written.exists():
             rich.print(f'Written: {escape(str(written))}')
-    if result.frames:
+    if found.result.frames:
         tell_next('neo', 'view', '--bag', out)
 
 
-def _prepare_scores(bag: Path, model: Path, extrapolator: Any, image_topic: str | None,
-                    truth_topic: str | None, score: bool, info_topic: str | None
-                    ) -> tuple[Any, str | None]:
-    """Return what scores the frames, and the topic of the truth; None for none."""
-    if not score and truth_topic is None:
-        return None, None
-    from neo_ros.bags import BagReader
-    from neo_ros.bags.camera_topics import find_camera, find_truth_topic
-    from neo_ros.evaluation.bag_scores import BagScores
-    from neo_ros.runtime import FovExtrapolator
+def _replay_many(bags: Sequence[Path], model: Path, out: Path, options: Any, cluster: bool
+                 ) -> None:
+    """Replay bags into a folder and print what became of them; ends with 1 where one failed."""
+    from neo_ros.cli.progress import stage_progress
+    from neo_ros.replaying.many_bags import replay_bags
+    from neo_ros.replaying.summary import REPORT_FILE, summary_table
+    import rich
+    from rich.markup import escape
+    from rich.table import Column, Table
 
-    expansion = extrapolator.expansion
-    if truth_topic is None:
-        with BagReader(bag) as reader:
-            camera = find_camera(reader, expansion.source, image_topic, info_topic).image
-            found = find_truth_topic(reader, camera,
-                                     (expansion.target.width, expansion.target.height))
-        truth_topic = None if found is None else found.name
-    if truth_topic is not None:
-        return BagScores(expansion), truth_topic
-    # An extrapolator of its own: the one that widens the bag may remember what it saw.
-    other = FovExtrapolator.load(model)
-    return BagScores(expansion, lambda image: other.expand(image).wide_image), None
+    with stage_progress() as show:
+        rows = replay_bags(bags, model, out, options, cluster, show)
+    (first, *columns), (*lines, last) = summary_table(rows)
+    table = Table(Column(first, overflow='fold'),
+                  *(Column(name, justify='right') for name in columns))
+    for line in lines:
+        table.add_row(*map(escape, line))
+    table.add_section()
+    table.add_row(*map(escape, last))
+    rich.print(table)
+    for row in rows:
+        for damage in row.damages:
+            rich.print(f'[yellow]{escape(row.name)}: {escape(damage)}[/yellow]')
+    failed = [row for row in rows if row.error]
+    for row in failed:
+        rich.print(f'[red]{escape(row.name)} failed: {escape(row.error)}[/red]')
+    rich.print(f'Written: {escape(str(out / REPORT_FILE))}')
+    if failed:
+        raise typer.Exit(1)
 
 
 def _print_result(result: Any, guided: float | None) -> None:
