@@ -124,13 +124,8 @@ def bake_memory(field: RadianceField, photos: Photos, expansion: ViewExpansion,
 
 def _seen_by_photos(field: RadianceField, photos: Photos, rules: BakingRules, progress: Progress
                     ) -> tuple[np.ndarray, np.ndarray]:
-    """
-    Return how far photos see, float32 (N, h, w) metres along the ray, and their gains (N, 3).
-
-    The depth is no finer than `rules.photo_focal`, as the field is not.
-    """
-    camera = photos.intrinsics
-    camera = camera.scaled(min(rules.photo_focal / camera.fx, 1.0))
+    """Return how far photos see, float32 (N, h, w) metres along the ray, and gains (N, 3)."""
+    camera = _seeing_camera(photos.intrinsics, rules)
     seen = np.empty((len(photos.images), camera.height, camera.width), np.float32)
     gains = []
     for index, (image, T) in enumerate(zip(photos.images, photos.T_world_cam)):
@@ -144,14 +139,18 @@ def _seen_by_photos(field: RadianceField, photos: Photos, rules: BakingRules, pr
     return seen, np.stack(gains)
 
 
+def _seeing_camera(camera: Intrinsics, rules: BakingRules) -> Intrinsics:
+    """Return the camera by which the depth of photos is kept, no finer than the field is."""
+    return camera.scaled(min(rules.photo_focal / camera.fx, 1.0))
+
+
 def _put_on_planes(photos: Photos, seen: np.ndarray, rules: BakingRules) -> np.ndarray:
     """
     Put what is plain in `seen` on planes, in place, see `with_planes`.
 
     Returns the directions that the surfaces of the scene face, see `plane_axes`.
     """
-    size = seen.shape[:0:-1]
-    camera = photos.intrinsics.scaled(size[0] / photos.intrinsics.width)
+    camera = _seeing_camera(photos.intrinsics, rules)
 
     def rays(index: int) -> np.ndarray:
         return world_rays(camera, CameraPose(photos.T_world_cam[index]))[1]
@@ -160,7 +159,8 @@ def _put_on_planes(photos: Photos, seen: np.ndarray, rules: BakingRules) -> np.n
     axes = plane_axes(seen[chosen], map(rays, chosen))
     for index, image in enumerate(photos.images):
         seen[index] = with_planes(seen[index], cv2.resize(
-            image, size, interpolation=cv2.INTER_AREA), rays(index), axes)
+            image, (camera.width, camera.height), interpolation=cv2.INTER_AREA),
+            rays(index), axes)
     return axes
 
 
@@ -168,7 +168,7 @@ def _of_scene_alone(field: RadianceField, photos: Photos, gains: np.ndarray, rul
                     ) -> Iterator[np.ndarray]:
     """Yield the photos; what their masks leave out is shown as the field has it."""
     camera = photos.intrinsics
-    small = camera.scaled(min(rules.photo_focal / camera.fx, 1.0))
+    small = _seeing_camera(camera, rules)
     for index, (image, T) in enumerate(zip(photos.images, photos.T_world_cam)):
         usable = None if photos.usable is None else photos.usable[index]
         if usable is not None and not usable.all():

@@ -185,18 +185,19 @@ def stand_in_field(field: VoxelField, origin: np.ndarray, rays: np.ndarray) -> R
                      np.ones(depth.shape, np.float32), (rays[..., 2] > -0.8).astype(np.float32))
 
 
-def bake_with_post(work: Path, person: bool = False, masked: bool = False) -> SceneMemory:
+def bake_with_post(work: Path, person: bool = False, masked: bool = False,
+                   camera: Intrinsics = PHOTO) -> SceneMemory:
     """
     Bake one keyframe of the room with the post from photos around it.
 
     person: most of each photo shows somebody in white; masked: and its mask says so.
     """
     poses = [planar(2.1, 1.95, yaw).T_world_cam for yaw in range(0, 360, 45)]
-    images = np.stack([(PHOTO_GAIN * look(T, PHOTO)).astype(np.uint8) for T in poses])
+    images = np.stack([(PHOTO_GAIN * look(T, camera)).astype(np.uint8) for T in poses])
     usable = np.ones(images.shape[:3], bool)
     usable[:, 12:60, 15:65] = not person
     images[~usable] = 255
-    photos = Photos(images, PHOTO, np.stack(poses), usable if masked else None)
+    photos = Photos(images, camera, np.stack(poses), usable if masked else None)
     sampler = PoseSampler(POSITION[None, :2], (-np.pi, 2 * np.pi), ((0.0, 0.0), (0.0, 0.0)),
                           (HEIGHT, 0.0))
     field = VoxelField.empty(8, POSITION, np.ones(3), 0.2, 0, near=0.5)
@@ -222,6 +223,13 @@ def test_finished_keyframes_are_not_baked_again(
         assert bake_with_post(tmp_path / 'work').write(tmp_path / 'b') == whole
     finished.write_bytes(finished.read_bytes()[:1000])
     assert bake_with_post(tmp_path / 'work').write(tmp_path / 'c') == whole
+
+
+def test_photos_finer_than_the_field_may_have_any_size(tmp_path: Path) -> None:
+    # Its height rounds otherwise by focal length (93 rows) than by width (92).
+    camera = Intrinsics(150, 132, 91.0, 91.0, 75.0, 66.0)
+    depth = bake_with_post(tmp_path, camera=camera).keyframe(0).depth
+    assert (depth > 0).mean() > 0.8
 
 
 def test_a_keyframe_that_cannot_be_kept_says_why(tmp_path: Path) -> None:
