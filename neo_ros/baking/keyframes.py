@@ -16,7 +16,8 @@ import cv2
 from neo_ros.baking.band_rendering import mesh_depth, render_band
 from neo_ros.baking.glances import glance_rotations, keyframe_glances, photo_glances
 from neo_ros.baking.kernels import colour_from_photos, FAR, PanoramaPixels, PhotoArrays
-from neo_ros.baking.plain_surfaces import move_to_planes, NO_AXES, plane_axes, with_planes
+from neo_ros.baking.plain_surfaces import (
+    hand_held, move_to_planes, NO_AXES, plane_axes, with_planes)
 from neo_ros.errors import ConfigError, NeoError
 from neo_ros.field.panorama import view_band
 from neo_ros.field.radiance_field import RadianceField
@@ -93,7 +94,7 @@ def bake_memory(field: RadianceField, photos: Photos, expansion: ViewExpansion,
                      sampler.yaw_range)
     positions = keyframe_positions(sampler, photos, config.distance)
     seen, gains = _seen_by_photos(field, photos, rules, of_stage(progress, 'depth of photos'))
-    axes = _put_on_planes(photos, seen, rules)
+    axes = NO_AXES if hand_held(positions) else _put_on_planes(photos, seen, rules)
     frames: list[tuple[bytes, bytes, Glances]] = []
     clock = _BakingClock(ends - time.monotonic())
     for index, position in enumerate(positions):

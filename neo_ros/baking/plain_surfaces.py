@@ -8,6 +8,7 @@ most of the edges in it and around it lie on.
 """
 from collections.abc import Iterable
 from dataclasses import dataclass
+import math
 from typing import NamedTuple
 
 import cv2
@@ -30,13 +31,12 @@ class PlaneRules:
     tried: int = 400              # directions, for the densest of them
     least_area: int = 60          # pixels of a surface
     around: int = 6               # pixels around a surface that tell of its plane, or lie on it
-    nearer: float = 0.3           # a plane may be nearer than its surface by so large a share,
-    moved: float = 0.35           # or by so many metres,
+    nearer: float = 0.3           # metres by which a plane may be nearer than its surface was
     farther: float = 0.1          # or farther
     in_front: float = 0.08        # what leaps nearer by more than this share stands before it
     spread: float = 0.02          # metres, of edges that lie on one plane
     least_edges: int = 20         # pixels, and
-    least_edge_share: float = 0.15  # of the edges around a surface, that lie on its plane
+    least_edge_share: float = 0.3  # of the edges around a surface, that lie on its plane
 
 
 NO_AXES = np.zeros((0, 3), np.float32)
@@ -50,6 +50,15 @@ class _Picture(NamedTuple):
     step: np.ndarray     # grey levels a pixel
     leaps: np.ndarray
     normals: np.ndarray  # towards the camera; 0 where there is none
+
+
+def hand_held(positions: np.ndarray) -> bool:
+    """
+    Tell whether keyframes (K, 3) stand at several heights, as those of a hand-held camera do.
+
+    Planes were measured to do harm there: see docs/decisions/0013.
+    """
+    return bool(np.ptp(positions[:, 2]) > 0)
 
 
 def plane_axes(depths: Iterable[np.ndarray], rays: Iterable[np.ndarray],
@@ -150,16 +159,16 @@ def _distance(picture: _Picture, edges: np.ndarray, window: tuple[slice, slice],
     found = around & edges[window]
     found &= ~(picture.leaps[window] & (away < (1 - rules.in_front) * now))
     asked = away[found]
-    low = max(now - max(rules.nearer * now, rules.moved), rules.spread)
-    high = (1 + rules.farther) * now
+    low, high = max(now - rules.nearer, rules.spread), now + rules.farther
     asked_near = asked[(asked > low) & (asked < high)]
     if len(asked_near) < rules.least_edges:
         return None
-    places = np.arange(low, high, rules.spread / 3)
-    count, _ = np.histogram(asked_near, np.append(places, high))
+    # Where they lie densest: bins of a third of their spread.
+    count, places = np.histogram(asked_near, math.ceil(3 * (high - low) / rules.spread),
+                                 (low, high))
     density = cv2.GaussianBlur(count.astype(np.float32)[None], (0, 0), 3,
                                borderType=cv2.BORDER_CONSTANT)[0]
-    distance = float(places[density.argmax()] + rules.spread / 6)
+    distance = float(places[density.argmax():][:2].mean())
     held = int((np.abs(asked_near - distance) < 2 * rules.spread).sum())
     enough = held >= max(rules.least_edges, rules.least_edge_share * len(asked))
     return distance if enough else None
@@ -168,8 +177,7 @@ def _distance(picture: _Picture, edges: np.ndarray, window: tuple[slice, slice],
 def _grow(made: np.ndarray, free: np.ndarray, depth: np.ndarray, surface: np.ndarray,
           plane: np.ndarray, rules: PlaneRules) -> None:
     """Put what lies around a surface onto its plane, where nothing drawn says otherwise."""
-    allowed = free & (depth > (1 - rules.in_front / 2) * plane) & (
-        depth < np.maximum(plane / (1 - rules.nearer), plane + rules.moved))
+    allowed = free & (depth > (1 - rules.in_front / 2) * plane) & (depth < plane + rules.nearer)
     grown = surface.astype(np.uint8)
     for _ in range(rules.around):
         grown = cv2.dilate(grown, np.ones((3, 3), np.uint8)) * (allowed | surface)

@@ -3,7 +3,7 @@ from dataclasses import replace
 
 import cv2
 from neo_ros.baking.keyframes import bake_keyframe, BakingRules, Photos
-from neo_ros.baking.plain_surfaces import plane_axes, with_planes
+from neo_ros.baking.plain_surfaces import hand_held, NO_AXES, plane_axes, with_planes
 from neo_ros.field.voxel_field import VoxelField
 from neo_ros.machine.evenly import evenly
 from neo_ros.machine.progress import no_progress, Progress
@@ -50,6 +50,8 @@ def bake_changes(field: VoxelField, space: ChangedSpace, memory: SceneMemory, ph
 
 
 def _axes(memory: SceneMemory) -> np.ndarray:
+    if hand_held(memory.positions):
+        return NO_AXES
     frames = [memory.keyframe(int(one)) for one in evenly(len(memory.positions), AXES_KEYFRAMES)]
     return plane_axes((frame.depth for frame in frames),
                       (memory.band.rays(*frame.depth.shape) for frame in frames))

@@ -2,7 +2,8 @@
 import math
 
 import cv2
-from neo_ros.baking.plain_surfaces import move_to_planes, plane_axes, with_planes
+from neo_ros.baking.plain_surfaces import (
+    hand_held, move_to_planes, plane_axes, with_planes)
 from neo_ros.geometry import Band
 import numpy as np
 import pytest
@@ -122,3 +123,11 @@ def test_finer_pixels_follow_their_block_but_not_onto_another_surface() -> None:
     wanted = with_planes(wrong, texture, RAYS, axes)
     np.testing.assert_allclose(moved, wanted.repeat(block, 0).repeat(block, 1), rtol=1e-5)
     assert (moved != fine).mean() > 0.5
+
+
+@pytest.mark.parametrize('heights, expected', [([1.2], False), ([1.2, 1.2, 1.2], False),
+                                               ([1.2, 1.25], True)])
+def test_keyframes_at_several_heights_are_of_a_hand_held_camera(
+        heights: list[float], expected: bool) -> None:
+    positions = np.column_stack([np.arange(len(heights)), np.zeros(len(heights)), heights])
+    assert hand_held(positions) == expected
