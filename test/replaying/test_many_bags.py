@@ -52,7 +52,7 @@ def test_each_bag_becomes_what_it_is_by_itself(tmp_path: Path, bags: list[Path])
     result = run(tmp_path, bags, '--score')
     assert result.exit_code == 0, result.output
     for text in ('replaying, bags 3/3', '3 of 3 bags', TRUTH, 'report.html'):
-        assert text in result.output
+        assert text in result.output.replace('\n', ''), 'a path may be longer than a line'
     assert {path.name for path in (tmp_path / 'out').iterdir()} == {
         'one', 'two', 'three', 'bags.json', 'report.html'}
     for bag in bags:
