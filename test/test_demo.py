@@ -125,8 +125,9 @@ def test_another_camera_gets_a_model_of_its_own(
 
 @pytest.mark.parametrize('arguments, words', [
     (['--camera', '640x480'], 'expected WIDTHxHEIGHT@DEGREES'),
-    (['--camera', '640x480@69', '--model', 'a.onnx'], '--camera trains one')])
-def test_a_camera_that_cannot_be_is_refused(arguments: list[str], words: str) -> None:
+    (['--camera', '640x480@69', '--model', 'a.onnx'], '--camera trains one'),
+    (['--minutes', '5'], 'expected only with --camera')])
+def test_options_that_do_not_go_together_are_refused(arguments: list[str], words: str) -> None:
     told = CliRunner().invoke(app, ['demo', *arguments])
     assert told.exit_code != 0 and words in str(told.exception or told.output)
 

@@ -17,7 +17,7 @@ from neo_ros.baking.band_rendering import mesh_depth, render_band
 from neo_ros.baking.glances import glance_rotations, keyframe_glances, photo_glances
 from neo_ros.baking.kernels import colour_from_photos, FAR, PanoramaPixels, PhotoArrays
 from neo_ros.baking.plain_surfaces import (
-    hand_held, move_to_planes, NO_AXES, plane_axes, with_planes)
+    dominant_directions, hand_held, move_to_planes, NO_DIRECTIONS, with_planes)
 from neo_ros.errors import ConfigError, NeoError
 from neo_ros.field.panorama import view_band
 from neo_ros.field.radiance_field import RadianceField
@@ -43,7 +43,7 @@ class BakingRules:
     one_surface: float = 0.1       # depths that differ by less than this share are of one surface
     least_coverage: float = 0.5    # of a pixel by what photos saw, for its depth to be known
     least_keyframes: int = 8       # however short the time
-    axes_photos: int = 100         # that tell which way the walls face
+    direction_photos: int = 100    # that tell which way the walls face
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ def bake_memory(field: RadianceField, photos: Photos, expansion: ViewExpansion,
                      sampler.yaw_range)
     positions = keyframe_positions(sampler, photos, config.distance)
     seen, gains = _seen_by_photos(field, photos, rules, of_stage(progress, 'depth of photos'))
-    axes = NO_AXES if hand_held(positions) else _put_on_planes(photos, seen, rules)
+    directions = NO_DIRECTIONS if hand_held(positions) else _put_on_planes(photos, seen, rules)
     frames: list[tuple[bytes, bytes, Glances]] = []
     clock = _BakingClock(ends - time.monotonic())
     for index, position in enumerate(positions):
@@ -107,7 +107,7 @@ def bake_memory(field: RadianceField, photos: Photos, expansion: ViewExpansion,
             # One is 70 MB for a camera of 640 pixels: it is compressed at once.
             keyframe = bake_keyframe(field, photos, seen, gains, position, band,
                                      keyframe_size(band, expansion.target.fx, rules), rules,
-                                     axes)
+                                     directions)
             frame = (*compress(keyframe), keyframe_glances(
                 [keyframe], band, expansion.source, glance_rotations(sampler)))
             _write_finished(path, *frame)
@@ -149,20 +149,20 @@ def _put_on_planes(photos: Photos, seen: np.ndarray, rules: BakingRules) -> np.n
     """
     Put what is plain in `seen` on planes, in place, see `with_planes`.
 
-    Returns the directions that the surfaces of the scene face, see `plane_axes`.
+    Returns the directions that the surfaces of the scene face, see `dominant_directions`.
     """
     camera = _seeing_camera(photos.intrinsics, rules)
 
     def rays(index: int) -> np.ndarray:
         return world_rays(camera, CameraPose(photos.T_world_cam[index]))[1]
 
-    chosen = evenly(len(seen), rules.axes_photos)
-    axes = plane_axes(seen[chosen], map(rays, chosen))
+    chosen = evenly(len(seen), rules.direction_photos)
+    directions = dominant_directions(seen[chosen], map(rays, chosen))
     for index, image in enumerate(photos.images):
         seen[index] = with_planes(seen[index], cv2.resize(
             image, (camera.width, camera.height), interpolation=cv2.INTER_AREA),
-            rays(index), axes)
-    return axes
+            rays(index), directions)
+    return directions
 
 
 def _of_scene_alone(field: RadianceField, photos: Photos, gains: np.ndarray, rules: BakingRules
@@ -268,13 +268,13 @@ def keyframe_size(band: Band, focal: float, rules: BakingRules = BakingRules()
 
 def bake_keyframe(field: RadianceField, photos: Photos, seen: np.ndarray, gains: np.ndarray,
                   position: np.ndarray, band: Band, size: tuple[int, int, int],
-                  rules: BakingRules, axes: np.ndarray = NO_AXES,
+                  rules: BakingRules, directions: np.ndarray = NO_DIRECTIONS,
                   part: tuple[slice, slice] | None = None) -> Keyframe:
     """
     Render and colour a keyframe of a size as `keyframe_size` tells.
 
-    seen, gains: of the photos, see `_seen_by_photos`; axes: of planes that what is plain is put
-    on; part: rows and columns of the mesh that are made, None: all.
+    seen, gains: of the photos, see `_seen_by_photos`; directions: that planes face, see
+    `with_planes`; part: rows and columns of the mesh that are made, None: all.
     """
     height, width, finer = size
     dense = min(finer, rules.dense)
@@ -285,14 +285,15 @@ def bake_keyframe(field: RadianceField, photos: Photos, seen: np.ndarray, gains:
     height, width = rays.shape[0] // dense, rays.shape[1] // dense
     depth, colours, own = render_band(field, position, rays, dense, wraps,
                                       rules.one_surface, FAR, rules.least_coverage)
-    move_to_planes(depth, to_uint8(colours), rays, dense, axes, rules.one_surface)
+    shown = to_uint8(colours)
+    move_to_planes(depth, shown, rays, dense, directions, rules.one_surface)
     texture = np.empty((height * finer, width * finer, 3), np.uint8)
     centres = photos.T_world_cam[:, :3, 3]
     near = np.sort(np.argsort(np.linalg.norm(centres - position, axis=1),
                               kind='stable')[:rules.photos])
     camera = photos.intrinsics
     colour_from_photos(
-        PanoramaPixels(position.astype(np.float32), rays, depth, to_uint8(colours)),
+        PanoramaPixels(position.astype(np.float32), rays, depth, shown),
         PhotoArrays(photos.images[near], seen[near],
                     np.ascontiguousarray(photos.T_world_cam[near, :3, :3], np.float32),
                     centres[near].astype(np.float32), gains[near],

@@ -25,9 +25,9 @@ class PlaneRules:
     leap: float = 0.1             # depths of neighbours that differ by more are of two surfaces
     reach: int = 3                # pixels, to the neighbours that tell a surface's direction
     facing: float = 0.7           # cosine of a surface's direction and that of its plane
-    one_axis: float = 0.97        # cosine of directions that are one
+    one_direction: float = 0.97        # cosine of directions that are one
     least_share: float = 0.02     # of all that is flat, for a direction to be one of the scene
-    most_axes: int = 6
+    most_directions: int = 6
     tried: int = 400              # directions, for the densest of them
     least_area: int = 60          # pixels of a surface
     around: int = 6               # pixels around a surface that tell of its plane, or lie on it
@@ -39,7 +39,7 @@ class PlaneRules:
     least_edge_share: float = 0.3  # of the edges around a surface, that lie on its plane
 
 
-NO_AXES = np.zeros((0, 3), np.float32)
+NO_DIRECTIONS = np.zeros((0, 3), np.float32)
 
 
 class _Picture(NamedTuple):
@@ -47,7 +47,7 @@ class _Picture(NamedTuple):
 
     depth: np.ndarray
     rays: np.ndarray
-    step: np.ndarray     # grey levels a pixel
+    gradient: np.ndarray  # its magnitude, grey levels a pixel
     leaps: np.ndarray
     normals: np.ndarray  # towards the camera; 0 where there is none
 
@@ -61,8 +61,8 @@ def hand_held(positions: np.ndarray) -> bool:
     return bool(np.ptp(positions[:, 2]) > 0)
 
 
-def plane_axes(depths: Iterable[np.ndarray], rays: Iterable[np.ndarray],
-               rules: PlaneRules = PlaneRules()) -> np.ndarray:
+def dominant_directions(depths: Iterable[np.ndarray], rays: Iterable[np.ndarray],
+                        rules: PlaneRules = PlaneRules()) -> np.ndarray:
     """
     Return the directions that surfaces of a scene face, unit vectors (K, 3), the commonest first.
 
@@ -70,60 +70,59 @@ def plane_axes(depths: Iterable[np.ndarray], rays: Iterable[np.ndarray],
     opposite are one.
     """
     found = []
-    for depth, directions in zip(depths, rays):
-        normals = _normals(depth, directions, rules)
+    for depth, seen_along in zip(depths, rays):
+        normals = _normals(depth, seen_along, rules)
         found.append(normals[(normals != 0).any(-1)])
     left = np.concatenate(found) if found else np.zeros((0, 3))
-    every, axes = len(left), list[np.ndarray]()
-    while len(axes) < rules.most_axes and len(left) > rules.least_share * every:
+    every, directions = len(left), list[np.ndarray]()
+    while len(directions) < rules.most_directions and len(left) > rules.least_share * every:
         # The densest of some directions; then the mean of those near it.
         tried = left[evenly(len(left), rules.tried)]
-        axis = tried[(np.abs(tried @ tried.T) > rules.one_axis).sum(1).argmax()]
+        direction = tried[(np.abs(tried @ tried.T) > rules.one_direction).sum(1).argmax()]
         for _ in range(3):
-            cosines = left @ axis
-            close = np.abs(cosines) > rules.one_axis
-            axis = (left[close] * np.sign(cosines[close])[:, None]).mean(0)
-            axis /= np.linalg.norm(axis)
+            cosines = left @ direction
+            close = np.abs(cosines) > rules.one_direction
+            direction = (left[close] * np.sign(cosines[close])[:, None]).mean(0)
+            direction /= np.linalg.norm(direction)
         if close.sum() < rules.least_share * every:
             break
-        axes.append(axis)
-        left = left[np.abs(left @ axis) < rules.facing]
-    return np.array(axes, np.float32).reshape(-1, 3)
+        directions.append(direction)
+        left = left[np.abs(left @ direction) < rules.facing]
+    return np.array(directions, np.float32).reshape(-1, 3)
 
 
-def with_planes(depth: np.ndarray, texture: np.ndarray, rays: np.ndarray, axes: np.ndarray,
+def with_planes(depth: np.ndarray, texture: np.ndarray, rays: np.ndarray, directions: np.ndarray,
                 rules: PlaneRules = PlaneRules()) -> np.ndarray:
     """
     Return depth float32 (h, w) in which plain flat surfaces lie on planes through their edges.
 
     depth: metres along unit rays (h, w, 3), world axes, 0 = unknown; texture uint8 (n h, n w, 3);
-    axes (K, 3), see `plane_axes`.
+    directions (K, 3), see `dominant_directions`.
     """
-    if not len(axes):
+    if not len(directions):
         return depth
-    picture = _Picture(depth, rays, _steps(texture, depth.shape), _leaps(depth, rules.leap),
+    picture = _Picture(depth, rays, _gradient(texture, depth.shape), _leaps(depth, rules.leap),
                        _normals(depth, rays, rules))
     behind = picture.leaps & (depth > (1 + rules.leap) * _nearest(depth))
-    edges = (depth > 0) & (picture.step >= rules.drawn) & ~behind
-    plain = (picture.step < rules.drawn) & (picture.normals != 0).any(-1)
-    facing = np.concatenate([axes, -axes])
+    edges = (depth > 0) & (picture.gradient >= rules.drawn) & ~behind
+    plain = (picture.gradient < rules.drawn) & (picture.normals != 0).any(-1)
+    facing = np.concatenate([directions, -directions])
     cosines = picture.normals @ facing.T
     best = np.where(plain & (cosines.max(-1) > rules.facing), cosines.argmax(-1), -1)
     made = depth.copy()
-    free = picture.step < rules.drawn
+    free = picture.gradient < rules.drawn
     surfaces = []
-    for index, axis in enumerate(facing):
+    for index, direction in enumerate(facing):
         _, labels, boxes, _ = cv2.connectedComponentsWithStats(
             (best == index).astype(np.uint8), connectivity=4)
-        for label in np.flatnonzero(boxes[:, cv2.CC_STAT_AREA] >= rules.least_area):
-            if label == 0:
-                continue
+        # Label 0 is all the rest.
+        for label in 1 + np.flatnonzero(boxes[1:, cv2.CC_STAT_AREA] >= rules.least_area):
             window = _window(boxes[label], rules.around, depth.shape)
             surface = labels[window] == label
-            distance = _distance(picture, edges, window, surface, axis, rules)
+            distance = _distance(picture, edges, window, surface, direction, rules)
             if distance is None:
                 continue
-            plane = distance / np.maximum(-(rays[window] @ axis), 1e-3)
+            plane = distance / np.maximum(-(rays[window] @ direction), 1e-3)
             made[window][surface] = plane[surface]
             free[window][surface] = False
             surfaces.append((window, surface, plane))
@@ -133,7 +132,7 @@ def with_planes(depth: np.ndarray, texture: np.ndarray, rays: np.ndarray, axes: 
 
 
 def move_to_planes(depth: np.ndarray, image: np.ndarray, rays: np.ndarray, block: int,
-                   axes: np.ndarray, one_surface: float, rules: PlaneRules = PlaneRules()
+                   directions: np.ndarray, one_surface: float, rules: PlaneRules = PlaneRules()
                    ) -> None:
     """
     Do what `with_planes` does, in place; surfaces are looked for in blocks of pixels.
@@ -142,7 +141,7 @@ def move_to_planes(depth: np.ndarray, image: np.ndarray, rays: np.ndarray, block
     differ by less than the share `one_surface` are of one surface.
     """
     mesh = mesh_depth(depth, block, one_surface)
-    moved = with_planes(mesh, image, block_centres(rays, block), axes, rules) / np.where(
+    moved = with_planes(mesh, image, block_centres(rays, block), directions, rules) / np.where(
         mesh > 0, mesh, 1)
     moved, mesh = (one.repeat(block, 0).repeat(block, 1) for one in (moved, mesh))
     same = np.abs(depth - mesh) < one_surface * mesh
@@ -150,11 +149,11 @@ def move_to_planes(depth: np.ndarray, image: np.ndarray, rays: np.ndarray, block
 
 
 def _distance(picture: _Picture, edges: np.ndarray, window: tuple[slice, slice],
-              surface: np.ndarray, axis: np.ndarray, rules: PlaneRules) -> float | None:
-    """Return how far the plane of a surface is, along -axis; None where its edges do not tell."""
+              surface: np.ndarray, direction: np.ndarray, rules: PlaneRules) -> float | None:
+    """Return how far away the plane of a surface is; None where its edges do not tell."""
     side = 2 * rules.around + 1
     around = cv2.dilate(surface.astype(np.uint8), np.ones((side, side), np.uint8)) > 0
-    away = -picture.depth[window] * (picture.rays[window] @ axis)
+    away = -picture.depth[window] * (picture.rays[window] @ direction)
     now = float(np.median(away[surface]))
     found = around & edges[window]
     found &= ~(picture.leaps[window] & (away < (1 - rules.in_front) * now))
@@ -186,16 +185,16 @@ def _grow(made: np.ndarray, free: np.ndarray, depth: np.ndarray, surface: np.nda
     free[new] = False
 
 
-def _steps(texture: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """Return by how much the grey of a picture changes from pixel to pixel of a coarser one."""
+def _gradient(texture: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """Return the largest gradient of a picture's grey in each pixel of a coarser one, a pixel."""
     finer = texture.shape[0] // shape[0]
     grey = cv2.GaussianBlur(cv2.cvtColor(texture, cv2.COLOR_RGB2GRAY).astype(np.float32), (0, 0),
                             max(finer / 2, 0.5))
     across, down = (cv2.Sobel(grey, cv2.CV_32F, *order, scale=finer / 8)
                     for order in ((1, 0), (0, 1)))
     blocks = np.hypot(across, down).reshape(shape[0], finer, shape[1], finer)
-    steps: np.ndarray = blocks.max((1, 3))
-    return steps
+    gradient: np.ndarray = blocks.max((1, 3))
+    return gradient
 
 
 def _normals(depth: np.ndarray, rays: np.ndarray, rules: PlaneRules) -> np.ndarray:

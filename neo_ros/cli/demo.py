@@ -13,8 +13,8 @@ def demo(
     camera: Annotated[Optional[str], typer.Option(
         help='Another camera, WIDTHxHEIGHT@DEGREES, as 640x480@69: a model is trained for it '
         'first, once.')] = None,
-    minutes: Annotated[float, typer.Option(
-        help='How long that training takes.', min=0)] = 30.0,
+    minutes: Annotated[Optional[float], typer.Option(
+        help='How long that training takes; default: 30.', min=0)] = None,
     frames: Annotated[int, typer.Option(help='Length of the walk.', min=2)] = 100,
     rate: Annotated[float, typer.Option(help='Frames per second.', min=0.1)] = 10.0,
     watch: Annotated[Optional[bool], typer.Option(
@@ -42,6 +42,8 @@ def demo(
     if camera is not None:
         refuse('--camera trains one', model=model)
         seen = camera_of(camera)
+    else:
+        refuse('expected only with --camera', minutes=minutes)
     watching = sys.stdout.isatty() if watch is None else watch
     rounds = 0
 
@@ -62,7 +64,7 @@ def demo(
 
     with stage_progress() as show:
         if camera is not None:
-            model = train_demo(seen, out / camera, minutes, show)
+            model = train_demo(seen, out / camera, 30.0 if minutes is None else minutes, show)
         try:
             run_demo(model or share_dir() / 'models' / 'demo_flat.onnx', out, frames, rate, show,
                      shown_at, go_on)

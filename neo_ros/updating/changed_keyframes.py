@@ -3,7 +3,8 @@ from dataclasses import replace
 
 import cv2
 from neo_ros.baking.keyframes import bake_keyframe, BakingRules, Photos
-from neo_ros.baking.plain_surfaces import hand_held, NO_AXES, plane_axes, with_planes
+from neo_ros.baking.plain_surfaces import (
+    dominant_directions, hand_held, NO_DIRECTIONS, with_planes)
 from neo_ros.field.voxel_field import VoxelField
 from neo_ros.machine.evenly import evenly
 from neo_ros.machine.progress import no_progress, Progress
@@ -17,7 +18,7 @@ import numpy as np
 # taken around those that did change.
 AROUND, TAKEN = 4, 2
 # That tell which way the walls face.
-AXES_KEYFRAMES = 24
+DIRECTION_KEYFRAMES = 24
 
 
 def bake_changes(field: VoxelField, space: ChangedSpace, memory: SceneMemory, photos: Photos,
@@ -30,7 +31,7 @@ def bake_changes(field: VoxelField, space: ChangedSpace, memory: SceneMemory, ph
     whose surface was, and is, outside of the space are the old ones.
     """
     changed = {}
-    axes = _axes(memory)
+    directions = _directions(memory)
     for index, old in enumerate(memory.each()):
         rays = memory.band.rays(*old.depth.shape)
         met = space.met_by(field, old.position, rays, (1 + rules.one_surface) * old.depth)
@@ -39,7 +40,7 @@ def bake_changes(field: VoxelField, space: ChangedSpace, memory: SceneMemory, ph
             finer = len(old.texture) // len(old.depth)
             new = bake_keyframe(field, photos, seen, gains, old.position, memory.band,
                                 (*old.depth.shape, finer), rules, part=part)
-            new = _with_planes(old, new, part, rays, axes)
+            new = _with_planes(old, new, part, rays, directions)
             inside = [space.holds(field, (old.position + depth[..., None] * rays[part]).reshape(
                 -1, 3)).reshape(depth.shape) for depth in (old.depth[part], new.depth)]
             found = _changed(old, new, part, inside[0] | inside[1], rules)
@@ -49,22 +50,23 @@ def bake_changes(field: VoxelField, space: ChangedSpace, memory: SceneMemory, ph
     return changed
 
 
-def _axes(memory: SceneMemory) -> np.ndarray:
+def _directions(memory: SceneMemory) -> np.ndarray:
     if hand_held(memory.positions):
-        return NO_AXES
-    frames = [memory.keyframe(int(one)) for one in evenly(len(memory.positions), AXES_KEYFRAMES)]
-    return plane_axes((frame.depth for frame in frames),
-                      (memory.band.rays(*frame.depth.shape) for frame in frames))
+        return NO_DIRECTIONS
+    depths = [memory.keyframe(int(index)).depth
+              for index in evenly(len(memory.positions), DIRECTION_KEYFRAMES)]
+    rays = memory.band.rays(*depths[0].shape)
+    return dominant_directions(depths, [rays] * len(depths))
 
 
 def _with_planes(old: Keyframe, new: Keyframe, part: tuple[slice, slice], rays: np.ndarray,
-                 axes: np.ndarray) -> Keyframe:
+                 directions: np.ndarray) -> Keyframe:
     """Return the new part with planes: their edges may lie outside of it, in the old keyframe."""
     finer = len(old.texture) // len(old.depth)
     depth, texture = old.depth.copy(), old.texture.copy()
     depth[part] = new.depth
     texture[tuple(slice(finer * one.start, finer * one.stop) for one in part)] = new.texture
-    return replace(new, depth=with_planes(depth, texture, rays, axes)[part])
+    return replace(new, depth=with_planes(depth, texture, rays, directions)[part])
 
 
 def _changed(old: Keyframe, new: Keyframe, part: tuple[slice, slice], inside: np.ndarray,

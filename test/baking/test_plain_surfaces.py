@@ -3,7 +3,7 @@ import math
 
 import cv2
 from neo_ros.baking.plain_surfaces import (
-    hand_held, move_to_planes, plane_axes, with_planes)
+    dominant_directions, hand_held, move_to_planes, with_planes)
 from neo_ros.geometry import Band
 import numpy as np
 import pytest
@@ -48,17 +48,17 @@ def receded(depth: np.ndarray, wall: np.ndarray, by: float = 1.08) -> np.ndarray
 @pytest.mark.parametrize('turn', [np.eye(3, dtype=np.float32), SOME_TURN], ids=['level', 'turned'])
 def test_the_directions_of_walls_are_found(turn: np.ndarray) -> None:
     depth, wall = room(turn)
-    axes = plane_axes([receded(depth, wall)], [RAYS])
-    assert axes.shape == (3, 3)
-    np.testing.assert_allclose(np.sort(np.abs(axes @ turn).max(1)), 1, atol=2e-4)
+    directions = dominant_directions([receded(depth, wall)], [RAYS])
+    assert directions.shape == (3, 3)
+    np.testing.assert_allclose(np.sort(np.abs(directions @ turn).max(1)), 1, atol=2e-4)
 
 
 @pytest.mark.parametrize('turn', [np.eye(3, dtype=np.float32), SOME_TURN], ids=['level', 'turned'])
 def test_plain_walls_come_back_to_where_their_corners_are(turn: np.ndarray) -> None:
     depth, wall = room(turn)
     wrong = receded(depth, wall)
-    axes = plane_axes([wrong], [RAYS])
-    off = np.abs(with_planes(wrong, drawn(wall), RAYS, axes) / depth - 1)
+    directions = dominant_directions([wrong], [RAYS])
+    off = np.abs(with_planes(wrong, drawn(wall), RAYS, directions) / depth - 1)
     assert np.median(np.abs(wrong / depth - 1)) > 0.07
     assert np.median(off) < 0.01 and np.quantile(off, 0.95) < 0.03
 
@@ -80,9 +80,9 @@ def test_a_scene_without_flat_surfaces_stays() -> None:
     _, wall = room()
     random = np.random.default_rng(0)
     leaves = random.uniform(1, 3, (HEIGHT, WIDTH)).astype(np.float32)
-    axes = plane_axes([leaves], [RAYS])
-    assert axes.shape == (0, 3)
-    np.testing.assert_array_equal(with_planes(leaves, drawn(wall), RAYS, axes), leaves)
+    directions = dominant_directions([leaves], [RAYS])
+    assert directions.shape == (0, 3)
+    np.testing.assert_array_equal(with_planes(leaves, drawn(wall), RAYS, directions), leaves)
 
 
 def test_what_is_unknown_stays_unknown() -> None:
@@ -110,17 +110,17 @@ def test_the_edges_of_what_stands_before_a_wall_do_not_draw_it_nearer() -> None:
 
 def test_finer_pixels_follow_their_block_but_not_onto_another_surface() -> None:
     depth, wall = room()
-    wrong, axes, block = receded(depth, wall), np.eye(3, dtype=np.float32), 3
+    wrong, directions, block = receded(depth, wall), np.eye(3, dtype=np.float32), 3
     fine = wrong.repeat(block, 0).repeat(block, 1)
     far = np.s_[180, 500]  # One pixel of nine that looks through a hole in the wall.
     fine[far] = 9
     rays = RAYS.repeat(block, 0).repeat(block, 1)
     texture = drawn(wall).repeat(block, 0).repeat(block, 1)
     moved = fine.copy()
-    move_to_planes(moved, texture, rays, block, axes, 0.1)
+    move_to_planes(moved, texture, rays, block, directions, 0.1)
     assert moved[far] == 9
     moved[far] = moved[180, 499]
-    wanted = with_planes(wrong, texture, RAYS, axes)
+    wanted = with_planes(wrong, texture, RAYS, directions)
     np.testing.assert_allclose(moved, wanted.repeat(block, 0).repeat(block, 1), rtol=1e-5)
     assert (moved != fine).mean() > 0.5
 
