@@ -94,7 +94,8 @@ def bake_memory(field: RadianceField, photos: Photos, expansion: ViewExpansion,
                      sampler.yaw_range)
     positions = keyframe_positions(sampler, photos, config.distance)
     seen, gains = _seen_by_photos(field, photos, rules, of_stage(progress, 'depth of photos'))
-    directions = NO_DIRECTIONS if hand_held(positions) else _put_on_planes(photos, seen, rules)
+    directions = NO_DIRECTIONS if hand_held(positions) else _put_on_planes(
+        photos, seen, rules, of_stage(progress, 'planes of photos'))
     frames: list[tuple[bytes, bytes, Glances]] = []
     clock = _BakingClock(ends - time.monotonic())
     for index, position in enumerate(positions):
@@ -145,7 +146,8 @@ def _seeing_camera(camera: Intrinsics, rules: BakingRules) -> Intrinsics:
     return camera.scaled(min(rules.photo_focal / camera.fx, 1.0))
 
 
-def _put_on_planes(photos: Photos, seen: np.ndarray, rules: BakingRules) -> np.ndarray:
+def _put_on_planes(photos: Photos, seen: np.ndarray, rules: BakingRules, progress: Progress
+                   ) -> np.ndarray:
     """
     Put what is plain in `seen` on planes, in place, see `with_planes`.
 
@@ -162,6 +164,7 @@ def _put_on_planes(photos: Photos, seen: np.ndarray, rules: BakingRules) -> np.n
         seen[index] = with_planes(seen[index], cv2.resize(
             image, (camera.width, camera.height), interpolation=cv2.INTER_AREA),
             rays(index), directions)
+        progress(index + 1, len(photos.images))
     return directions
 
 

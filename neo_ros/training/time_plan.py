@@ -118,8 +118,8 @@ class TimeLeft:
     """Adds to what a training shows how many minutes it has left in all."""
 
     # What comes between field and network; what comes after it is the rest.
-    MEMORY = ('features', 'matches', 'without landmarks', 'depth of photos', 'keyframes',
-              'panoramas')
+    MEMORY = ('features', 'matches', 'without landmarks', 'depth of photos', 'planes of photos',
+              'keyframes', 'panoramas')
 
     def __init__(self, plan: TimePlan, progress: StageProgress,
                  clock: Callable[[], float] = time.monotonic,
