@@ -62,9 +62,12 @@ def run_benchmark(bench: Workbench, names: Sequence[str],
 def load_scorers(progress: StageProgress) -> dict[str, Scorer]:
     """Return by name PSNR with SSIM, and LPIPS (VGG, Alex) where its weights can be had."""
     from neo_ros.evaluation.lpips import Lpips
+    import torch
+
     scorers: dict[str, Scorer] = {'psnr_ssim': score_frame}
+    device = 'cuda' if torch.cuda.is_available() else 'cpu'
     try:
-        scorers |= {'lpips_vgg': Lpips('vgg'), 'lpips_alex': Lpips('alex')}
+        scorers |= {'lpips_vgg': Lpips('vgg').to(device), 'lpips_alex': Lpips('alex').to(device)}
     except ModelError as error:
         progress('without LPIPS', 0, 1, str(error))
     return scorers

@@ -12,7 +12,8 @@ from pydantic import TypeAdapter, ValidationError
 import yaml
 
 SPLITS_FILE = 'splits.json'
-DEMO = 'demo_flat'
+# The demo flat by the size of its photos: rendered where it is in no folder.
+DEMO_SIZES = {'demo_flat': 128, 'demo_flat_256': 256}
 
 
 @dataclass(frozen=True)
@@ -73,8 +74,8 @@ def suite_jobs(suite: Suite, folders: list[Path]) -> dict[str, Job]:
     for name, entry in suite.scenes.items():
         found = next((place / name for place in places
                       if (place / name / 'transforms_train.json').is_file()), None)
-        if found is None and name == DEMO:
-            found = Path(suite.folders[0]) / DEMO
+        if found is None and name in DEMO_SIZES:
+            found = Path(suite.folders[0]) / name
         if found is None:
             missing.append(name)
             continue
@@ -88,10 +89,12 @@ def suite_jobs(suite: Suite, folders: list[Path]) -> dict[str, Job]:
     return jobs
 
 
-def prepare_demo(job: Job, progress: Any) -> None:
-    """Render the demo flat into the job's folder, if it is not there."""
-    write_demo_scene(Path(job.scene), progress=lambda done, total: progress(
-        'demo flat', done, total, ''))
+def prepare_demo(jobs: dict[str, Job], progress: Any) -> None:
+    """Render the demo flat into its jobs' folders, where it is not there."""
+    for name, size in DEMO_SIZES.items():
+        if name in jobs:
+            write_demo_scene(Path(jobs[name].scene), image_size=size,
+                             progress=lambda done, total: progress('demo flat', done, total, ''))
 
 
 def merged(base: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:

@@ -76,8 +76,7 @@ def benchmark(
         whole = scene is None and set(plan.methods) <= set(names)
         if scene is None:
             jobs = suite_jobs(plan, scenes or [])
-            if 'demo_flat' in jobs:
-                prepare_demo(jobs['demo_flat'], show)
+            prepare_demo(jobs, show)
             name = str(suite)
         else:
             name = scene.resolve().name

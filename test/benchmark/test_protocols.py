@@ -94,7 +94,7 @@ def test_a_frozen_split_is_known_again_and_any_change_is_named(split, tmp_path):
 
 
 @pytest.mark.parametrize('name, scale, frames', [
-    ('quarter', 'quarter', None), ('full', 'full', 100)])
+    ('quarter', 'quarter', None), ('full', 'full', 50), ('full_gpu', 'full', 50)])
 def test_the_shipped_suites_name_frozen_scenes(tmp_path, name, scale, frames):
     suite = read_suite(name)
     frozen = json.loads((config_folder() / SPLITS_FILE).read_text())
@@ -173,11 +173,13 @@ def test_the_demo_flat_is_rendered_where_it_is_missing(tmp_path, monkeypatch):
     from neo_ros.benchmark import suites
     seen = []
 
-    def write(folder, progress):
-        seen.append(folder)
+    def write(folder, image_size, progress):
+        seen.append((folder, image_size))
         progress(1, 2)
 
     monkeypatch.setattr(suites, 'write_demo_scene', write)
-    prepare_demo(Job(str(tmp_path / 'demo_flat'), 'square', 'half', 1.0),
-                 lambda stage, done, total, note='': seen.append((stage, done, total)))
-    assert seen == [tmp_path / 'demo_flat', ('demo flat', 1, 2)]
+    jobs = {name: Job(str(tmp_path / name), 'square', 'half', 1.0)
+            for name in ('living_room', 'demo_flat', 'demo_flat_256')}
+    prepare_demo(jobs, lambda stage, done, total, note='': seen.append((stage, done, total)))
+    assert seen == [(tmp_path / 'demo_flat', 128), ('demo flat', 1, 2),
+                    (tmp_path / 'demo_flat_256', 256), ('demo flat', 1, 2)]
