@@ -39,23 +39,19 @@ def info(model: Model) -> None:
 @memory.command()
 def forget(model: Model) -> None:
     """Delete what was learnt: the scene is shown as it was trained."""
-    from neo_ros.errors import ModelError
+    from neo_ros.memory.journal import delete_journal
     import rich
     from rich.markup import escape
 
     journal = _places(model)[1]
-    try:
-        journal.unlink(missing_ok=True)
-    except OSError as error:
-        raise ModelError(f'{journal}: cannot delete: {error.strerror}') from error
+    delete_journal(journal)
     rich.print(f'Forgotten: {escape(str(journal))}')
 
 
 @memory.command()
 def compact(model: Model) -> None:
     """Take out of the journal what later patches have replaced."""
-    from neo_ros.memory.changes import without_replaced
-    from neo_ros.memory.journal import JournalWriter, most_bytes, write_journal
+    from neo_ros.memory.journal import compact_journal, most_bytes
     import rich
     from rich.markup import escape
 
@@ -63,13 +59,10 @@ def compact(model: Model) -> None:
     if not journal.exists():
         rich.print('Nothing was learnt.')
         return
-    # Nobody may learn meanwhile.
-    writer = JournalWriter(journal, sha256, most_bytes(memory_file.stat().st_size))
-    before, kept = journal.stat().st_size, without_replaced(writer.patches)
-    write_journal(journal, sha256, kept)
-    writer.close()
-    rich.print(f'{escape(str(journal))}: {len(kept)} of {len(writer.patches)} patches kept, '
-               f'{before / 1e6:.2f} MB are {journal.stat().st_size / 1e6:.2f} MB now')
+    size = journal.stat().st_size
+    kept, before = compact_journal(journal, sha256, most_bytes(memory_file.stat().st_size))
+    rich.print(f'{escape(str(journal))}: {len(kept)} of {before} patches kept, '
+               f'{size / 1e6:.2f} MB are {journal.stat().st_size / 1e6:.2f} MB now')
 
 
 def _places(model: Path) -> tuple[Path, Path, str]:

@@ -44,6 +44,15 @@ def whole_file(path: Path) -> Iterator[Path]:
         partial.unlink(missing_ok=True)
 
 
+def see_to_disk(path: Path) -> None:
+    """Wait until a file, or the names in a folder, would outlive a power cut; raises OSError."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
 def make_output_folder(folder: Path) -> Path:
     """
     Make a folder, and prove that files can be written to it, before the long work starts.

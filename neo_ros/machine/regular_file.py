@@ -18,7 +18,8 @@ def read_model_bytes(path: Path, what: str = 'model') -> bytes:
     """
     with open_model_file(path, what) as file:
         try:
-            return file.read(MAX_BYTES)
+            # Not as much as may be: Python makes room for all that is asked for.
+            return file.read(os.fstat(file.fileno()).st_size)
         except OSError as error:
             raise ModelError(f'{path}: cannot read the {what}: {error.strerror}') from error
 

@@ -1,5 +1,6 @@
 """The journal beside a scene memory: what has changed since it was made, record by record."""
 from collections.abc import Iterable
+from contextlib import ExitStack, suppress
 import fcntl
 import logging
 import os
@@ -8,8 +9,8 @@ import struct
 import zlib
 
 from neo_ros.errors import ModelError
-from neo_ros.machine.files import whole_file
-from neo_ros.machine.regular_file import read_model_bytes
+from neo_ros.machine.files import see_to_disk, whole_file
+from neo_ros.machine.regular_file import open_model_file
 from neo_ros.memory.patch import BROKEN, Patch
 
 logger = logging.getLogger(__name__)
@@ -24,6 +25,8 @@ _RECORD = struct.Struct('<2I')
 SHARE, LEAST_BYTES, MOST_BYTES = 0.2, 1 << 20, 64 << 20
 # Of all its pictures together: a few kilobytes can hold very large ones.
 MOST_PIXELS = 1 << 25
+# Far above what the pictures of a patch take.
+MOST_RECORD = 1 << 20
 
 
 def journal_path(memory: Path) -> Path:
@@ -43,7 +46,7 @@ def read_journal(path: Path, memory_sha256: str) -> list[Patch]:
     One that is of another memory, or no journal, is left aside: the memory works without. Why,
     and what was lost, is logged.
     """
-    if not path.exists():
+    if not path.exists() or _just_begun(path, memory_sha256):
         return []
     try:
         patches, end, size = _read(path, memory_sha256)
@@ -61,8 +64,47 @@ def write_journal(path: Path, memory_sha256: str, patches: Iterable[Patch]) -> N
     try:
         with whole_file(path) as partial:
             partial.write_bytes(_framed(MAGIC + bytes.fromhex(memory_sha256), patches)[0])
+            see_to_disk(partial)  # Else a power cut could leave the name without the content.
+        see_to_disk(path.parent)
     except OSError as error:
         raise _cannot_write(path, error) from error
+
+
+def compact_journal(path: Path, memory_sha256: str, most: int) -> tuple[list[Patch], int]:
+    """
+    Take out what later patches have replaced; return what is left, and how many there were.
+
+    Raises ModelError as `JournalWriter`: nobody may learn meanwhile.
+    """
+    from neo_ros.memory.changes import without_replaced  # Its loops take a second to load.
+    writer = JournalWriter(path, memory_sha256, most)
+    try:
+        kept = without_replaced(writer.patches)
+        write_journal(path, memory_sha256, kept)
+        return kept, len(writer.patches)
+    finally:
+        writer.close()
+
+
+def delete_journal(path: Path) -> None:
+    """
+    Delete a journal, whatever the file holds, and what a kill left of one.
+
+    Raises ModelError where it cannot, and where another process learns into it, which would go on
+    writing what nobody finds.
+    """
+    try:
+        with ExitStack() as held:
+            with suppress(FileNotFoundError, PermissionError):  # Nobody here learns into it.
+                file = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+                held.callback(os.close, file)
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            path.unlink(missing_ok=True)
+        path.with_name(f'{path.name}.partial').unlink(missing_ok=True)
+    except BlockingIOError:
+        raise _is_written(path) from None
+    except OSError as error:
+        raise ModelError(f'{path}: cannot delete: {error.strerror}') from error
 
 
 class JournalWriter:
@@ -76,32 +118,29 @@ class JournalWriter:
     def __init__(self, path: Path, memory_sha256: str, most: int) -> None:
         self.path, self._most = path, most
         try:
-            self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NONBLOCK, 0o644)
+            self._file = _open_alone(path)
+        except BlockingIOError:
+            raise _is_written(path) from None
         except OSError as error:
             raise _cannot_write(path, error) from error
         try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             header = MAGIC + bytes.fromhex(memory_sha256)
             self.patches: list[Patch] = []
-            size = os.fstat(self._file).st_size
-            if size < HEADER_BYTES and header.startswith(os.pread(self._file, size, 0)):
-                os.ftruncate(self._file, 0)  # New, or cut off while it was begun.
+            if _just_begun(path, memory_sha256):
+                os.ftruncate(self._file, 0)
                 os.pwrite(self._file, header, 0)
                 self._end, self._check = HEADER_BYTES, zlib.crc32(header)
             else:
                 self.patches, self._end, _ = _read(path, memory_sha256)
                 self._check = _framed(header, self.patches)[1]
                 os.ftruncate(self._file, self._end)
-        except BlockingIOError:
-            os.close(self._file)
-            raise ModelError(f'{path}: another process learns into this journal; let one node '
-                             'learn, or give each a copy of the model') from None
         except OSError as error:
             os.close(self._file)
             raise _cannot_write(path, error) from error
         except ModelError as error:
             os.close(self._file)
             raise ModelError(f'{error}; neo memory forget deletes it') from None
+        self._pixels = sum(map(_pixels, self.patches))
 
     @property
     def full(self) -> bool:
@@ -113,13 +152,14 @@ class JournalWriter:
         added = []
         for patch in patches:
             content, check = _record(patch, self._check)
-            if self._end + len(content) > self._most:
+            pixels = self._pixels + _pixels(patch)
+            if self._end + len(content) > self._most or pixels > MOST_PIXELS:
                 self._most = self._end
                 logger.warning('%s: the journal is full (%d kB), nothing more is learnt; neo '
                                'memory compact makes room', self.path, self._end >> 10)
                 break
             os.pwrite(self._file, content, self._end)
-            self._end, self._check = self._end + len(content), check
+            self._end, self._check, self._pixels = self._end + len(content), check, pixels
             added.append(patch)
         os.fsync(self._file)
         return added
@@ -131,9 +171,40 @@ class JournalWriter:
         self._file = -1
 
 
+def _open_alone(path: Path) -> int:
+    """Open a file to write, which nobody else does; raises OSError, BlockingIOError where one."""
+    while True:
+        file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NONBLOCK, 0o644)
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            # Who had it may have put another in its place meanwhile, or deleted it.
+            with suppress(FileNotFoundError):
+                if os.path.samestat(os.fstat(file), os.stat(path)):
+                    return file
+        except BaseException:
+            os.close(file)
+            raise
+        os.close(file)
+
+
+def _just_begun(path: Path, memory_sha256: str) -> bool:
+    """Tell whether a file is new, or a journal whose writer was killed while it began it."""
+    try:
+        if path.stat().st_size >= HEADER_BYTES or not path.is_file():
+            return False
+        return (MAGIC + bytes.fromhex(memory_sha256)).startswith(path.read_bytes())
+    except OSError:
+        return False
+
+
 def _read(path: Path, memory_sha256: str) -> tuple[list[Patch], int, int]:
     """Return patches, the end of the last whole record, and the size; raises ModelError."""
-    content = read_model_bytes(path, 'journal')
+    with open_model_file(path, 'journal') as file:
+        try:
+            total = os.fstat(file.fileno()).st_size
+            content = file.read(min(total, MOST_BYTES))
+        except OSError as error:
+            raise ModelError(f'{path}: cannot read the journal: {error.strerror}') from error
     header = MAGIC + bytes.fromhex(memory_sha256)
     if not content.startswith(MAGIC):
         raise ModelError(f'{path}: expected a journal, got something else')
@@ -142,22 +213,29 @@ def _read(path: Path, memory_sha256: str) -> tuple[list[Patch], int, int]:
                          f'{memory_sha256}, got one of another memory')
     patches: list[Patch] = []
     end, check, pixels = HEADER_BYTES, zlib.crc32(header), 0
-    while end + _RECORD.size <= min(len(content), MOST_BYTES):
+    while end + _RECORD.size <= len(content):
         size, expected = _RECORD.unpack_from(content, end)
-        body = content[end + _RECORD.size:end + _RECORD.size + size]
-        if len(body) < size or zlib.crc32(body, check) != expected:
+        start = end + _RECORD.size
+        if size > min(MOST_RECORD, len(content) - start):
+            break
+        body = content[start:start + size]
+        if zlib.crc32(body, check) != expected:
             break
         try:
             patch = Patch.from_bytes(body)
-            pixels += patch.camera.width * patch.camera.height
+            pixels += _pixels(patch)
             if pixels > MOST_PIXELS:
                 break
             patch.pictures  # Decoded once, and kept.
         except BROKEN:
             break
         patches.append(patch)
-        end, check = end + _RECORD.size + size, expected
-    return patches, end, len(content)
+        end, check = start + size, expected
+    return patches, end, total
+
+
+def _pixels(patch: Patch) -> int:
+    return patch.camera.width * patch.camera.height
 
 
 def _record(patch: Patch, check: int) -> tuple[bytes, int]:
@@ -173,6 +251,11 @@ def _framed(header: bytes, patches: Iterable[Patch]) -> tuple[bytes, int]:
         content, check = _record(patch, check)
         parts.append(content)
     return b''.join(parts), check
+
+
+def _is_written(path: Path) -> ModelError:
+    return ModelError(f'{path}: another process learns into this journal; let one node learn, or '
+                      'give each a copy of the model')
 
 
 def _cannot_write(path: Path, error: OSError) -> ModelError:

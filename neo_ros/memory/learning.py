@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from neo_ros.memory.scene_memory import SceneMemory
 
 logger = logging.getLogger(__name__)
+# Said of images when they were looked at, and what they showed is on the disk.
+LOOKED = 'learning: %d patches of images up to the stamp %d'
 # Beside the images, which does not hold them up, or at once, which gives the same every time.
 Learn = Literal['never', 'beside', 'at once']
 
@@ -73,7 +75,9 @@ class Learner:
         self._closed = threading.Event()
         self._observed = expansion.observed
         source = expansion.source
-        self._camera = source.scaled(min(1.0, thresholds.widest / source.width))
+        # A patch of a tall image has to fit, too.
+        self._camera = source.scaled(min(1.0, thresholds.widest / source.width,
+                                         2 * thresholds.widest / source.height))
         self._rays = self._camera.pixel_rays()
         self._shots: list[Shot] = []
         self._depths: dict[Shot, np.ndarray] = {}
@@ -140,6 +144,7 @@ class Learner:
             return
         shots, new, self._new = self._shots, min(self._new, len(self._shots)), 0
         if not any(shot.contradicted.any() for shot in shots[-new:]):
+            logger.debug(LOOKED, 0, shots[-1].stamp_ns)
             return
         self._pending = Future()
         work = (self._pending, shots, new, self._changes, self._batch)
@@ -161,6 +166,7 @@ class Learner:
             if self._journal is None:
                 self._journal = self._open_journal()
             patches = self._journal.append(patches)
+            logger.debug(LOOKED, len(patches), shots[-1].stamp_ns)
             pending.set_result(Learnt(patches, changes.with_more(patches)))
         except Exception as error:
             pending.set_exception(error)

@@ -14,6 +14,9 @@ import numpy as np
 _HEAD = struct.Struct('<qI12d2H4d2I')
 MOST_PIXELS = 1 << 17
 MOST_METRES = 1e6
+# Focal lengths and how far off the middle is, pixels: the compiled loops trust them.
+LEAST_FOCAL, MOST_FOCAL, MOST_OFF = 0.1, 1e5, 1e5
+MOST_BATCHES = 1 << 31
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +71,8 @@ class Patch:
         if len(content) < _HEAD.size:
             raise ValueError('record: too short')
         stamp_ns, batch, *values = _HEAD.unpack_from(content)
+        if not all(abs(value) <= MOST_METRES for value in values[:12]):
+            raise ValueError('record: its pose is out of range')
         pose = CameraPose(np.array(values[:12]).reshape(3, 4))
         camera = Intrinsics(*values[12:18])
         texture, depths = values[18:]
@@ -76,8 +81,13 @@ class Patch:
         start = _HEAD.size
         patch = cls(pose, camera, content[start:start + texture], content[start + texture:],
                     stamp_ns, batch)
-        if np.abs(pose.position).max() > MOST_METRES or camera.width * camera.height > MOST_PIXELS:
-            raise ValueError('record: its pose or size is out of range')
+        if camera.width * camera.height > MOST_PIXELS:
+            raise ValueError('record: its size is out of range')
+        if not (LEAST_FOCAL <= min(camera.fx, camera.fy) and max(camera.fx, camera.fy)
+                <= MOST_FOCAL and max(abs(camera.cx), abs(camera.cy)) <= MOST_OFF):
+            raise ValueError('record: its camera is out of range')
+        if batch >= MOST_BATCHES:  # Later ones count on from it.
+            raise ValueError('record: its batch is out of range')
         if compressed_image_size(patch.texture, MOST_PIXELS) != (camera.width, camera.height):
             raise ValueError('record: its image has another size')
         # Where a PNG has its width and height, and bits of one grey channel.

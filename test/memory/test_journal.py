@@ -6,8 +6,10 @@ import zlib
 from hypothesis import given, settings, strategies as st
 from neo_ros.errors import ModelError
 from neo_ros.geometry import CameraPose, Intrinsics
+from neo_ros.memory import journal
 from neo_ros.memory.journal import (
-    HEADER_BYTES, JournalWriter, MAGIC, most_bytes, read_journal, write_journal)
+    compact_journal, delete_journal, HEADER_BYTES, JournalWriter, MAGIC, most_bytes, read_journal,
+    write_journal)
 from neo_ros.memory.patch import Patch
 import numpy as np
 import pytest
@@ -160,3 +162,68 @@ def test_written_anew_it_is_whole(tmp_path: Path) -> None:
     assert stamps(path) == [1, 2]
     written(path, [patch(7)])
     assert stamps(path) == [1, 2, 7]
+
+
+def test_a_journal_takes_no_more_pictures_than_are_read_again(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / 'a.journal'
+    monkeypatch.setattr(journal, 'MOST_PIXELS', int(2.5 * CAMERA.width * CAMERA.height))
+    assert len(written_as_far_as_it_goes(path, PATCHES[:1])) == 1
+    assert len(written_as_far_as_it_goes(path, PATCHES[1:])) == 1
+    assert stamps(path) == [0, 1]
+
+
+def written_as_far_as_it_goes(path: Path, patches: list[Patch]) -> list[Patch]:
+    writer = JournalWriter(path, MEMORY, 1 << 20)
+    try:
+        return writer.append(patches)
+    finally:
+        writer.close()
+
+
+def test_what_another_process_learns_is_neither_deleted_nor_compacted(tmp_path: Path) -> None:
+    path = tmp_path / 'a.journal'
+    writer = JournalWriter(path, MEMORY, 1 << 20)
+    writer.append(PATCHES[:2])
+    with pytest.raises(ModelError, match='another process'):
+        delete_journal(path)
+    with pytest.raises(ModelError, match='another process'):
+        compact_journal(path, MEMORY, 1 << 20)
+    writer.append(PATCHES[2:])
+    writer.close()
+    assert stamps(path) == [0, 1, 2, 3]
+    kept, before = compact_journal(path, MEMORY, 1 << 20)
+    assert before == 4 and stamps(path) == [one.stamp_ns for one in kept]
+
+
+def test_a_journal_that_was_replaced_meanwhile_is_opened_anew(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / 'a.journal'
+    written(path, PATCHES)
+    lock, pending = journal.fcntl.flock, [
+        lambda: write_journal(path, MEMORY, PATCHES[:1]), path.unlink]
+
+    def late(file: int, how: int) -> None:
+        if pending:  # Between open and lock another process compacts, or forgets.
+            pending.pop(0)()
+        lock(file, how)
+
+    monkeypatch.setattr(journal.fcntl, 'flock', late)
+    written(path, [patch(8)])
+    assert not pending and stamps(path) == [8]
+
+
+def test_whatever_the_file_holds_it_is_deleted(tmp_path: Path) -> None:
+    path = tmp_path / 'a.journal'
+    partial = tmp_path / 'a.journal.partial'
+    delete_journal(path)
+    path.write_bytes(b'something else')
+    partial.write_bytes(b'left by a kill')
+    delete_journal(path)
+    assert list(tmp_path.iterdir()) == []
+    path.symlink_to(tmp_path / 'nowhere')
+    delete_journal(path)
+    assert not path.is_symlink()
+    path.mkdir()
+    with pytest.raises(ModelError, match='cannot delete'):
+        delete_journal(path)
