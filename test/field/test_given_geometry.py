@@ -1,8 +1,9 @@
 """A mesh or splats in the place of a fitted field: what is shown, and whether it belongs there."""
 from pathlib import Path
 
-from box_room import cast, HEIGHT, HIGH, LOW, planar, view
+from box_room import cast, HEIGHT, HIGH, planar, view
 import cv2
+from neo_ros.benchmark.small_room import LOW
 from neo_ros.errors import ConfigError, SceneError
 from neo_ros.field.config import FieldConfig
 from neo_ros.field.device import read_field

@@ -3,6 +3,7 @@ import functools
 from pathlib import Path
 from typing import Any
 
+from neo_ros.benchmark.small_room import cast, HEIGHT, HIGH, SOURCE
 from neo_ros.geometry import Band, CameraPose, Intrinsics, ViewExpansion
 from neo_ros.geometry.camera_pose import rotation_angle
 from neo_ros.memory.keyframe import Keyframe
@@ -11,28 +12,9 @@ from neo_ros.runtime.model_card import MemoryFile
 import numpy as np
 from tiny_model import write_tiny_model
 
-LOW, HIGH = np.array([0.0, 0.0, 0.0]), np.array([5.0, 4.0, 2.6])
-HEIGHT = 1.4
 AWAY = 20.0  # metres from the room to its twin
 BAND = Band(1.1, -1.1)
-SOURCE = Intrinsics.from_hfov(64, 64, np.pi / 2)
 EXPANSION = ViewExpansion.to_size(SOURCE, 128, 128)
-
-
-def cast(origin: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return colours, float (..., 3) in 0 ... 255, and distances (...) along unit rays."""
-    with np.errstate(divide='ignore', invalid='ignore'):
-        walls = np.where(rays > 0, (HIGH - origin) / rays, (LOW - origin) / rays)
-    walls[~np.isfinite(walls)] = np.inf
-    depth = walls.min(-1)
-    x, y, z = np.moveaxis(origin + rays * depth[..., None], -1, 0)
-    side = walls.argmin(-1)
-    # Waves of several lengths: no two parts of the room look alike.
-    colour = np.stack([
-        130 + 60 * np.sin(2.3 * x + 1.1 * y + side) + 40 * np.sin(5.1 * y - 4 * z),
-        120 + 70 * np.sin(1.7 * y - 2.9 * z + 2 * side) + 30 * np.sin(6 * x + y),
-        110 + 60 * np.sin(3.1 * z + 1.3 * x - side) + 40 * np.sin(4.4 * x - 3 * y)], -1)
-    return np.clip(colour, 0, 255), depth
 
 
 def view(pose: CameraPose, camera: Intrinsics) -> tuple[np.ndarray, np.ndarray]:

@@ -1,7 +1,8 @@
 """Where a scene has changed: photos vote on the cells of its field."""
 from box_room import HIGH, SOURCE
-from changing_room import AFTER, BEFORE, drive, look, Place, remembered
+from changing_room import remembered
 from neo_ros.baking.keyframes import Photos
+from neo_ros.benchmark.small_room import AFTER, BEFORE, drive, look, Place
 from neo_ros.field.voxel_field import VoxelField
 from neo_ros.geometry import CameraPose
 from neo_ros.updating.changed_space import ChangedSpace, find_changed_space
