@@ -2,10 +2,11 @@
 import hashlib
 from pathlib import Path
 
-from changing_room import (
-    AFTER, BEFORE, cast_with_post, drive, HALF, look, ROOM, WIDE, write_drive, write_room)
 import cv2
 from neo_ros.bags import write_demo_bag
+from neo_ros.benchmark.kills import ROOM
+from neo_ros.benchmark.small_room import (
+    AFTER, BEFORE, cast_with_post, drive, HALF, look, WIDE, write_drive, write_room)
 from neo_ros.cli.main import app
 from neo_ros.errors import BagError, ConfigError, NeoError, SceneError
 from neo_ros.field.voxel_field import VoxelField
