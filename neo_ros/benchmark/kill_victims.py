@@ -4,8 +4,8 @@ A camera that learns until it is killed: what `benchmark/kills.py` starts and ki
     python -m neo_ros.benchmark.kill_victims MODEL X Y ROUNDS
 
 Says in one line of JSON what it finds in the journal. Then it drives through the small room, past
-a post at X, Y, and learns, ROUNDS times, and says how far it has come; 0: it only tells how many
-images the memory knows.
+a post at X, Y, and learns, ROUNDS times, and says how far it has come; 0: it only tells whether
+the memory knows any image.
 """
 import json
 import logging
@@ -53,7 +53,7 @@ def live(model: Path, post: tuple[float, float], rounds: int) -> None:
     extrapolator = FovExtrapolator.load(model, learn='beside' if rounds else 'never')
     images = [np.ascontiguousarray(look(pose, WIDE.source, post)[0]) for pose in drive()]
     patches = read_journal(*journal)
-    guided = 0 if rounds else sum(extrapolator.expand(image).guided for image in images)
+    guided = not rounds and any(extrapolator.expand(image).guided for image in images)
     print(json.dumps({'records': marks(patches), 'guided': guided,
                       'last': max((one.stamp_ns for one in patches), default=0)}), flush=True)
     if not rounds:

@@ -124,7 +124,7 @@ class Journal:
 def kill_cameras(model: Path, count: int, moment: str, random: np.random.Generator) -> Tally:
     """Kill cameras that learn, one after the other, into one journal."""
     tally, waiting, journal = Tally(seconds_lost_max=0.0), 0, Journal(model)
-    seconds = end(camera(model, POSTS[-1], 2))
+    seconds = end(camera(model, POSTS[-1], 1))
     journal.anew()
     for number in range(count + 1):
         if journal.size > FULL:
@@ -132,7 +132,7 @@ def kill_cameras(model: Path, count: int, moment: str, random: np.random.Generat
             waiting = 0  # Nobody can tell any more.
         post = POSTS[number % len(POSTS)]
         if number == count:  # The last one ends, and goes on behind all kills.
-            end(camera(model, post, 2))
+            end(camera(model, post, 1))
         else:
             killed, whole = journal.kill_camera(post, moment, seconds, random)
             tally.kills += 1

@@ -6,7 +6,6 @@ A box with painted walls, cast by numpy: a training of it takes half a minute.
 from pathlib import Path
 
 import cv2
-from neo_ros.bags import write_demo_bag
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.transforms_json import write_transforms
@@ -96,5 +95,6 @@ def write_room(folder: Path, count: int = 90) -> None:
 
 def write_drive(path: Path, post: Place) -> None:
     """Write a bag of the drive."""
+    from neo_ros.bags import write_demo_bag  # Who only looks at the room starts in half the time.
     write_demo_bag(path, ((10 ** 9 + number * 10 ** 8, look(pose, WIDE.target, post)[0], pose)
                           for number, pose in enumerate(drive())), WIDE)
