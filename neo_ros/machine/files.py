@@ -1,6 +1,7 @@
 """Where the package finds what it ships with, and how files come to be whole, or say why not."""
 from collections.abc import Iterator
 from contextlib import contextmanager
+import errno
 import os
 from pathlib import Path
 import shutil
@@ -49,6 +50,9 @@ def see_to_disk(path: Path) -> None:
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
+    except OSError as error:
+        if error.errno != errno.EINVAL:  # A file system that cannot do it for this.
+            raise
     finally:
         os.close(descriptor)
 

@@ -13,7 +13,7 @@ from neo_ros.experiment import Experiment
 from neo_ros.field.mesh_field import MeshField
 from neo_ros.field.rendering import render_rays, world_rays
 from neo_ros.field.voxel_field import VoxelField
-from neo_ros.machine.files import make_output_folder, share_file
+from neo_ros.machine.files import make_output_folder, see_to_disk, share_file
 from neo_ros.machine.progress import no_stage_progress, of_stage, StageProgress
 from neo_ros.memory.landmarks import Landmarks
 from neo_ros.memory.scene_memory import SceneMemory
@@ -110,6 +110,9 @@ def _update(run: Path, bags: Sequence[Path], out: Path, options: UpdateOptions,
     if newest != run:
         write_report(newest / 'report.html', f'What has changed in {scene_folder(newest).name}',
                      sections)
+        # Else a power cut could leave the folder, and files without their content.
+        for path in (*newest.rglob('*'), newest):
+            see_to_disk(path)
         newest.rename(out)
     return found
 
