@@ -1,11 +1,11 @@
 """
 A camera that learns until it is killed: what `benchmark/kills.py` starts and kills.
 
-    python -m neo_ros.benchmark.kill_victims MODEL X Y ROUNDS
+    python -m neo_ros.benchmark.kill_victims MODEL X Y ROUNDS LEARN
 
 Says in one line of JSON what it finds in the journal. Then it drives through the small room, past
-a post at X, Y, and learns, ROUNDS times, and says how far it has come; 0: it only tells whether
-the memory knows any image.
+a post at X, Y, ROUNDS times, learns as LEARN says (beside, at once), and says how far it has come;
+0: it only tells whether the memory knows any image.
 """
 import json
 import logging
@@ -16,7 +16,7 @@ import zlib
 
 from neo_ros.benchmark.small_room import drive, look, WIDE
 from neo_ros.memory.journal import journal_path, read_journal
-from neo_ros.memory.learning import logger, LOOKED
+from neo_ros.memory.learning import Learn, logger, LOOKED
 from neo_ros.memory.patch import Patch
 from neo_ros.runtime import FovExtrapolator
 from neo_ros.runtime.fov_extrapolator import memory_path
@@ -47,10 +47,10 @@ class TellLooked(logging.Handler):
             print(json.dumps({'looked': record.args[1]}), flush=True)
 
 
-def live(model: Path, post: tuple[float, float], rounds: int) -> None:
-    """Load the model with what was learnt, tell of it, and go on learning as the node does."""
+def live(model: Path, post: tuple[float, float], rounds: int, learn: Learn) -> None:
+    """Load the model with what was learnt, tell of it, and go on learning."""
     journal = journal_of(model)
-    extrapolator = FovExtrapolator.load(model, learn='beside' if rounds else 'never')
+    extrapolator = FovExtrapolator.load(model, learn=learn if rounds else 'never')
     images = [np.ascontiguousarray(look(pose, WIDE.source, post)[0]) for pose in drive()]
     patches = read_journal(*journal)
     guided = not rounds and any(extrapolator.expand(image).guided for image in images)
@@ -71,4 +71,5 @@ def live(model: Path, post: tuple[float, float], rounds: int) -> None:
 
 
 if __name__ == '__main__':
-    live(Path(sys.argv[1]), (float(sys.argv[2]), float(sys.argv[3])), int(sys.argv[4]))
+    live(Path(sys.argv[1]), (float(sys.argv[2]), float(sys.argv[3])), int(sys.argv[4]),
+         'beside' if sys.argv[5] == 'beside' else 'at once')

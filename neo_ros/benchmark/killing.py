@@ -9,6 +9,7 @@ import time
 from typing import Any, NamedTuple
 
 from neo_ros.errors import NeoError
+from neo_ros.memory.learning import Learn
 
 ALWAYS: Callable[[], bool] = lambda: True
 
@@ -39,10 +40,11 @@ def neo(*words: object) -> list[str]:
     return [sys.executable, '-m', 'neo_ros.cli.main', *map(str, words)]
 
 
-def camera(model: Path, post: tuple[float, float], rounds: int) -> list[str]:
+def camera(model: Path, post: tuple[float, float], rounds: int, learn: Learn = 'at once'
+           ) -> list[str]:
     """Return the command line of a camera that learns, see `kill_victims.py`."""
     return [sys.executable, '-m', 'neo_ros.benchmark.kill_victims', str(model),
-            *map(str, post), str(rounds)]
+            *map(str, post), str(rounds), learn]
 
 
 def end(command: list[str]) -> float:

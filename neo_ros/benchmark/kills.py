@@ -26,6 +26,7 @@ from neo_ros.experiment import Experiment, ViewConfig
 from neo_ros.field.config import FieldConfig
 from neo_ros.machine.result_rows import ResultRows
 from neo_ros.memory.journal import delete_journal, LEAST_BYTES, read_journal
+from neo_ros.memory.learning import Learn
 from neo_ros.outpaint.fitting import OutpaintConfig
 from neo_ros.outpaint.network import NetworkConfig
 from neo_ros.scenes.pose_sampling import SamplingConfig
@@ -98,9 +99,14 @@ class Journal:
         """Tell whether records are those of the last look, and further ones behind them."""
         return records[:len(self.records)] == self.records and len(records) > len(self.records)
 
-    def kill_camera(self, post: tuple[float, float], moment: str, seconds: float,
+    def kill_camera(self, number: int, moment: str, seconds: float,
                     random: np.random.Generator) -> tuple[Killed, list[int]]:
-        """Kill a camera that learns; return also the records that were whole before the kill."""
+        """
+        Kill a camera that learns; return also the records that were whole before the kill.
+
+        At any moment as the node learns, and as a replay does; while it writes as a replay: on a
+        busy machine the node's thread may not come to write for minutes.
+        """
         copy = self.path.with_name('copy.journal')
         copy.unlink(missing_ok=True)
         size, began, wanted = self.size, time.monotonic(), int(random.integers(1, 3))
@@ -117,7 +123,9 @@ class Journal:
 
         ready, delay = (ALWAYS, random.uniform(0, seconds)) if moment == ANY else (
             appends, APPENDING_S * random.uniform() ** 3)
-        killed = kill(camera(self.model, post, 99), ready, delay, 1e-4, look)
+        learn: Learn = 'beside' if moment == ANY and number % 2 else 'at once'
+        killed = kill(camera(self.model, POSTS[number % len(POSTS)], 99, learn), ready, delay,
+                      1e-4, look)
         return killed, marks(read_journal(copy, self.sha256))
 
 
@@ -130,11 +138,10 @@ def kill_cameras(model: Path, count: int, moment: str, random: np.random.Generat
         if journal.size > FULL:
             journal.anew()
             waiting = 0  # Nobody can tell any more.
-        post = POSTS[number % len(POSTS)]
         if number == count:  # The last one ends, and goes on behind all kills.
-            end(camera(model, post, 1))
+            end(camera(model, POSTS[number % len(POSTS)], 1))
         else:
-            killed, whole = journal.kill_camera(post, moment, seconds, random)
+            killed, whole = journal.kill_camera(number, moment, seconds, random)
             tally.kills += 1
         found = find(model)
         if found is None:
