@@ -43,8 +43,10 @@ POSTS = (AFTER, (2.9, 2.0), BEFORE, (3.9, 1.9), (3.1, 2.7))
 ANY, WRITING = 'any', 'writing'
 # Kills while something is written come at most so many seconds after it has begun.
 APPENDING_S, REPLACING_S, FINISHING_S = 0.02, 0.004, 0.05
-# A camera of which nothing comes is killed after so many times the seconds of another.
-PATIENCE = 2
+# So many seconds a camera lives, at most, that is killed at any moment.
+LIFE_S = 10.0
+# A camera of which nothing comes is killed after so many seconds.
+PATIENCE_S = 90.0
 # A journal that is so full is begun anew: a full one would not grow.
 FULL = 0.6 * LEAST_BYTES
 # What `neo update` writes behind its fit, in this order.
@@ -115,7 +117,7 @@ class Journal:
             nonlocal size, wanted
             if self.size > size:
                 size, wanted = self.size, wanted - 1
-            return not wanted or time.monotonic() > began + PATIENCE * seconds
+            return not wanted or time.monotonic() > began + PATIENCE_S
 
         def look() -> None:
             if self.path.exists():
@@ -132,7 +134,7 @@ class Journal:
 def kill_cameras(model: Path, count: int, moment: str, random: np.random.Generator) -> Tally:
     """Kill cameras that learn, one after the other, into one journal."""
     tally, waiting, journal = Tally(seconds_lost_max=0.0), 0, Journal(model)
-    seconds = end(camera(model, POSTS[-1], 1))
+    seconds = min(end(camera(model, POSTS[-1], 1)), LIFE_S)
     journal.anew()
     for number in range(count + 1):
         if journal.size > FULL:
