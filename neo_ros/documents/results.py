@@ -144,6 +144,12 @@ LIVES = (
     Column('AUROC of contradicted', 'contradiction_auroc', RATIO),
     Column('poses right', 'pose_share', '{:.0f} %', 100),
     Column('memory and journal, MB', 'memory_mb', '{:.2f}'))
+KILLS = (
+    Column('killed', 'part'), Column('when', 'moment'), Column('kills', 'kills'),
+    Column('loads afterwards', 'loaded'), Column('whole records lost', 'lost_records'),
+    Column('last record cut off', 'cut_short'), Column('files damaged', 'damaged'),
+    Column('tried whether it goes on', 'tried'), Column('it does', 'resumed'),
+    Column('images not learnt yet, s', 'seconds_lost_max', '{:.1f}'))
 BUILDING = (
     Column('rooms', 'layout'), Column('search', 'search'), Column('searches', 'searches'),
     Column('wrong place believed', 'wrong_places'), Column('ambiguous', 'ambiguous'),
@@ -184,7 +190,8 @@ TABLES: dict[str, Rows] = {
     'floors': Rows('building', FLOORS, lambda row: 'by_landmarks' in row and (
         row['search'] != 'before') and row['layout'].startswith((A_FLOOR, 'all different'))),
     'real_ablations': Rows('real_ablations', REAL),
-    'lives': Rows('lives', LIVES), 'minutes': Rows('minutes', MINUTES),
+    'lives': Rows('lives', LIVES), 'kills': Rows('kills', KILLS),
+    'minutes': Rows('minutes', MINUTES),
     'hard_times': Rows('hard_times', HARD), 'out_of_scene': Rows('out_of_scene', OUTSIDE),
 }
 # Over all scenes of a suite: the key of a row, its format and a factor.
