@@ -19,6 +19,7 @@ from neo_ros.memory.parallel import parallel_loops
 from neo_ros.memory.pose_covariance import (
     aligned_covariance, in_world, located_covariance, with_floor)
 from neo_ros.memory.recent_images import RecentImages
+from neo_ros.memory.scene_light import SceneLight
 from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.memory.sight import (CameraImage, Found, Guide, GuideThresholds, located,
                                   Sight)
@@ -42,6 +43,8 @@ class SceneGuide:
         self._looker = Looker(memory, expansion, thresholds)
         self.renderer, self.aligner = self._looker.renderer, self._looker.aligner
         self._recent = RecentImages(expansion, thresholds.recent)
+        self._light = self.renderer.light = SceneLight(
+            memory.positions, expansion, thresholds.light)
         self._locator = (None if memory.landmarks is None
                          else Locator(memory.landmarks, expansion.source, thresholds.landmarks))
         self._glances = GlanceFinder(memory.glances, thresholds)
@@ -124,10 +127,14 @@ class SceneGuide:
         view, known = best.view, best.view.depth > 0
         gain = self._expose(view.image, known, image.pixels)
         solid = np.where(view.stretched, 0, view.depth)
+        self._light.see(image.pixels, view.image, solid, best.pose)
         seen_before = self._recent.bring(solid, best.pose, gain)
         self._recent.keep(image.pixels, view.image, solid, best.pose, gain)
         if self.learner is not None:
-            self.learner.see(image.pixels, view.image, solid, best.pose, gain, best.agreement)
+            self.learner.see(
+                image.pixels, view.image, solid, best.pose,
+                gain if view.light is None else gain * view.light[self.expansion.observed],
+                best.agreement)
         return Guide(view.image, known, view.stretched, best.pose, best.agreement, seen_before,
                      best.found, len(best.location.points) if best.location else 0, view.depth,
                      partial(self._covariance, best, image.photo[0]), self.expansion.observed,

@@ -13,6 +13,7 @@ from neo_ros.memory.local_features import Features
 from neo_ros.memory.pose_covariance import CovarianceThresholds
 from neo_ros.memory.recent_images import RecentThresholds, SeenBefore
 from neo_ros.memory.rendering import GuideView
+from neo_ros.memory.scene_light import LightThresholds
 import numpy as np
 
 if TYPE_CHECKING:
@@ -113,6 +114,7 @@ class GuideThresholds:
     alignment: AlignmentThresholds = AlignmentThresholds()
     landmarks: LandmarkThresholds = LandmarkThresholds()
     recent: RecentThresholds = RecentThresholds()
+    light: LightThresholds = LightThresholds()
     covariance: CovarianceThresholds = CovarianceThresholds()
     ambiguity: AmbiguityThresholds = AmbiguityThresholds()
 

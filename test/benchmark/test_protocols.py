@@ -94,7 +94,7 @@ def test_a_frozen_split_is_known_again_and_any_change_is_named(split, tmp_path):
 
 
 @pytest.mark.parametrize('name, scale, frames', [
-    ('quarter', 'quarter', None), ('full', 'full', 50), ('full_gpu', 'full', 50)])
+    ('quarter', 'quarter', None), ('full', 'full', 50)])
 def test_the_shipped_suites_name_frozen_scenes(tmp_path, name, scale, frames):
     suite = read_suite(name)
     frozen = json.loads((config_folder() / SPLITS_FILE).read_text())
