@@ -45,7 +45,7 @@ def look_up_light(points, low, cell, cells, weight, before, light):
 
 @njit(**FAST)
 def add_light(points, light, trust, low, cell, most, cells):
-    """Add what points (M, 3) show, as `look_up_light` keeps it; trust grows to `most` in a cell."""
+    """Add what points (M, 3) show, as `look_up_light` keeps it; a cell trusts `most` at most."""
     index, share = np.empty((8, 3), np.int64), np.empty(8, np.float32)
     for m in range(len(points)):
         if trust[m] <= 0:

@@ -43,7 +43,7 @@ class SceneGuide:
         self._looker = Looker(memory, expansion, thresholds)
         self.renderer, self.aligner = self._looker.renderer, self._looker.aligner
         self._recent = RecentImages(expansion, thresholds.recent)
-        self._light = self.renderer.light = SceneLight(
+        self.light = self.renderer.light = SceneLight(
             memory.positions, expansion, thresholds.light)
         self._locator = (None if memory.landmarks is None
                          else Locator(memory.landmarks, expansion.source, thresholds.landmarks))
@@ -127,7 +127,7 @@ class SceneGuide:
         view, known = best.view, best.view.depth > 0
         gain = self._expose(view.image, known, image.pixels)
         solid = np.where(view.stretched, 0, view.depth)
-        self._light.see(image.pixels, view.image, solid, best.pose)
+        self.light.see(image.pixels, view.image, solid, best.pose)
         seen_before = self._recent.bring(solid, best.pose, gain)
         self._recent.keep(image.pixels, view.image, solid, best.pose, gain)
         if self.learner is not None:
@@ -171,6 +171,10 @@ class SceneGuide:
             gain = self._expose(wide.image, known, image.pixels)
             self._recent.keep(image.pixels, wide.image, wide.depth, pose, gain)
             seen_before = self._recent.bring(wide.depth, pose, gain)
+            lit = SceneLight(self._memory.positions, self.expansion)
+            lit.other = True
+            lit.see(image.pixels, wide.image, wide.depth, pose)
+            lit.shine(wide.image, wide.depth, pose, self.expansion.target)
         self.reset()
         return Guide(wide.image, known, wide.stretched, pose, sight.agreement, seen_before)
 

@@ -13,7 +13,7 @@ class LightThresholds:
     """How finely light is kept, and when it counts as another one."""
 
     # Metres between cells, the coarse ones first: they tell what the fine ones do not.
-    cells: tuple[float, ...] = (2.0, 0.5)
+    cells: tuple[float, ...] = (2.0, 0.5, 0.25)
     # Around the keyframes light is kept so far, metres; beyond, the last cells tell it.
     reach: float = 6.0
     # Images are looked at so wide, pixels; a wide view is lit at twice that.
@@ -32,9 +32,17 @@ class LightThresholds:
     kept: float = 60.0
     # The light is another one where surfaces are by so much brighter or darker than others,
     # averaged over the last images; it is as before where it is less again.
-    other: float = 0.10
-    same: float = 0.06
+    other: float = 0.04
+    same: float = 0.03
     averaged: float = 0.1
+    # Another of the lights of before is taken where it leaves less than this share of that.
+    better: float = 0.7
+    # Of all cells of one size there are so many at most: in a large building they are larger.
+    most_cells: int = 1 << 20
+
+
+# A light: sums by the size of cells, float32 (X, Y, Z, 4), see `look_up_light`.
+Cells = list[np.ndarray]
 
 
 class SceneLight:
@@ -42,7 +50,8 @@ class SceneLight:
     The light in which one camera sees a known scene.
 
     Kept as the logarithm of brightness by the memory's, for each channel, in the scene's space.
-    While the light is that of the photos, nothing is changed.
+    While the light is that of the photos, nothing is changed. `lights` are those of before: where
+    one of them is nearer to what is seen, it goes on from there.
     """
 
     def __init__(self, positions: np.ndarray, expansion: ViewExpansion,
@@ -51,12 +60,26 @@ class SceneLight:
         low = positions.min(0) - thresholds.reach
         extent = positions.max(0) + thresholds.reach - low
         self._low = low.astype(np.float32)
-        self._cells = [np.zeros((*(np.maximum(np.ceil(extent / cell).astype(int) + 1, 2)), 4),
-                                np.float32) for cell in thresholds.cells]
+        least = float(np.cbrt(extent.prod() / thresholds.most_cells))
+        self._sizes = [np.float32(max(cell, least)) for cell in thresholds.cells]
+        self.empty: Cells = [np.zeros((*np.maximum(np.ceil(extent / cell).astype(int) + 1, 2), 4),
+                                      np.float32) for cell in self._sizes]
+        self.lights: list[Cells] = []
+        self._now = self._copy(self.empty)
+        self._place: int | None = None  # In `lights`, of what it went on from.
         self._source, self._rays = _small_camera(expansion.source, thresholds.width)
         self._observed = expansion.observed
         self.other = False
-        self._difference = 0.0
+        # By how much the light differs from the photos', and from what is kept of it.
+        self._difference: float | None = None
+        self._wrong: float | None = None
+
+    def known(self) -> list[Cells]:
+        """Return the lights of before and the one of now, the last of them."""
+        if not self.other:
+            return list(self.lights)
+        return [*(light for place, light in enumerate(self.lights) if place != self._place),
+                self._now]
 
     def shine(self, image: np.ndarray, depth: np.ndarray, pose: CameraPose, view: Intrinsics
               ) -> np.ndarray | None:
@@ -71,7 +94,7 @@ class SceneLight:
         camera, rays = _small_camera(view, 2 * self.thresholds.width)
         small = cv2.resize(depth, (camera.width, camera.height),
                            interpolation=cv2.INTER_NEAREST_EXACT)
-        factor = np.exp(self._at(_points(rays, small, pose))).reshape(*small.shape, 3)
+        factor = np.exp(self._at(_points(rays, small, pose), self._now)).reshape(*small.shape, 3)
         factor = cv2.resize(factor, image.shape[1::-1], interpolation=cv2.INTER_LINEAR)
         np.minimum(cv2.multiply(image, factor), np.float32(255), out=image)
         return factor
@@ -96,33 +119,66 @@ class SceneLight:
             return
         ratio = np.log((now + limits.black) / (then + limits.black))
         trust = _steady(ratio, usable, limits)[usable]
-        points = _points(self._rays, away, pose)[usable.ravel()]
-        light = self._at(points) if self.other else np.zeros_like(points)
-        light += ratio[usable]
-        self._note(light, trust)
-        for cell, cells in zip(limits.cells, self._cells):
-            add_light(points, light, trust, self._low, np.float32(cell), np.float32(limits.kept),
-                      cells)
-
-    def _note(self, light: np.ndarray, trust: np.ndarray) -> None:
-        """Tell whether it is another light, by how much it differs from place to place."""
-        total = trust.sum()
-        if total < 1:
-            return
-        mean = (trust[:, None] * light).sum(0) / total
-        off = float((trust * np.abs(light - mean).mean(-1)).sum() / total)
-        limits = self.thresholds
-        self._difference += limits.averaged * (off - self._difference)
+        ratio, points = ratio[usable], _points(self._rays, away, pose)[usable.ravel()]
+        light = ratio + self._at(points, self._now) if self.other else ratio
+        if self._is_wrong(_spread(ratio, trust)):
+            self._choose(points, light, trust)
+        self._difference = _towards(self._difference, _spread(light, trust), limits.averaged)
         self.other = self._difference > (limits.same if self.other else limits.other)
+        for cell, cells in zip(self._sizes, self._now):
+            add_light(points, light, trust, self._low, cell, np.float32(limits.kept), cells)
 
-    def _at(self, points: np.ndarray) -> np.ndarray:
+    def _is_wrong(self, off: float) -> bool:
+        """Tell whether what is kept is not what was seen in the last images, or the first one."""
+        limits = self.thresholds
+        self._wrong = _towards(self._wrong, off, limits.averaged)
+        return self._wrong > limits.other
+
+    def _choose(self, points: np.ndarray, light: np.ndarray, trust: np.ndarray) -> None:
+        """Go on from the light of before, or the photos', that is nearest to what is seen."""
+        others = [(place, cells) for place, cells in enumerate(self.lights)
+                  if place != self._place]
+        if self.other:
+            others.append((None, self.empty))
+        if not others:
+            return
+        kept = self._at(points, self._now) if self.other else np.float32(0)
+        left = [_spread(light - self._at(points, cells), trust) for _, cells in others]
+        best = int(np.argmin(left))
+        if left[best] > self.thresholds.better * _spread(light - kept, trust):
+            return
+        if self.other and self._place is None:
+            self.lights.append(self._now)
+        elif self.other:
+            self.lights[self._place] = self._now
+        self._place, cells = others[best]
+        self._now = self._copy(cells)
+        self._difference = _spread(light, trust)
+        self._wrong = left[best]
+
+    def _at(self, points: np.ndarray, cells: Cells) -> np.ndarray:
         light = np.zeros_like(points)
-        for cell, cells in zip(self.thresholds.cells, self._cells):
+        for size, one in zip(self._sizes, cells):
             finer = np.empty_like(light)
-            look_up_light(points, self._low, np.float32(cell), cells,
-                          np.float32(self.thresholds.doubt), light, finer)
+            look_up_light(points, self._low, size, one, np.float32(self.thresholds.doubt), light,
+                          finer)
             light = finer
         return light
+
+    @staticmethod
+    def _copy(cells: Cells) -> Cells:
+        return [one.copy() for one in cells]
+
+
+def _spread(light: np.ndarray, trust: np.ndarray) -> float:
+    """Return by how much logarithms (M, 3) differ from place to place, trust (M,) weighs them."""
+    total = max(float(trust.sum()), 1e-6)
+    mean = (trust[:, None] * light).sum(0) / total
+    return float((trust * np.abs(light - mean).mean(-1)).sum() / total)
+
+
+def _towards(before: float | None, now: float, share: float) -> float:
+    return now if before is None else before + share * (now - before)
 
 
 @lru_cache(maxsize=32)
