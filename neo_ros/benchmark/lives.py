@@ -204,8 +204,8 @@ def measure(run: Path, frames: Path, visits: int, driven: int, out: Path) -> Non
                     'light': visit.light, 'door': 'closed' if visit.closed else 'open',
                     'people': visit.people, 'commit': commit(), 'host': host()})
                 print(json.dumps(rows[-1]), flush=True)
-            np.savez(frames / f'shown_{number}.npz',
-                     **{mode: shown for mode, (_, shown) in scored.items()})
+            np.savez(frames / f'shown_{number}.npz', none=scored['none'][1],
+                     learn=scored['learn'][1], update=scored['update'][1])
             write_bytes(out, (json.dumps(rows, indent=1) + '\n').encode())
 
 

@@ -121,12 +121,13 @@ def with_more(flat: DemoFlat, more: Solids) -> DemoFlat:
     counts = columns * rows
     first = len(light.values) + np.cumsum(counts) - counts
     values = np.full((int(counts.sum()), 3), EVEN_LIGHT, np.float32)
-    return replace(flat, solids=Solids(
-        *(np.concatenate([getattr(here, name), getattr(more, name)])
-          for name in ('kind', 'centre', 'half', 'yaw')), here.materials + more.materials),
-        light=LightMap(np.concatenate([light.values, values]),
-                       *(np.concatenate(pair).astype(np.int32) for pair in (
-                           (light.start, first), (light.columns, columns), (light.rows, rows)))))
+    kind, centre, half, yaw = (np.concatenate([getattr(here, name), getattr(more, name)])
+                               for name in ('kind', 'centre', 'half', 'yaw'))
+    columns, rows, first = (np.concatenate(pair).astype(np.int32) for pair in (
+        (light.columns, columns), (light.rows, rows), (light.start, first)))
+    return replace(
+        flat, solids=Solids(kind, centre, half, yaw, here.materials + more.materials),
+        light=LightMap(np.concatenate([light.values, values]), first, columns, rows))
 
 
 def somebody(pose: CameraPose, step: int) -> Solids:

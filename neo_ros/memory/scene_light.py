@@ -35,6 +35,8 @@ class LightThresholds:
     other: float = 0.04
     same: float = 0.03
     averaged: float = 0.1
+    # Sooner what is kept is told from what is seen: it must not be overwritten.
+    noticed: float = 0.3
     # Another of the lights of before is taken where it leaves less than this share of that.
     better: float = 0.7
     # Of all cells of one size there are so many at most: in a large building they are larger.
@@ -131,13 +133,13 @@ class SceneLight:
     def _is_wrong(self, off: float) -> bool:
         """Tell whether what is kept is not what was seen in the last images, or the first one."""
         limits = self.thresholds
-        self._wrong = _towards(self._wrong, off, limits.averaged)
+        self._wrong = _towards(self._wrong, off, limits.noticed)
         return self._wrong > limits.other
 
     def _choose(self, points: np.ndarray, light: np.ndarray, trust: np.ndarray) -> None:
         """Go on from the light of before, or the photos', that is nearest to what is seen."""
-        others = [(place, cells) for place, cells in enumerate(self.lights)
-                  if place != self._place]
+        others: list[tuple[int | None, Cells]] = [
+            (place, cells) for place, cells in enumerate(self.lights) if place != self._place]
         if self.other:
             others.append((None, self.empty))
         if not others:
@@ -147,10 +149,10 @@ class SceneLight:
         best = int(np.argmin(left))
         if left[best] > self.thresholds.better * _spread(light - kept, trust):
             return
-        if self.other and self._place is None:
-            self.lights.append(self._now)
-        elif self.other:
+        if self.other and self._place is not None:
             self.lights[self._place] = self._now
+        elif self.other:
+            self.lights.append(self._now)
         self._place, cells = others[best]
         self._now = self._copy(cells)
         self._difference = _spread(light, trust)

