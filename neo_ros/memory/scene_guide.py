@@ -130,15 +130,15 @@ class SceneGuide:
         self.light.see(image.pixels, view.image, solid, best.pose)
         seen_before = self._recent.bring(solid, best.pose, gain)
         self._recent.keep(image.pixels, view.image, solid, best.pose, gain)
+        light = None if view.light is None else view.light[self.expansion.observed]
         if self.learner is not None:
             self.learner.see(
                 image.pixels, view.image, solid, best.pose,
-                gain if view.light is None else gain * view.light[self.expansion.observed],
-                best.agreement)
+                gain if light is None else gain * light, best.agreement)
         return Guide(view.image, known, view.stretched, best.pose, best.agreement, seen_before,
                      best.found, len(best.location.points) if best.location else 0, view.depth,
                      partial(self._covariance, best, image.photo[0]), self.expansion.observed,
-                     partial(self._panorama, best.pose, gain))
+                     partial(self._panorama, best.pose, gain), light)
 
     def _decode_ahead(self, pose: CameraPose) -> None:
         """Have decoded what will be drawn if the camera moves on as it does."""

@@ -160,6 +160,8 @@ class Guide:
     seen_before: by how much the last images differ from it, None if none shows any of it.
     found: what the pose comes from; landmarks: how many of them were matched with this image,
     which are looked for now and then. observed: rows and columns of the image in the wide view.
+    light: float32 (h, w, 3), what the light of now multiplies the memory's colours with in the
+    image; None while it is the light of the training photos.
     """
 
     image: np.ndarray
@@ -174,6 +176,7 @@ class Guide:
     find_covariance: Callable[[], np.ndarray] | None = None
     observed: tuple[slice, slice] = (slice(0, 0), slice(0, 0))
     draw_panorama: 'Callable[[np.ndarray, int], Panorama] | None' = None
+    light: np.ndarray | None = None
 
     @cached_property
     def covariance(self) -> np.ndarray:
