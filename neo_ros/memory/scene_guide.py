@@ -3,6 +3,7 @@ from contextlib import AbstractContextManager
 from dataclasses import replace
 from functools import partial
 
+import cv2
 from neo_ros.geometry import CameraPose, ViewExpansion
 from neo_ros.machine.compiled import ALL_THREADS
 from neo_ros.memory.alignment_kernels import GuideLevel, PhotoLevel
@@ -253,8 +254,11 @@ class SceneGuide:
         limits, location = self.thresholds, sight.location
         if location is not None and sight.pose is location.pose:  # Alignment had no say.
             return located_covariance(location, limits.covariance)
-        camera = self.aligner.levels[0]
-        shown = GuideLevel(*self._looker.observed(sight.view), self.aligner.rays[0])
+        camera, drawn = self.aligner.levels[0], sight.drawn
+        # As it was drawn, but by now in the image's exposure.
+        grey = cv2.cvtColor(sight.view.image[self.expansion.observed], cv2.COLOR_RGB2GRAY)
+        grey = cv2.resize(grey, drawn.grey.shape[::-1], interpolation=cv2.INTER_AREA) / 255
+        shown = GuideLevel(grey, drawn.depth, self.aligner.rays[0])
         return aligned_covariance(photo, shown, camera, limits.alignment.geman_mcclure,
                                   limits.covariance)
 
