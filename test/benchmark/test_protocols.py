@@ -171,7 +171,7 @@ def test_jobs_are_checked(changed, field):
 
 def test_the_demo_flat_is_rendered_where_it_is_missing(tmp_path, monkeypatch):
     from neo_ros.benchmark import suites
-    seen = []
+    seen: list[tuple] = []
 
     def write(folder, image_size, progress):
         seen.append((folder, image_size))

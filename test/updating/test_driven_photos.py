@@ -3,6 +3,7 @@ from pathlib import Path
 
 from box_room import box_walk, EXPANSION, view, write_box_model
 from neo_ros.bags import write_demo_bag
+from neo_ros.geometry import CameraPose
 from neo_ros.runtime import FovExtrapolator
 from neo_ros.updating.driven_photos import drive_through
 import numpy as np
@@ -13,7 +14,8 @@ pytestmark = pytest.mark.slow
 
 @pytest.mark.parametrize('slope', [0.0, 0.1], ids=['same light', 'another light'])
 def test_photos_are_brought_into_the_light_of_the_training(tmp_path: Path, slope: float) -> None:
-    model, walk, frames = write_box_model(tmp_path), box_walk(30), []
+    model, walk = write_box_model(tmp_path), box_walk(30)
+    frames = list[tuple[int, np.ndarray, CameraPose]]()
     for number, pose in enumerate(walk, 1):
         image, depth = view(pose, EXPANSION.target)
         x = pose.position[0] + ((EXPANSION.target.pixel_rays() * depth[..., None])
@@ -23,7 +25,7 @@ def test_photos_are_brought_into_the_light_of_the_training(tmp_path: Path, slope
     write_demo_bag(tmp_path / 'drive', frames, EXPANSION)
     drive = drive_through(tmp_path / 'drive', FovExtrapolator.load(model, threads=1))
     assert drive.seen == 30 and len(drive.images) > 5
-    off, before = [], []
+    off, before = list[float](), list[float]()
     for image, pose in zip(drive.images, drive.poses):
         truth = EXPANSION.crop(view(pose, EXPANSION.target)[0]).astype(np.float32)
         number = int(np.argmin([np.linalg.norm(pose.T_world_cam - one.T_world_cam)
