@@ -1,30 +1,38 @@
 """
-What the memory learns of a flat that changes from visit to visit.
+What a memory learns of a flat that changes from visit to visit, and what an update makes of it.
 
-    python -m neo_ros.benchmark.lives [--frames DIR] [--drive 130] [--visits 4] [--out FILE]
+    python -m neo_ros.benchmark.lives RUN [--frames DIR] [--drive 130] [--visits 10] [--out FILE]
 
-On each visit to the demo flat (see `flat/visits.py`) the shipped model drives through it and
-learns; then other walks are widened by the memory as it was trained, and as it has become. Scores
-are of the ring in the frames that show something changed, with exact truth. Frames are kept in
-DIR: casting them takes longer than all the rest.
+RUN is the folder of `neo train` on the demo flat. On each visit (see `flat/visits.py`) a robot
+drives through the flat. Other walks are widened by the memory as it was trained (none), by one
+that learnt on all drives so far (learn), and by the run that `neo update` brought up to date with
+the bags of all drives so far (update). Scores are of the ring in the frames that show something
+changed, with exact truth. Frames are kept in DIR.
 """
 import argparse
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 import json
 from pathlib import Path
 import shutil
 import tempfile
+import time
 from typing import Any
 
+from neo_ros.bags import write_demo_bag
 from neo_ros.evaluation.metrics import auroc, psnr
 from neo_ros.flat.demo_flat import build_demo_flat, walking_paths
-from neo_ros.flat.visits import CHAIRS, changed_flat, PLANT, VISITS
-from neo_ros.geometry import CameraPose
-from neo_ros.machine.files import share_dir, write_bytes
+from neo_ros.flat.visits import (
+    CHAIRS, DOOR_PLACE, PLANT, somebody, Visit, visited_flat, VISITS, with_more)
+from neo_ros.geometry import CameraPose, Intrinsics
+from neo_ros.machine.files import write_bytes
 from neo_ros.machine.host import commit, host
+from neo_ros.machine.processes import map_in_processes
 from neo_ros.memory.contradiction import contradiction
+from neo_ros.messages.stamps import NS_PER_S
 from neo_ros.runtime import FovExtrapolator
+from neo_ros.updating.update import update
 import numpy as np
 
 
@@ -35,10 +43,12 @@ class LivesRules:
     changed: float = 25.0      # grey levels, mean of the channels: more is another thing
     least_pixels: int = 32     # of the ring that are changed, for a frame to count
     nearest: float = 0.8       # metres that the camera keeps off what was moved
-    test_seed: int = 1         # of 8 walks, as in `changed_scene`
+    test_seed: int = 1
+    test_walks: int = 16
     drive_seed: int = 21       # of 20 walks on visit 0, the next number on the next visit
     right_metres: float = 0.1  # a pose is right if it is so near
     right_cosine: float = 0.999
+    rate: float = 6.0          # images a second, in the bags of the drives
 
 
 RULES = LivesRules()
@@ -53,22 +63,31 @@ class Walks:
     walk: np.ndarray
 
 
-def walks_of(visit: int, seed: int, count: int, camera: Any, folder: Path) -> Walks:
+def walks_of(visit: Visit, seed: int, count: int, camera: Intrinsics, folder: Path, name: str
+             ) -> Walks:
     """Cast the frames of some walks on a visit, or read them where they are kept."""
-    path = folder / f'frames_{visit}_{seed}.npz'
+    path = folder / f'{name}_{seed}.npz'
     if not path.exists():
-        flat, paths = build_demo_flat(), []
-        off = np.array([one.goal for one in (*CHAIRS, PLANT)])
-        for number, walk in enumerate(walking_paths(flat, count, 25, seed)):
+        paths = []
+        off = np.array([*(one.goal for one in (*CHAIRS, PLANT)), DOOR_PLACE])
+        for number, walk in enumerate(walking_paths(build_demo_flat(), count, 25, seed)):
             paths += [(number, pose) for pose in walk if np.linalg.norm(
                 off - pose.position[:2], axis=1).min() >= RULES.nearest]
-        there = changed_flat(flat, VISITS[visit])
+        visited_flat(visit, folder)  # Its light is there for all processes.
+        T = np.stack([pose.T_world_cam for _, pose in paths])
         folder.mkdir(parents=True, exist_ok=True)
-        np.savez(path, images=np.stack([there.render(camera, pose)[0] for _, pose in paths]),
-                 T=np.stack([pose.T_world_cam for _, pose in paths]),
-                 walk=np.array([number for number, _ in paths]))
+        np.savez(path, T=T, walk=np.array([number for number, _ in paths]), images=np.stack(list(
+            map_in_processes(partial(_cast, visit, folder, camera), list(enumerate(T)), 2))))
     with np.load(path) as data:
         return Walks(data['images'], data['T'], data['walk'])
+
+
+def _cast(visit: Visit, folder: Path, camera: Intrinsics, frame: tuple[int, np.ndarray]
+          ) -> np.ndarray:
+    step, T_world_cam = frame
+    flat, pose = visited_flat(visit, folder), CameraPose(T_world_cam)
+    return (with_more(flat, somebody(pose, step)) if visit.people else flat).render(
+        camera, pose)[0]
 
 
 def widened(extrapolator: FovExtrapolator, walks: Walks) -> Iterator[tuple[int, Any]]:
@@ -134,38 +153,65 @@ def false_changes(walks: Walks, before: Walks, none: list[np.ndarray], learnt: l
     return wrong / total
 
 
-def measure(frames: Path, visits: int, driven: int) -> list[dict[str, Any]]:
-    """Go through the visits; return a row for each and each mode."""
+def as_bag(path: Path, walks: Walks, model: Path) -> None:
+    """Write a drive as the robot's bag."""
+    write_demo_bag(path, (
+        (NS_PER_S + round(index * NS_PER_S / RULES.rate), image, CameraPose(T))
+        for index, (image, T) in enumerate(zip(walks.images, walks.T))),
+        FovExtrapolator.load(model, guided=False).expansion)
+
+
+def measure(run: Path, frames: Path, visits: int, driven: int, out: Path) -> None:
+    """Go through the visits; write a row for each and each mode, all of them after each visit."""
     rows: list[dict[str, Any]] = []
-    about = {'scene': 'demo_flat', 'update_minutes': None, 'commit': commit(), 'host': host()}
-    with tempfile.TemporaryDirectory() as folder:
-        model = Path(folder) / 'demo_flat.onnx'
-        for name in ('demo_flat.onnx', 'demo_flat.memory'):
-            shutil.copy(share_dir() / 'models' / name, folder)
-        journal = Path(folder) / 'demo_flat.memory.journal'
-        memory_bytes = (Path(folder) / 'demo_flat.memory').stat().st_size
-        untaught = share_dir() / 'models' / 'demo_flat.onnx'
-        expansion = FovExtrapolator.load(untaught, guided=False).expansion
-        ring, camera = expansion.extrapolated_mask, expansion.target
-        before = walks_of(0, RULES.test_seed, 8, camera, frames)
-        for visit in range(visits):
-            test = walks_of(visit, RULES.test_seed, 8, camera, frames)
-            path = walks_of(visit, RULES.drive_seed + visit, 20, camera, frames)
-            drive(model, Walks(path.images[:driven], path.T[:driven], path.walk[:driven]))
-            none, as_trained = score(untaught, test, before)
-            learnt, taught = score(model, test, before)
-            learnt['contradiction_auroc'] = None  # What was learnt contradicts no more.
-            for mode, scores in (('none', none), ('learn', learnt)):
-                kept = journal.stat().st_size if mode == 'learn' and journal.exists() else 0
+    trained, = run.glob('*.onnx')
+    expansion = FovExtrapolator.load(trained, guided=False).expansion
+    cast = partial(walks_of, camera=expansion.target, folder=frames)
+    with tempfile.TemporaryDirectory(dir=frames.parent) as folder:
+        learning = Path(folder) / trained.name
+        shutil.copy(trained, learning)
+        shutil.copy(trained.with_suffix('.memory'), folder)
+        newest = run
+        for number, visit in enumerate(VISITS[:visits]):
+            path = cast(visit, RULES.drive_seed + number, 20, name=f'drive_{number}')
+            path = Walks(path.images[:driven], path.T[:driven], path.walk[:driven])
+            # Nobody is in the way, and the light is the same, where what changed is told apart.
+            test = cast(replace(visit, people=False), RULES.test_seed, RULES.test_walks,
+                        name=f'test_{number}')
+            before = cast(Visit(light=visit.light), RULES.test_seed, RULES.test_walks,
+                          name=visit.light)
+            drive(learning, path)
+            bag, after = frames / f'drive_{number}', Path(folder) / str(number)
+            started = time.monotonic()
+            shutil.rmtree(bag, ignore_errors=True)
+            as_bag(bag, path, trained)
+            if any(update(newest, [bag], after)):
+                newest = after
+            minutes = (time.monotonic() - started) / 60
+            scored = {mode: score(model, test, before) for mode, model in (
+                ('none', trained), ('learn', learning), ('update', newest / trained.name))}
+            for mode, (scores, shown) in scored.items():
+                if mode != 'none':
+                    scores['contradiction_auroc'] = None  # What was learnt contradicts no more.
                 rows.append({
-                    'visit': visit, 'mode': mode, **scores,
-                    'unchanged_before_psnr': none['unchanged_ring_psnr'],
-                    'false_change_share': false_changes(test, before, as_trained, taught, ring)
-                    if mode == 'learn' else 0.0,
-                    'memory_mb': (memory_bytes + kept) / 1e6, **about})
+                    'scene': 'demo_flat', 'visit': number, 'mode': mode, **scores,
+                    'unchanged_before_psnr': scored['none'][0]['unchanged_ring_psnr'],
+                    'false_change_share': false_changes(
+                        test, before, scored['none'][1], shown, expansion.extrapolated_mask),
+                    'memory_mb': _megabytes((learning if mode == 'learn' else (
+                        newest if mode == 'update' else run) / trained.name).parent),
+                    'update_minutes': minutes if mode == 'update' else None,
+                    'light': visit.light, 'door': 'closed' if visit.closed else 'open',
+                    'people': visit.people, 'commit': commit(), 'host': host()})
                 print(json.dumps(rows[-1]), flush=True)
-            np.savez(frames / f'shown_{visit}.npz', none=as_trained, learnt=taught)
-    return rows
+            np.savez(frames / f'shown_{number}.npz', none=scored['none'][1],
+                     learn=scored['learn'][1], update=scored['update'][1])
+            write_bytes(out, (json.dumps(rows, indent=1) + '\n').encode())
+
+
+def _megabytes(folder: Path) -> float:
+    """Return the size of a memory and what was learnt beside it."""
+    return sum(path.stat().st_size for path in folder.glob('*.memory*')) / 1e6
 
 
 def _apart(one: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -179,14 +225,15 @@ def _near(pose: CameraPose, T: np.ndarray) -> bool:
 
 def main() -> None:
     """Measure, and write the rows."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument('run', type=Path)
     parser.add_argument('--frames', type=Path, default=Path('frames'))
     parser.add_argument('--drive', type=int, default=130, help='frames of each drive')
     parser.add_argument('--visits', type=int, default=len(VISITS))
     parser.add_argument('--out', type=Path, default=Path('results/lives.json'))
     given = parser.parse_args()
-    rows = measure(given.frames, given.visits, given.drive)
-    write_bytes(given.out, (json.dumps(rows, indent=1) + '\n').encode())
+    measure(given.run, given.frames, given.visits, given.drive, given.out)
 
 
 if __name__ == '__main__':

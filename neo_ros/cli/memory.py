@@ -16,6 +16,7 @@ def info(model: Model) -> None:
     import datetime
 
     from neo_ros.memory.journal import most_bytes, read_journal
+    from neo_ros.memory.light_file import lights_path
     import rich
     from rich.markup import escape
     from rich.table import Table
@@ -33,6 +34,9 @@ def info(model: Model) -> None:
     for name, patch in zip(('first learnt', 'last learnt'), (*patches[:1], *patches[-1:])):
         seen = datetime.datetime.fromtimestamp(patch.stamp_ns / 1e9)
         table.add_row(name, f'{seen:%Y-%m-%d %H:%M:%S}')
+    lights = lights_path(memory_file)
+    if lights.exists():
+        table.add_row('lights it was seen in', f'{lights.stat().st_size / 1e6:.2f} MB')
     rich.print(table)
 
 
@@ -40,12 +44,14 @@ def info(model: Model) -> None:
 def forget(model: Model) -> None:
     """Delete what was learnt: the scene is shown as it was trained."""
     from neo_ros.memory.journal import delete_journal
+    from neo_ros.memory.light_file import lights_path
     import rich
     from rich.markup import escape
 
-    journal = _places(model)[1]
-    delete_journal(journal)
-    rich.print(f'Forgotten: {escape(str(journal))}')
+    memory_file, journal, _ = _places(model)
+    for path in (journal, lights_path(memory_file)):
+        delete_journal(path)  # Of lights, too: it is as good for any file beside a memory.
+        rich.print(f'Forgotten: {escape(str(path))}')
 
 
 @memory.command()

@@ -21,10 +21,17 @@ WHITE_POINT = np.float32(3.6)  # exposed radiance that becomes pure white
 
 @dataclass(frozen=True, eq=False)
 class DemoFlat:
-    """Solids and their light; all views of it are deterministic."""
+    """
+    Solids and their light; all views of it are deterministic.
+
+    outside  how bright the world before the windows is, 1 by day
+    exposure of the camera, relative to the one by day
+    """
 
     solids: Solids
     light: LightMap
+    outside: float = 1.0
+    exposure: float = 1.0
 
     def render(self, intrinsics: Intrinsics, pose: CameraPose) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -39,12 +46,13 @@ class DemoFlat:
         distance, solid = hits.distance.ravel(), hits.solid.ravel()
         radiance = np.empty((len(rays), 3), np.float32)
         outside = solid < 0
-        radiance[outside] = outside_radiance(rays[outside])
+        radiance[outside] = np.float32(self.outside) * outside_radiance(rays[outside])
         inside = np.flatnonzero(~outside)
         radiance[inside] = self.radiance(
             solid[inside], pose.position.astype(np.float32), rays[inside], distance[inside],
             sample_spread(intrinsics))
-        return developed(radiance, intrinsics), centre_samples(hits.distance)
+        return (developed(np.float32(self.exposure) * radiance, intrinsics),
+                centre_samples(hits.distance))
 
     def depth(self, intrinsics: Intrinsics, pose: CameraPose) -> np.ndarray:
         """Return the depth along the optical axis, float32 (H, W) metres."""

@@ -16,6 +16,9 @@ BRIGHTEST = 5.0  # irradiance that is stored as 255; stored values are square ro
 LIGHT_FILE = Path(__file__).with_name('light.npz')
 WINDOW_RADIANCE = np.array([6.6, 7.0, 7.5])
 LAMP_RADIANCE = np.array([15.0, 13.4, 11.0])
+SUN_IRRADIANCE = np.array([9.0, 8.2, 6.9])  # on a face that looks at it
+SUN_DISTANCE = 40.0  # metres; farther off a ray would not see what is a hand away
+SUN_RADIUS = 0.01     # of its distance; edges of what it shines on are a little soft
 Layout = tuple[np.ndarray, np.ndarray, np.ndarray]  # first texel, columns, rows of charts
 # Of points on windows and lamps: where, normals, radiance, area.
 Samples = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -41,10 +44,12 @@ class LightSources:
 
     windows  each: axis of the wall's normal, its coordinate, from, to, sill, top, side of the room
     lamps    round ceiling lamps, each: x, y, radius
+    sun      the way to it, if it shines into the windows
     """
 
     windows: tuple[tuple[int, float, float, float, float, float, int], ...]
     lamps: tuple[tuple[float, float, float], ...]
+    sun: tuple[float, float, float] | None = None
 
 
 DEMO_SOURCES = LightSources(WINDOWS, LAMPS)
@@ -185,6 +190,12 @@ def _light_samples(sources: LightSources, n: int) -> Samples:
         normals.append(np.tile((0.0, 0.0, -1.0), (m, 1)))
         radiance.append(np.tile(LAMP_RADIANCE, (m, 1)))
         area.append(np.full(m, np.pi * radius ** 2 / m))
+    if sources.sun is not None:
+        way = np.array(sources.sun) / np.linalg.norm(sources.sun)
+        points.append(SUN_DISTANCE * way + rng.normal(0, SUN_DISTANCE * SUN_RADIUS, (n, 3)))
+        normals.append(np.tile(-way, (n, 1)))
+        radiance.append(np.tile(np.pi * SUN_IRRADIANCE, (n, 1)))
+        area.append(np.full(n, SUN_DISTANCE ** 2 / n))
     return (np.concatenate(points), np.concatenate(normals), np.concatenate(radiance),
             np.concatenate(area))
 
@@ -206,7 +217,7 @@ def _direct(solids: Solids, points: np.ndarray, normals: np.ndarray,
             continue
         hits = cast_rays(solids, everything, np.ascontiguousarray(starts[lit].T, np.float32),
                          np.ascontiguousarray(way[lit].T, np.float32))
-        free = lit[hits.distance >= 0.999]
+        free = lit[(hits.distance >= 0.999) | (hits.solid < 0)]  # The sun is outside of all.
         weight = cosine[free] * other[free] * area / np.maximum(square[free], 0.02) / np.pi
         total[free] += (weight[:, None] * radiance).astype(np.float32)
     return total

@@ -113,6 +113,56 @@ def normal_equations(level, guide_level, camera, warp, scale, redescending, H, g
 
 
 @njit(**FAST)
+def _add_products(J, weights, count, sums):
+    """Add to sums (n, n) the weighted products of the first `count` columns of J (n, N)."""
+    weighted = np.empty(count)
+    for m in range(len(J)):
+        for k in range(count):
+            weighted[k] = weights[k] * J[m, k]
+        for n in range(m, len(J)):
+            total = 0.0
+            for k in range(count):
+                total += weighted[k] * J[n, k]
+            sums[m, n] += total
+            sums[n, m] = sums[m, n]
+
+
+@njit(**FAST)
+def equations_in_place(level, guide_level, camera, scale, H):
+    """
+    Do what `normal_equations` does where guide and photo have one pose and exposure, redescending.
+
+    Nothing is looked up between pixels there: that takes a fifth of the time. H (8, 8) is filled
+    with the products of the derivatives; returns the mean robust cost. The outermost pixels, whose
+    gradients have one side, are left out.
+    """
+    photo, gradient_x, gradient_y = level
+    guide, depth, _ = guide_level
+    rows, columns = guide.shape
+    H[:] = 0
+    J, weights = np.empty((8, columns - 2)), np.empty(columns - 2)
+    error, known = 0.0, 0.0
+    for i in range(1, rows - 1):
+        y = (i + 0.5 - camera.cy) / camera.fy
+        for k in range(columns - 2):
+            j = k + 1
+            x, z = (j + 0.5 - camera.cx) / camera.fx, max(depth[i, j], CLOSEST)
+            du, dv = camera.fx * gradient_x[i, j], camera.fy * gradient_y[i, j]
+            r = photo[i, j] - guide[i, j]
+            share = 1 / (1 + (r / scale) ** 2)
+            counts = 1.0 if depth[i, j] > CLOSEST else 0.0
+            known += counts
+            error += counts * r * r * share
+            weights[k] = counts * share * share
+            along = du * x + dv * y
+            J[0, k], J[1, k], J[2, k] = du / z, dv / z, -along / z
+            J[3, k], J[4, k], J[5, k] = -y * along - dv, du + x * along, x * dv - y * du
+            J[6, k], J[7, k] = photo[i, j], 1.0
+        _add_products(J, weights, columns - 2, H)
+    return error / max(known, 1)
+
+
+@njit(**FAST)
 def plane_moments(a, b, kept):
     """
     Return what planes through two images (h, w) follow from, of the `kept` pixels, bool (h, w).

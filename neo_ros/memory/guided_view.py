@@ -1,7 +1,10 @@
 """What the runtime needs of the memory: a wide view that shows the scene, or none."""
+from collections.abc import Callable, Sequence
 from functools import partial
+import logging
 import os
 from pathlib import Path
+import threading
 
 from neo_ros.errors import ModelError
 from neo_ros.geometry import CameraPose, ViewExpansion
@@ -9,10 +12,17 @@ from neo_ros.memory.changes import Changes
 from neo_ros.memory.fusion import fuse, FusionThresholds
 from neo_ros.memory.journal import journal_path, JournalWriter, most_bytes, read_journal
 from neo_ros.memory.learning import Learn, Learner
+from neo_ros.memory.light_file import lights_path, read_lights, write_lights
 from neo_ros.memory.scene_guide import SceneGuide
+from neo_ros.memory.scene_light import Cells
 from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.memory.sight import Guide
 import numpy as np
+
+logger = logging.getLogger(__name__)
+KeepLights = Callable[[Sequence[Cells]], None]
+# While it learns, images after which the lights are written again, beside the images.
+LIGHTS_EVERY = 600
 
 
 class GuidedView:
@@ -21,6 +31,8 @@ class GuidedView:
     def __init__(self, guide: SceneGuide,
                  thresholds: FusionThresholds = FusionThresholds()) -> None:
         self._guide, self._thresholds = guide, thresholds
+        self._keep_lights: KeepLights | None = None
+        self._images = 0
 
     @classmethod
     def load(cls, path: Path, sha256: str, expansion: ViewExpansion, threads: int,
@@ -40,10 +52,13 @@ class GuidedView:
         guide = SceneGuide(memory, expansion, threads)
         view, shown = cls(guide), guide.warm_up()
         view.fuse(expansion.crop(shown.image).astype(np.uint8), shown)
+        lights = lights_path(path)
+        guide.light.lights = read_lights(lights, sha256, guide.light.empty)
         if learn != 'never':
             guide.learner = Learner(memory, expansion, partial(
                 JournalWriter, journal, sha256, most_bytes(path.stat().st_size)),
                 learn == 'beside')
+            view._keep_lights = partial(write_lights, lights, sha256)
         return view
 
     def finish_learning(self) -> None:
@@ -51,16 +66,29 @@ class GuidedView:
         if self._guide.learner is not None:
             self._guide.learner.finish()
             self._guide.learner = None
+        self._write_lights()
 
     def stop_learning(self) -> None:
         """Let others write the journal, at once."""
         if self._guide.learner is not None:
             self._guide.learner.close()
             self._guide.learner = None
+        self._write_lights()
+
+    def _write_lights(self) -> None:
+        """Keep in which lights the scene was seen, for the last time."""
+        keep, self._keep_lights = self._keep_lights, None
+        if keep is not None:
+            _write(keep, self._guide.light.known())
 
     def guide(self, image: np.ndarray, prior: CameraPose | None = None,
               motion: np.ndarray | None = None) -> Guide | None:
         """Find the camera and draw what is around it; None while it is lost."""
+        self._images += 1
+        if self._keep_lights is not None and self._images % LIGHTS_EVERY == 0:
+            known = [[cells.copy() for cells in light] for light in self._guide.light.known()]
+            threading.Thread(target=_write, args=(self._keep_lights, known), name='lights',
+                             daemon=True).start()
         return self._guide.guide(image, prior, motion)
 
     @property
@@ -76,3 +104,11 @@ class GuidedView:
     def reset(self) -> None:
         """Forget the frames so far."""
         self._guide.reset()
+
+
+def _write(keep: KeepLights, lights: Sequence[Cells]) -> None:
+    try:
+        if lights:
+            keep(lights)
+    except ModelError as error:  # A full disk must not end the camera.
+        logger.warning('learning: %s', error)

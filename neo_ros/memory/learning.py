@@ -91,8 +91,9 @@ class Learner:
         """
         Take in an image uint8 RGB (h, w, 3) and its wide view of the memory.
 
-        shown float32 RGB (H, W, 3), in the image's exposure, which is the memory's times gain
-        (3,); depth float32 (H, W) metres, 0 = unknown. Nothing of it is kept.
+        shown float32 RGB (H, W, 3), in the image's exposure and light, which are the memory's
+        times gain (3,) or (h, w, 3); depth float32 (H, W) metres, 0 = unknown. Nothing of it is
+        kept.
         """
         self._take_up()
         limits = self.thresholds
@@ -132,6 +133,8 @@ class Learner:
             image, shown = (cv2.resize(one, size, interpolation=cv2.INTER_AREA)
                             for one in (image, shown))
             depth = cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST_EXACT)
+            if gain.ndim > 1:
+                gain = cv2.resize(gain, size, interpolation=cv2.INTER_AREA)
         now, before = image.astype(np.float32) / gain, shown / gain
         limits = self.thresholds.contradiction
         score = contradiction(now, before, depth > 0, limits)

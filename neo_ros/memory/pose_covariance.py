@@ -7,7 +7,7 @@ y, z in radians.
 from dataclasses import dataclass
 
 from neo_ros.geometry import CameraPose, Intrinsics
-from neo_ros.memory.alignment_kernels import GuideLevel, normal_equations, PhotoLevel, Warp
+from neo_ros.memory.alignment_kernels import equations_in_place, GuideLevel, PhotoLevel
 from neo_ros.memory.kernels import Pinhole
 from neo_ros.memory.landmarks import Location
 import numpy as np
@@ -34,12 +34,15 @@ def aligned_covariance(photo: PhotoLevel, guide: GuideLevel, camera: Intrinsics,
 
     photo and guide of the camera at that pose, in one exposure; scale of the residuals' weights.
     """
-    H, g = np.empty((8, 8)), np.empty(8)
+    H = np.empty((8, 8))
     pinhole = Pinhole(camera.fx, camera.fy, camera.cx, camera.cy)
-    variance, _ = normal_equations(
-        photo, guide, pinhole, Warp(np.eye(4), 1.0, 0.0), scale, True, H, g)
+    variance = equations_in_place(photo, guide, pinhole, scale, H)
+    try:
+        inverse = np.linalg.inv(H)  # An eighth of the time of pinv.
+    except np.linalg.LinAlgError:  # An image of one colour.
+        inverse = np.linalg.pinv(H, hermitian=True)
     # Gain and bias are free, so they take their part.
-    covariance = variance * np.linalg.pinv(H, hermitian=True)[:6, :6]
+    covariance = variance * inverse[:6, :6]
     factor = np.sqrt(np.repeat([thresholds.aligned_position, thresholds.aligned_rotation], 3))
     return covariance * np.outer(factor, factor)
 
@@ -69,5 +72,6 @@ def with_floor(covariance: np.ndarray, thresholds: CovarianceThresholds = Covari
 
 def in_world(covariance: np.ndarray, pose: CameraPose) -> np.ndarray:
     """Turn a covariance in the camera's axes into one in the world's."""
-    turn = np.kron(np.eye(2), pose.T_world_cam[:3, :3])
+    turn = np.zeros((6, 6))
+    turn[:3, :3] = turn[3:, 3:] = pose.T_world_cam[:3, :3]
     return turn @ covariance @ turn.T

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.memory import kernels
 from neo_ros.memory.coarse_memory import CoarseMemory
+from neo_ros.memory.scene_light import SceneLight
 from neo_ros.memory.scene_memory import SceneMemory
 import numpy as np
 
@@ -18,12 +19,14 @@ class GuideView:
     What the memory shows from a pose.
 
     image float32 RGB (H, W, 3) in 0 ... 255; depth float32 (H, W), z in metres, 0 = unknown;
-    stretched bool (H, W): colours of both sides of a gap, where no keyframe saw what is there.
+    stretched bool (H, W): colours of both sides of a gap, where no keyframe saw what is there;
+    light float32 (H, W, 3): what brought the colours into the light of now, None: nothing.
     """
 
     image: np.ndarray
     depth: np.ndarray
     stretched: np.ndarray
+    light: np.ndarray | None = None
 
 
 class MemoryRenderer:
@@ -31,6 +34,7 @@ class MemoryRenderer:
 
     def __init__(self, memory: SceneMemory | CoarseMemory) -> None:
         self.memory = memory
+        self.light: SceneLight | None = None
         self._rays: np.ndarray | None = None
 
     def nearest(self, position: np.ndarray, count: int) -> np.ndarray:
@@ -72,4 +76,5 @@ class MemoryRenderer:
                 kernels.draw_keyframe(mesh, own + STRETCHED * fill, fill, canvas)
         inverse = canvas.inverse
         depth = np.divide(1, inverse, out=np.zeros_like(inverse), where=inverse > 0)
-        return GuideView(canvas.image, depth, canvas.rank >= STRETCHED)
+        light = None if self.light is None else self.light.shine(canvas.image, depth, pose, view)
+        return GuideView(canvas.image, depth, canvas.rank >= STRETCHED, light)

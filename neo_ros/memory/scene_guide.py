@@ -3,6 +3,7 @@ from contextlib import AbstractContextManager
 from dataclasses import replace
 from functools import partial
 
+import cv2
 from neo_ros.geometry import CameraPose, ViewExpansion
 from neo_ros.machine.compiled import ALL_THREADS
 from neo_ros.memory.alignment_kernels import GuideLevel, PhotoLevel
@@ -19,6 +20,7 @@ from neo_ros.memory.parallel import parallel_loops
 from neo_ros.memory.pose_covariance import (
     aligned_covariance, in_world, located_covariance, with_floor)
 from neo_ros.memory.recent_images import RecentImages
+from neo_ros.memory.scene_light import SceneLight
 from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.memory.sight import (CameraImage, Found, Guide, GuideThresholds, located,
                                   Sight)
@@ -42,6 +44,8 @@ class SceneGuide:
         self._looker = Looker(memory, expansion, thresholds)
         self.renderer, self.aligner = self._looker.renderer, self._looker.aligner
         self._recent = RecentImages(expansion, thresholds.recent)
+        self.light = self.renderer.light = SceneLight(
+            memory.positions, expansion, thresholds.light)
         self._locator = (None if memory.landmarks is None
                          else Locator(memory.landmarks, expansion.source, thresholds.landmarks))
         self._glances = GlanceFinder(memory.glances, thresholds)
@@ -124,14 +128,18 @@ class SceneGuide:
         view, known = best.view, best.view.depth > 0
         gain = self._expose(view.image, known, image.pixels)
         solid = np.where(view.stretched, 0, view.depth)
+        self.light.see(image.pixels, view.image, solid, best.pose)
         seen_before = self._recent.bring(solid, best.pose, gain)
         self._recent.keep(image.pixels, view.image, solid, best.pose, gain)
+        light = None if view.light is None else view.light[self.expansion.observed]
         if self.learner is not None:
-            self.learner.see(image.pixels, view.image, solid, best.pose, gain, best.agreement)
+            self.learner.see(
+                image.pixels, view.image, solid, best.pose,
+                gain if light is None else gain * light, best.agreement)
         return Guide(view.image, known, view.stretched, best.pose, best.agreement, seen_before,
                      best.found, len(best.location.points) if best.location else 0, view.depth,
                      partial(self._covariance, best, image.photo[0]), self.expansion.observed,
-                     partial(self._panorama, best.pose, gain))
+                     partial(self._panorama, best.pose, gain), light)
 
     def _decode_ahead(self, pose: CameraPose) -> None:
         """Have decoded what will be drawn if the camera moves on as it does."""
@@ -164,6 +172,10 @@ class SceneGuide:
             gain = self._expose(wide.image, known, image.pixels)
             self._recent.keep(image.pixels, wide.image, wide.depth, pose, gain)
             seen_before = self._recent.bring(wide.depth, pose, gain)
+            lit = SceneLight(self._memory.positions, self.expansion)
+            lit.other = True
+            lit.see(image.pixels, wide.image, wide.depth, pose)
+            lit.shine(wide.image, wide.depth, pose, self.expansion.target)
         self.reset()
         return Guide(wide.image, known, wide.stretched, pose, sight.agreement, seen_before)
 
@@ -242,8 +254,11 @@ class SceneGuide:
         limits, location = self.thresholds, sight.location
         if location is not None and sight.pose is location.pose:  # Alignment had no say.
             return located_covariance(location, limits.covariance)
-        camera = self.aligner.levels[0]
-        shown = GuideLevel(*self._looker.observed(sight.view), self.aligner.rays[0])
+        camera, drawn = self.aligner.levels[0], sight.drawn
+        # As it was drawn, but by now in the image's exposure.
+        grey = cv2.cvtColor(sight.view.image[self.expansion.observed], cv2.COLOR_RGB2GRAY)
+        grey = cv2.resize(grey, drawn.grey.shape[::-1], interpolation=cv2.INTER_AREA) / 255
+        shown = GuideLevel(grey, drawn.depth, self.aligner.rays[0])
         return aligned_covariance(photo, shown, camera, limits.alignment.geman_mcclure,
                                   limits.covariance)
 

@@ -16,7 +16,7 @@ from neo_ros.machine.files import whole_file
 from neo_ros.memory.changes import Changes
 from neo_ros.memory.decoded import DecodedKeyframes
 from neo_ros.memory.keyframe import (
-    compress, decode_image, depth_of, FINER, Keyframe, REDUCED)
+    compress, decode_image, depth_of, FINER, Keyframe, on_own_pages, REDUCED)
 from neo_ros.memory.landmarks import Landmarks, MOST_LANDMARKS
 from neo_ros.memory.memory_file import ANY, MemoryFields, MOST_BYTES, open_memory_file
 from neo_ros.pictures.header import compressed_image_size, PNG_START
@@ -129,7 +129,8 @@ class SceneMemory:
             raise ModelError(
                 f'scene memory: keyframe {index}: expected texture and depth of the shapes '
                 f'{expected} as the others, got {shapes}; export it again')
-        return Keyframe(self.positions[index], depth_of(coded), texture)
+        return Keyframe(
+            self.positions[index], on_own_pages(depth_of(coded)), on_own_pages(texture))
 
     @classmethod
     def from_keyframes(cls, keyframes: Sequence[Keyframe], band: Band,

@@ -4,15 +4,16 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, TYPE_CHECKING
 
-import cv2
 from neo_ros.geometry import CameraPose
 from neo_ros.memory.alignment import AlignmentThresholds, Drawn
 from neo_ros.memory.alignment_kernels import PhotoLevel
+from neo_ros.memory.depth_kernels import trust
 from neo_ros.memory.landmarks import LandmarkThresholds, Location
 from neo_ros.memory.local_features import Features
 from neo_ros.memory.pose_covariance import CovarianceThresholds
 from neo_ros.memory.recent_images import RecentThresholds, SeenBefore
 from neo_ros.memory.rendering import GuideView
+from neo_ros.memory.scene_light import LightThresholds
 import numpy as np
 
 if TYPE_CHECKING:
@@ -113,6 +114,7 @@ class GuideThresholds:
     alignment: AlignmentThresholds = AlignmentThresholds()
     landmarks: LandmarkThresholds = LandmarkThresholds()
     recent: RecentThresholds = RecentThresholds()
+    light: LightThresholds = LightThresholds()
     covariance: CovarianceThresholds = CovarianceThresholds()
     ambiguity: AmbiguityThresholds = AmbiguityThresholds()
 
@@ -141,7 +143,7 @@ class TrustThresholds:
     """Which remembered depth is told."""
 
     # Grey levels by which the present image or the last ones differ from the memory where
-    # something else stands there now. The mean over squares of so many pixels counts.
+    # something else stands there now. The mean over squares of so many pixels, odd, counts.
     contradiction: float = 24.0
     around: int = 9
     # 0 ... 255. Where the colours are not sure, neither is the depth.
@@ -158,6 +160,8 @@ class Guide:
     seen_before: by how much the last images differ from it, None if none shows any of it.
     found: what the pose comes from; landmarks: how many of them were matched with this image,
     which are looked for now and then. observed: rows and columns of the image in the wide view.
+    light: float32 (h, w, 3), what the light of now multiplies the memory's colours with in the
+    image; None while it is the light of the training photos.
     """
 
     image: np.ndarray
@@ -172,6 +176,7 @@ class Guide:
     find_covariance: Callable[[], np.ndarray] | None = None
     observed: tuple[slice, slice] = (slice(0, 0), slice(0, 0))
     draw_panorama: 'Callable[[np.ndarray, int], Panorama] | None' = None
+    light: np.ndarray | None = None
 
     @cached_property
     def covariance(self) -> np.ndarray:
@@ -201,35 +206,19 @@ class Guide:
 
         wide_image uint8 RGB (H, W, 3) and confidence uint8 (H, W) that this guide led to.
         """
-        depth, limits = self.depth(), thresholds
-        window = depth[self.observed]
-        if window.size:
-            off = cv2.absdiff(self.image[self.observed],
-                              wide_image[self.observed].astype(np.float32))
-            window[_large(off, limits)] = np.nan
-        doubted = confidence < limits.least_confidence
-        if self.seen_before is not None:
-            difference, weight = self.seen_before
-            # Both are weighted: that compares without a division.
-            doubted |= _large(cv2.absdiff(difference, np.zeros(1)), limits, weight)
-        depth[doubted] = np.nan
+        assert self.remembered_depth is not None
+        depth = np.empty_like(self.remembered_depth)
+        rows, columns = self.observed
+        trust(self.remembered_depth, self.stretched, confidence, thresholds.least_confidence,
+              (self.image, wide_image), (rows.start, columns.start, rows.stop, columns.stop),
+              self.seen_before, thresholds.around // 2, np.float32(thresholds.contradiction),
+              depth)
         return depth
 
     def panorama(self, wide_image: np.ndarray, width: int) -> 'Panorama':
         """Draw the whole sphere around the camera, so many pixels wide, the live image in it."""
         assert self.draw_panorama is not None
         return self.draw_panorama(wide_image, width)
-
-
-def _large(off: np.ndarray, limits: TrustThresholds, weight: np.ndarray | None = None
-           ) -> np.ndarray:
-    """Tell where float32 (h, w, 3) differences, times their weight, contradict, bool (h, w)."""
-    grey = cv2.transform(off, np.full((1, 3), 1 / 3, np.float32))
-    grey = cv2.blur(grey, (limits.around, limits.around))
-    if weight is None:
-        return np.asarray(grey > limits.contradiction)
-    share = cv2.blur(weight, (limits.around, limits.around))
-    return np.asarray(grey > limits.contradiction * np.maximum(share, 0.1))
 
 
 @dataclass(frozen=True, eq=False)

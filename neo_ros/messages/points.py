@@ -22,7 +22,8 @@ class PointMaker:
 
     def __init__(self, view: Intrinsics, every: int = 1) -> None:
         self._every = slice(every // 2, None, every)
-        self._rays = np.ascontiguousarray(view.pixel_rays()[self._every, self._every])
+        rays = view.pixel_rays()[self._every, self._every]
+        self._across, self._down = rays[0, :, 0].copy(), rays[:, :1, 1].copy()
 
     def fields(self, make: Make, depth: np.ndarray, image: np.ndarray,
                confidence: np.ndarray) -> dict[str, Any]:
@@ -32,11 +33,16 @@ class PointMaker:
         depth float32 (H, W), image RGB uint8 (H, W, 3), confidence uint8 (H, W).
         """
         every = (self._every, self._every)
-        points = np.zeros((*self._rays.shape[:2], len(FIELDS)), '<f4')
-        np.multiply(self._rays, depth[every][..., None], out=points[..., :3])
-        points.view(np.uint8)[..., 12:15] = image[every][..., ::-1]
+        z = depth[every]
+        height, width = z.shape
+        points = np.zeros((height, width, len(FIELDS)), '<f4')
+        # Field by field: along an axis of three NumPy takes three times as long.
+        np.multiply(z, self._across, out=points[..., 0])
+        np.multiply(z, self._down, out=points[..., 1])
+        points[..., 2] = z
+        for byte in range(3):
+            points.view(np.uint8)[..., 12 + byte] = image[every][..., 2 - byte]
         points[..., 4] = confidence[every]
-        height, width = points.shape[:2]
         return {
             'height': height, 'width': width, 'is_bigendian': False, 'is_dense': False,
             'fields': [make('sensor_msgs/msg/PointField', name=name, offset=4 * i,

@@ -37,9 +37,21 @@ def drive_through(bag: Path, extrapolator: FovExtrapolator, image_topic: str | N
     """
     Follow a bag's camera through the memory, and keep photos a little apart.
 
-    Raises BagError for bags and topics that cannot be used, and where no image is believed.
+    In another light than the training photos' the bag is gone through twice: the second time the
+    light is known, and the photos are brought into theirs. Raises BagError for bags and topics
+    that cannot be used, and where no image is believed.
     """
-    photos: list[tuple[np.ndarray, CameraPose]] = []
+    drive, other = _drive(bag, extrapolator, image_topic, info_topic, rectify, progress, limits)
+    if other:
+        drive, _ = _drive(bag, extrapolator, image_topic, info_topic, rectify, progress, limits)
+    return drive
+
+
+def _drive(bag: Path, extrapolator: FovExtrapolator, image_topic: str | None,
+           info_topic: str | None, rectify: bool, progress: Progress, limits: LearningThresholds
+           ) -> tuple[Drive, bool]:
+    """Return the drive, and whether a photo of it was taken in another light."""
+    other, photos = False, list[tuple[np.ndarray, CameraPose]]()
     seen, metres, radians = 0, limits.metres, limits.radians
     extrapolator.reset()
     with BagReader(bag) as reader:
@@ -50,14 +62,22 @@ def drive_through(bag: Path, extrapolator: FovExtrapolator, image_topic: str | N
                     photos and not guide.pose.is_apart(photos[-1][1], metres, radians)):
                 continue
             assert frame.image is not None
-            photos.append((np.array(extrapolator.expansion.crop(frame.image)), guide.pose))
+            image = np.array(extrapolator.expansion.crop(frame.image))
+            if guide.light is not None:
+                other, image = True, in_photos_light(image, guide.light)
+            photos.append((image, guide.pose))
             if len(photos) == MOST_PHOTOS:
                 photos, metres, radians = photos[::2], 2 * metres, 2 * radians
     if not photos:
         raise BagError(f'{bag}: of {seen} images none shows the scene of '
                        f'{extrapolator.card.scene_id}; give bags of the same place and camera')
     images, poses = zip(*photos)
-    return Drive(list(images), list(poses), seen)
+    return Drive(list(images), list(poses), seen), other
+
+
+def in_photos_light(image: np.ndarray, light: np.ndarray) -> np.ndarray:
+    """Bring an image, uint8 RGB (h, w, 3), out of a light, see `Guide.light`."""
+    return np.rint(np.clip(image / light, 0, 255)).astype(np.uint8)
 
 
 def _frames(reader: BagReader, extrapolator: FovExtrapolator, image_topic: str | None,

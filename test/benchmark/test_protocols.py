@@ -94,7 +94,7 @@ def test_a_frozen_split_is_known_again_and_any_change_is_named(split, tmp_path):
 
 
 @pytest.mark.parametrize('name, scale, frames', [
-    ('quarter', 'quarter', None), ('full', 'full', 50), ('full_gpu', 'full', 50)])
+    ('quarter', 'quarter', None), ('full', 'full', 50)])
 def test_the_shipped_suites_name_frozen_scenes(tmp_path, name, scale, frames):
     suite = read_suite(name)
     frozen = json.loads((config_folder() / SPLITS_FILE).read_text())
@@ -171,7 +171,7 @@ def test_jobs_are_checked(changed, field):
 
 def test_the_demo_flat_is_rendered_where_it_is_missing(tmp_path, monkeypatch):
     from neo_ros.benchmark import suites
-    seen = []
+    seen: list[tuple] = []
 
     def write(folder, image_size, progress):
         seen.append((folder, image_size))

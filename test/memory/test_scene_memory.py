@@ -68,6 +68,20 @@ def test_keyframes_stay_in_the_file(memory: SceneMemory, tmp_path: Path) -> None
     assert np.array_equal(again.keyframe(5).texture, large.keyframe(5).texture)
 
 
+def test_keyframes_that_are_kept_leave_no_holes_in_the_heap() -> None:
+    large = SceneMemory.from_keyframes(
+        [Keyframe(np.zeros(3), np.ones((160, 320), np.float32), np.zeros((320, 640, 3), np.uint8))
+         for _ in range(4)], BAND, box_memory().glances)
+    tracemalloc.start()
+    try:
+        kept = [large.keyframe(index) for index in range(4)]
+        # Of malloc's heap, where NumPy's and OpenCV's arrays lie.
+        assert tracemalloc.get_traced_memory()[0] < kept[0].depth.nbytes
+    finally:
+        tracemalloc.stop()
+    assert all(np.allclose(keyframe.depth, 1, rtol=0.01) for keyframe in kept)
+
+
 def test_a_file_that_changes_while_it_is_in_use_is_refused(
         memory: SceneMemory, tmp_path: Path) -> None:
     path = tmp_path / 'box.memory'

@@ -1,0 +1,209 @@
+"""The light of now: by how much the scene's surfaces are brighter or darker than in its photos."""
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
+from neo_ros.memory.light_kernels import add_light, look_up_light
+import numpy as np
+
+
+@dataclass(frozen=True)
+class LightThresholds:
+    """How finely light is kept, and when it counts as another one."""
+
+    # Metres between cells, the coarse ones first: they tell what the fine ones do not.
+    cells: tuple[float, ...] = (2.0, 0.5, 0.25)
+    # Around the keyframes light is kept so far, metres; beyond, the last cells tell it.
+    reach: float = 6.0
+    # Images are looked at so wide, pixels; a wide view is lit at twice that.
+    width: int = 64
+    # The logarithms of image by memory vary by so much around a pixel where something else is
+    # seen, not the same in other light.
+    varies: float = 0.15
+    around: int = 5
+    # Where image and memory both have grey levels beyond these, they tell nothing of light.
+    darkest: float = 6.0
+    brightest: float = 246.0
+    # Grey levels that are added before logarithms are taken: noise of what is black.
+    black: float = 4.0
+    # Of what the cells hold: what came before counts as so much of it; more is forgotten.
+    doubt: float = 0.5
+    kept: float = 60.0
+    # The light is another one where surfaces are by so much brighter or darker than others,
+    # averaged over the last images; it is as before where it is less again.
+    other: float = 0.04
+    same: float = 0.03
+    averaged: float = 0.1
+    # Sooner what is kept is told from what is seen: it must not be overwritten.
+    noticed: float = 0.3
+    # Another of the lights of before is taken where it leaves less than this share of that.
+    better: float = 0.7
+    # Of all cells of one size there are so many at most: in a large building they are larger.
+    most_cells: int = 1 << 20
+
+
+# A light: sums by the size of cells, float32 (X, Y, Z, 4), see `look_up_light`.
+Cells = list[np.ndarray]
+
+
+class SceneLight:
+    """
+    The light in which one camera sees a known scene.
+
+    Kept as the logarithm of brightness by the memory's, for each channel, in the scene's space.
+    While the light is that of the photos, nothing is changed. `lights` are those of before: where
+    one of them is nearer to what is seen, it goes on from there.
+    """
+
+    def __init__(self, positions: np.ndarray, expansion: ViewExpansion,
+                 thresholds: LightThresholds = LightThresholds()) -> None:
+        self.thresholds = thresholds
+        low = positions.min(0) - thresholds.reach
+        extent = positions.max(0) + thresholds.reach - low
+        self._low = low.astype(np.float32)
+        least = float(np.cbrt(extent.prod() / thresholds.most_cells))
+        self._sizes = [np.float32(max(cell, least)) for cell in thresholds.cells]
+        self.empty: Cells = [np.zeros((*np.maximum(np.ceil(extent / cell).astype(int) + 1, 2), 4),
+                                      np.float32) for cell in self._sizes]
+        self.lights: list[Cells] = []
+        self._now = self._copy(self.empty)
+        self._place: int | None = None  # In `lights`, of what it went on from.
+        self._source, self._rays = _small_camera(expansion.source, thresholds.width)
+        self._observed = expansion.observed
+        self.other = False
+        # By how much the light differs from the photos', and from what is kept of it.
+        self._difference: float | None = None
+        self._wrong: float | None = None
+
+    def known(self) -> list[Cells]:
+        """Return the lights of before and the one of now, the last of them."""
+        if not self.other:
+            return list(self.lights)
+        return [*(light for place, light in enumerate(self.lights) if place != self._place),
+                self._now]
+
+    def shine(self, image: np.ndarray, depth: np.ndarray, pose: CameraPose, view: Intrinsics
+              ) -> np.ndarray | None:
+        """
+        Show a view of the memory, float32 RGB (H, W, 3), in the light of now, in place.
+
+        depth float32 (H, W) metres, 0 = unknown. Returns what its colours were multiplied with,
+        float32 (H, W, 3); None in the photos' light.
+        """
+        if not self.other:
+            return None
+        camera, rays = _small_camera(view, 2 * self.thresholds.width)
+        small = cv2.resize(depth, (camera.width, camera.height),
+                           interpolation=cv2.INTER_NEAREST_EXACT)
+        factor = np.exp(self._at(_points(rays, small, pose), self._now)).reshape(*small.shape, 3)
+        factor = cv2.resize(factor, image.shape[1::-1], interpolation=cv2.INTER_LINEAR)
+        np.minimum(cv2.multiply(image, factor), np.float32(255), out=image)
+        return factor
+
+    def see(self, image: np.ndarray, shown: np.ndarray, depth: np.ndarray, pose: CameraPose
+            ) -> None:
+        """
+        Take in an image, uint8 RGB (h, w, 3), and its wide view of the memory.
+
+        shown float32 RGB (H, W, 3), in the image's exposure and as `shine` left it; depth float32
+        (H, W) metres, 0 = unknown.
+        """
+        limits = self.thresholds
+        size = (self._source.width, self._source.height)
+        now = cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.float32)
+        then = cv2.resize(shown[self._observed], size, interpolation=cv2.INTER_AREA)
+        away = cv2.resize(depth[self._observed], size, interpolation=cv2.INTER_NEAREST_EXACT)
+        # Where both are clipped nothing is known; where one is, it is off by that much at least.
+        usable = (away > 0) & (np.minimum(now, then).max(-1) > limits.darkest) & (
+            np.minimum(now, then).min(-1) < limits.brightest)
+        if not usable.any():
+            return
+        ratio = np.log((now + limits.black) / (then + limits.black))
+        trust = _steady(ratio, usable, limits)[usable]
+        ratio, points = ratio[usable], _points(self._rays, away, pose)[usable.ravel()]
+        light = ratio + self._at(points, self._now) if self.other else ratio
+        if self._is_wrong(_spread(ratio, trust)):
+            self._choose(points, light, trust)
+        self._difference = _towards(self._difference, _spread(light, trust), limits.averaged)
+        self.other = self._difference > (limits.same if self.other else limits.other)
+        for cell, cells in zip(self._sizes, self._now):
+            add_light(points, light, trust, self._low, cell, np.float32(limits.kept), cells)
+
+    def _is_wrong(self, off: float) -> bool:
+        """Tell whether what is kept is not what was seen in the last images, or the first one."""
+        limits = self.thresholds
+        self._wrong = _towards(self._wrong, off, limits.noticed)
+        return self._wrong > limits.other
+
+    def _choose(self, points: np.ndarray, light: np.ndarray, trust: np.ndarray) -> None:
+        """Go on from the light of before, or the photos', that is nearest to what is seen."""
+        others: list[tuple[int | None, Cells]] = [
+            (place, cells) for place, cells in enumerate(self.lights) if place != self._place]
+        if self.other:
+            others.append((None, self.empty))
+        if not others:
+            return
+        kept = self._at(points, self._now) if self.other else np.float32(0)
+        left = [_spread(light - self._at(points, cells), trust) for _, cells in others]
+        best = int(np.argmin(left))
+        if left[best] > self.thresholds.better * _spread(light - kept, trust):
+            return
+        if self.other and self._place is not None:
+            self.lights[self._place] = self._now
+        elif self.other:
+            self.lights.append(self._now)
+        self._place, cells = others[best]
+        self._now = self._copy(cells)
+        self._difference = _spread(light, trust)
+        self._wrong = left[best]
+
+    def _at(self, points: np.ndarray, cells: Cells) -> np.ndarray:
+        light = np.zeros_like(points)
+        for size, one in zip(self._sizes, cells):
+            finer = np.empty_like(light)
+            look_up_light(points, self._low, size, one, np.float32(self.thresholds.doubt), light,
+                          finer)
+            light = finer
+        return light
+
+    @staticmethod
+    def _copy(cells: Cells) -> Cells:
+        return [one.copy() for one in cells]
+
+
+def _spread(light: np.ndarray, trust: np.ndarray) -> float:
+    """Return by how much logarithms (M, 3) differ from place to place, trust (M,) weighs them."""
+    total = max(float(trust.sum()), 1e-6)
+    mean = (trust[:, None] * light).sum(0) / total
+    return float((trust * np.abs(light - mean).mean(-1)).sum() / total)
+
+
+def _towards(before: float | None, now: float, share: float) -> float:
+    return now if before is None else before + share * (now - before)
+
+
+@lru_cache(maxsize=32)
+def _small_camera(view: Intrinsics, width: int) -> tuple[Intrinsics, np.ndarray]:
+    """Return a camera that is at most so wide, and its rays."""
+    camera = view.scaled(min(1.0, width / view.width))
+    return camera, camera.pixel_rays()
+
+
+def _points(rays: np.ndarray, depth: np.ndarray, pose: CameraPose) -> np.ndarray:
+    """Return the world points (h w, 3), float32, at depths along pixel rays (h, w, 3)."""
+    R, t = pose.T_world_cam[:3, :3], pose.T_world_cam[:3, 3]
+    return np.ascontiguousarray(
+        (rays * depth[..., None]).reshape(-1, 3) @ R.T + t, np.float32)
+
+
+def _steady(ratio: np.ndarray, usable: np.ndarray, limits: LightThresholds) -> np.ndarray:
+    """Return how far logarithms (h, w, 3) are those of another light, (h, w) up to 1."""
+    side = (limits.around, limits.around)
+    known = usable.astype(np.float32)
+    count = np.maximum(cv2.blur(known, side), 1e-3)
+    used = ratio * known[..., None]
+    mean = cv2.blur(used, side) / count[..., None]
+    square = cv2.blur(used * used, side) / count[..., None]
+    variance = np.maximum(square - mean * mean, 0).mean(-1)
+    return 1 / (1 + (variance / limits.varies ** 2) ** 2)

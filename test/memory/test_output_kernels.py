@@ -1,0 +1,103 @@
+"""What the kernels of pose and depth tell, against the plain formulas that they stand for."""
+from concurrent.futures import ThreadPoolExecutor
+
+import cv2
+from neo_ros.geometry import CameraPose, Intrinsics
+from neo_ros.memory.alignment_kernels import (
+    equations_in_place, GuideLevel, normal_equations, PhotoLevel, Warp)
+from neo_ros.memory.kernels import Pinhole
+from neo_ros.memory.recent_images import SeenBefore
+from neo_ros.memory.sight import Guide, TrustThresholds
+import numpy as np
+import pytest
+
+OBSERVED = (slice(20, 60), slice(30, 91))
+
+
+def test_equations_in_place_are_those_of_a_warp_that_moves_nothing():
+    random = np.random.default_rng(0)
+    camera = Intrinsics(48, 32, 30.0, 31.0, 23.0, 17.0)
+    grey, shown, depth = random.uniform(0, 1, (3, 32, 48)).astype(np.float32)
+    depth[(depth < 0.3)] = 0
+    # What `normal_equations` has of the outermost pixels depends on rounding.
+    depth[[0, -1]], depth[:, [0, -1]] = 0, 0
+    photo = PhotoLevel(grey, *(np.gradient(grey, axis=axis).astype(np.float32) for axis in (1, 0)))
+    guide = GuideLevel(shown, depth, camera.pixel_rays())
+    pinhole = Pinhole(camera.fx, camera.fy, camera.cx, camera.cy)
+    H, expected, g = np.empty((8, 8)), np.empty((8, 8)), np.empty(8)
+    cost = equations_in_place(photo, guide, pinhole, 0.08, H)
+    expected_cost, _ = normal_equations(
+        photo, guide, pinhole, Warp(np.eye(4), 1.0, 0.0), 0.08, True, expected, g)
+    assert cost == pytest.approx(expected_cost, rel=1e-5)
+    spread = np.sqrt(np.diag(expected))
+    assert np.allclose(H / np.outer(spread, spread), expected / np.outer(spread, spread),
+                       rtol=0, atol=1e-5)
+    # Border pixels, whatever is known of them, change nothing.
+    depth[[0, -1]] = 1
+    again = np.empty((8, 8))
+    assert equations_in_place(photo, guide, pinhole, 0.08, again) == cost
+    assert np.array_equal(H, again)
+
+
+def plain_trusted_depth(guide, wide_image, confidence, limits):
+    """Return what `Guide.trusted_depth` returns, formula by formula."""
+    def large(off, weight):
+        grey, share = (cv2.blur(values, (limits.around, limits.around))
+                       for values in (off.mean(2), weight))
+        return grey > limits.contradiction * np.maximum(share, 0.1)
+
+    depth = guide.depth()
+    window = depth[guide.observed]
+    if window.size:
+        off = np.abs(guide.image[guide.observed] - wide_image[guide.observed])
+        window[large(off, np.ones(off.shape[:2]))] = np.nan
+    depth[confidence < limits.least_confidence] = np.nan
+    if guide.seen_before is not None:
+        depth[large(np.abs(guide.seen_before.difference), guide.seen_before.weight)] = np.nan
+    return depth
+
+
+def some_guide(seed, seen=True, observed=OBSERVED):
+    """Return a guide, a wide image and its confidence, of which all is drawn in patches."""
+    random = np.random.default_rng(seed)
+
+    def patches(low, high, channels):
+        coarse = random.uniform(low, high, (12, 18, channels)).astype(np.float32)
+        return cv2.resize(coarse, (125, 83), interpolation=cv2.INTER_LINEAR)
+
+    depth = patches(-1, 5, 1)
+    weight = np.clip(patches(-0.6, 1.2, 1), 0, 1)
+    guide = Guide(
+        patches(0, 255, 3), depth > 0, patches(-3, 1, 1) > 0, CameraPose(np.eye(4)), 1.0,
+        SeenBefore(patches(-90, 90, 3) * weight[..., None], weight) if seen else None,
+        remembered_depth=np.maximum(depth, 0), observed=observed)
+    wide = np.clip(guide.image + patches(-90, 90, 3), 0, 255).astype(np.uint8)
+    return guide, wide, random.integers(0, 256, depth.shape, np.uint8)
+
+
+@pytest.mark.parametrize('case', [
+    {}, {'seen': False}, {'observed': (slice(0, 0), slice(0, 0))},
+    {'observed': (slice(0, 83), slice(0, 125))}, {'observed': (slice(80, 83), slice(124, 125))}])
+@pytest.mark.parametrize('around', [1, 3, 9])
+def test_trusted_depth_is_that_of_the_plain_formula(case, around):
+    limits = TrustThresholds(around=around)
+    guide, wide, confidence = some_guide(around, **case)
+    found = guide.trusted_depth(wide, confidence, limits)
+    expected = plain_trusted_depth(guide, wide, confidence, limits)
+    assert found.dtype == np.float32
+    assert np.array_equal(found, expected, equal_nan=True)
+    # Every rule counts here.
+    assert 0.05 < np.isnan(found).mean() < 0.95
+    for weaker in (TrustThresholds(around=around, contradiction=1e9),
+                   TrustThresholds(around=around, least_confidence=0)):
+        assert np.isnan(guide.trusted_depth(wide, confidence, weaker)).sum() < (
+            np.isnan(found).sum())
+
+
+def test_threads_may_ask_at_once():
+    asked = [some_guide(seed) for seed in range(8)]
+    expected = [guide.trusted_depth(*given) for guide, *given in asked]
+    with ThreadPoolExecutor(4) as pool:
+        for _ in range(5):
+            found = pool.map(lambda one: one[0].trusted_depth(*one[1:]), asked)
+            assert all(np.array_equal(*pair, equal_nan=True) for pair in zip(found, expected))

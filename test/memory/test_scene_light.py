@@ -1,0 +1,140 @@
+"""Other light than the photos': it is learnt, kept, found again, and never shown for a change."""
+import logging
+from pathlib import Path
+
+from box_room import box_memory, box_walk, EXPANSION, SOURCE, view, write_box_model
+import cv2
+from neo_ros.evaluation.metrics import psnr
+from neo_ros.geometry import CameraPose
+from neo_ros.memory.light_file import lights_path, MAGIC, read_lights, write_lights
+from neo_ros.memory.scene_guide import SceneGuide
+from neo_ros.memory.scene_light import SceneLight
+from neo_ros.runtime import FovExtrapolator
+import numpy as np
+import pytest
+
+pytestmark = pytest.mark.slow
+
+MEMORY = box_memory()
+WALK = box_walk(24)
+RING = EXPANSION.extrapolated_mask
+SHA256 = 64 * 'a'
+
+
+def lit(pose: CameraPose, slope: float) -> np.ndarray:
+    """Return the wide view as light shows it that falls off along x: uint8 RGB (H, W, 3)."""
+    image, depth = view(pose, EXPANSION.target)
+    points = (EXPANSION.target.pixel_rays() * depth[..., None]) @ pose.T_world_cam[:3, :3].T
+    factor = np.exp(slope * (points[..., 0] + pose.position[0] - 2))
+    return np.rint(np.clip(0.7 * factor[..., None] * image, 0, 255)).astype(np.uint8)
+
+
+def ring_psnr(guide: SceneGuide, slope: float, poses: list[CameraPose]) -> list[float]:
+    scores = []
+    for pose in poses:
+        truth = lit(pose, slope)
+        shown = guide.guide(np.ascontiguousarray(EXPANSION.crop(truth)), prior=pose)
+        assert shown is not None
+        scores.append(psnr(truth[RING], np.clip(shown.image, 0, 255).astype(np.uint8)[RING]))
+    return scores
+
+
+def test_another_light_is_learnt_while_driving() -> None:
+    scores = ring_psnr(SceneGuide(MEMORY, EXPANSION, 1), 0.1, WALK)
+    assert np.mean(scores[-8:]) > scores[0] + 5
+
+
+def test_the_photos_light_changes_no_bit() -> None:
+    guide = SceneGuide(MEMORY, EXPANSION, 1)
+    ring_psnr(guide, 0.0, WALK)
+    assert not guide.light.other and not guide.light.known()
+    image = np.full((*RING.shape, 3), 100, np.float32)
+    depth = np.ones(RING.shape, np.float32)
+    assert guide.light.shine(image, depth, WALK[0], EXPANSION.target) is None
+    assert (image == 100).all()
+
+
+def test_a_light_of_before_is_found_again_and_the_others_stay() -> None:
+    guide = SceneGuide(MEMORY, EXPANSION, 1)
+    ring_psnr(guide, 0.1, WALK)
+    kept = [[cells.copy() for cells in light] for light in guide.light.known()]
+    assert len(kept) == 1
+    later = SceneGuide(MEMORY, EXPANSION, 1)
+    later.light.lights = kept
+    first, second = ring_psnr(later, 0.1, WALK[:2])
+    assert second > ring_psnr(SceneGuide(MEMORY, EXPANSION, 1), 0.1, WALK[:2])[1] + 2
+    # By day again: the evening is put aside as it was, and comes back.
+    by_day = ring_psnr(later, 0.0, WALK)
+    fresh = ring_psnr(SceneGuide(MEMORY, EXPANSION, 1), 0.0, WALK)
+    assert np.mean(by_day[-8:]) > np.mean(fresh[-8:]) - 1.2
+    assert ring_psnr(later, 0.1, WALK[:2])[1] > second - 2
+
+
+def test_what_is_something_else_is_no_light() -> None:
+    light = SceneLight(MEMORY.positions, EXPANSION)
+    pose = WALK[0]
+    shown, depth = view(pose, EXPANSION.target)
+    image = np.array(EXPANSION.crop(shown))
+    noise = np.random.default_rng(0).integers(0, 256, (32, 24, 3), np.uint8)
+    image[16:48, 20:44] = cv2.resize(noise, (24, 32))
+    for _ in range(12):
+        light.see(image, shown.astype(np.float32), depth.astype(np.float32), pose)
+    assert not light.other
+
+
+def some_lights(count: int) -> tuple[SceneLight, list[list[np.ndarray]]]:
+    light, random = SceneLight(MEMORY.positions, EXPANSION), np.random.default_rng(1)
+    return light, [[random.integers(0, 9, cells.shape).astype(np.float32) for cells in light.empty]
+                   for _ in range(count)]
+
+
+def test_lights_survive_in_their_file_the_newest_of_them(tmp_path: Path) -> None:
+    light, lights = some_lights(5)
+    path = lights_path(tmp_path / 'room.memory')
+    write_lights(path, SHA256, lights)
+    found = read_lights(path, SHA256, light.empty)
+    assert len(found) == 4
+    for one, other in zip(found, lights[1:]):
+        assert all((a == b).all() for a, b in zip(one, other))
+    assert read_lights(tmp_path / 'none', SHA256, light.empty) == []
+
+
+def test_a_file_that_is_wrong_is_left_aside(
+        tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    light, lights = some_lights(1)
+    path = tmp_path / 'room.memory.lights'
+    write_lights(path, SHA256, lights)
+    whole, random = path.read_bytes(), np.random.default_rng(0)
+    assert read_lights(path, 64 * 'b', light.empty) == []
+    assert read_lights(path, SHA256, light.empty[:1]) == []
+    wrong = [whole[:20], b'', MAGIC, whole[:-1], whole + b'x', b'something else']
+    for _ in range(30):
+        place = int(random.integers(len(whole)))
+        wrong.append(whole[:place] + bytes([whole[place] ^ 1 << int(random.integers(8))])
+                     + whole[place + 1:])
+    with caplog.at_level(logging.WARNING):
+        for content in wrong:
+            path.write_bytes(content)
+            assert read_lights(path, SHA256, light.empty) == []
+    assert len(caplog.records) == len(wrong) + 2 and 'neo memory forget' in caplog.text
+
+
+def test_not_finite_numbers_are_refused(tmp_path: Path) -> None:
+    light, lights = some_lights(1)
+    lights[0][0][0, 0, 0] = np.nan
+    write_lights(tmp_path / 'lights', SHA256, lights)
+    assert read_lights(tmp_path / 'lights', SHA256, light.empty) == []
+
+
+def test_a_model_that_learns_keeps_its_lights(tmp_path: Path) -> None:
+    path = write_box_model(tmp_path)
+    model = FovExtrapolator.load(path, threads=1, learn='at once')
+    for pose in WALK:
+        image = np.ascontiguousarray(EXPANSION.crop(lit(pose, 0.1)))
+        assert image.shape == (SOURCE.height, SOURCE.width, 3)
+        model.expand(image, prior=pose)
+    model.finish_learning()
+    kept, = tmp_path.glob('*.lights')
+    assert kept.name.endswith('.memory.lights')
+    again = FovExtrapolator.load(path, threads=1)
+    assert again._guided_view is not None and len(again._guided_view._guide.light.lights) == 1
