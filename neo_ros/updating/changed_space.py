@@ -17,7 +17,7 @@ class ChangeRules:
     # Photos that contradict what was seen through a cell, or at it, and their share of all that
     # see it: what is new in front of a wall of its own colour is no contradiction.
     least_photos: int = 3
-    least_share: float = 0.7
+    least_share: float = 0.5
     # From one side all of them may be wrong for one reason; they look from so far apart, degrees.
     least_angle_deg: float = 5.0
     # Where a larger share of the photos of before contradict the memory, it is poor.

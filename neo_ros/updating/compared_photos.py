@@ -27,7 +27,8 @@ class WitnessRules:
     grey_levels: float = 15.0
     # Images of which more than this share contradicts are of a pose that is wrong.
     most_contradicted: float = 0.5
-    contradiction: ContradictionThresholds = ContradictionThresholds(larger=0)
+    # Edges lie less aside than in a drive: slats and legs would go unseen.
+    contradiction: ContradictionThresholds = ContradictionThresholds(aside=1, larger=1)
 
 
 @dataclass(frozen=True, eq=False)
