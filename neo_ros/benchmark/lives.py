@@ -187,8 +187,8 @@ def measure(run: Path, frames: Path, visits: int, driven: int, out: Path) -> Non
             shutil.rmtree(bag, ignore_errors=True)
             as_bag(bag, path, trained)
             # As a user does; where nothing has changed nothing is written.
-            subprocess.run([sys.executable, '-m', 'neo_ros.cli.main', 'update', newest, bag, '--out',
-                            after], check=True, stdout=subprocess.DEVNULL)
+            subprocess.run([sys.executable, '-m', 'neo_ros.cli.main', 'update', newest, bag,
+                            '--out', after], check=True, stdout=subprocess.DEVNULL)
             if after.exists():
                 newest = after
             minutes = (time.monotonic() - started) / 60

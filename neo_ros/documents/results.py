@@ -137,13 +137,15 @@ REAL = (
     Column('aligned', 'aligned_held_out_psnr', DB),
     Column('minutes of the processor', 'cpu_minutes', '{:.1f}'))
 LIVES = (
-    Column('visit', 'visit'), Column('memory', 'mode'),
+    Column('visit', 'visit'), Column('light', 'light'), Column('door', 'door'),
+    Column('memory', 'mode'),
     Column('ring that changed, dB', 'changed_ring_psnr', DB),
     Column('ring that did not, dB', 'unchanged_ring_psnr', DB),
     Column('false changes', 'false_change_share', '{:.2f} %', 100),
     Column('AUROC of contradicted', 'contradiction_auroc', RATIO),
     Column('poses right', 'pose_share', '{:.0f} %', 100),
-    Column('memory and journal, MB', 'memory_mb', '{:.2f}'))
+    Column('memory and what was learnt, MB', 'memory_mb', '{:.2f}'),
+    Column('minutes of the update', 'update_minutes', '{:.1f}'))
 KILLS = (
     Column('killed', 'part'), Column('when', 'moment'), Column('kills', 'kills'),
     Column('loads afterwards', 'loaded'), Column('whole records lost', 'lost_records'),

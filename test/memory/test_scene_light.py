@@ -77,7 +77,7 @@ def test_what_is_something_else_is_no_light() -> None:
     image = np.array(EXPANSION.crop(shown))
     noise = np.random.default_rng(0).integers(0, 256, (32, 24, 3), np.uint8)
     image[16:48, 20:44] = cv2.resize(noise, (24, 32))
-    for _ in range(12):
+    for _ in range(36):
         light.see(image, shown.astype(np.float32), depth.astype(np.float32), pose)
     assert not light.other
 
@@ -138,3 +138,12 @@ def test_a_model_that_learns_keeps_its_lights(tmp_path: Path) -> None:
     assert kept.name.endswith('.memory.lights')
     again = FovExtrapolator.load(path, threads=1)
     assert again._guided_view is not None and len(again._guided_view._guide.light.lights) == 1
+
+
+def test_few_lights_are_kept() -> None:
+    guide = SceneGuide(MEMORY, EXPANSION, 1)
+    for slope in (0.1, -0.1, 0.06, 0.1, -0.06, 0.14, -0.14, 0.1):
+        ring_psnr(guide, slope, WALK[:8])
+        assert len(guide.light.lights) <= guide.light.thresholds.most_lights
+        place = guide.light._place
+        assert place is None or 0 <= place < len(guide.light.lights)
