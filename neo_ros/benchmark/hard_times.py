@@ -135,6 +135,7 @@ def _score(case: str, guided: FovExtrapolator, network: FovExtrapolator, walks: 
     ring = guided.expansion.extrapolated_mask
     known, away, searched = [], [], []
     scores: dict[int, list[tuple[float, float]]] = {}
+    guided.forget_light()
     for walk in walks:
         guided.reset()
         waiting: int | None = None

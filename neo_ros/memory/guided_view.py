@@ -21,7 +21,7 @@ import numpy as np
 
 logger = logging.getLogger(__name__)
 KeepLights = Callable[[Sequence[Cells]], None]
-# While it learns, images after which the lights are written again, beside the images.
+# While it learns, images in another light after which the lights are written, beside the images.
 LIGHTS_EVERY = 600
 
 
@@ -32,7 +32,9 @@ class GuidedView:
                  thresholds: FusionThresholds = FusionThresholds()) -> None:
         self._guide, self._thresholds = guide, thresholds
         self._keep_lights: KeepLights | None = None
-        self._images = 0
+        self._images = 0  # In another light, since it was written.
+        self._writing: threading.Thread | None = None
+        self._lights: list[Cells] = []
 
     @classmethod
     def load(cls, path: Path, sha256: str, expansion: ViewExpansion, threads: int,
@@ -53,7 +55,8 @@ class GuidedView:
         view, shown = cls(guide), guide.warm_up()
         view.fuse(expansion.crop(shown.image).astype(np.uint8), shown)
         lights = lights_path(path)
-        guide.light.lights = read_lights(lights, sha256, guide.light.empty)
+        view._lights = read_lights(lights, sha256, guide.light.empty)
+        guide.light.begin(view._lights)
         if learn != 'never':
             guide.learner = Learner(memory, expansion, partial(
                 JournalWriter, journal, sha256, most_bytes(path.stat().st_size)),
@@ -78,17 +81,23 @@ class GuidedView:
     def _write_lights(self) -> None:
         """Keep in which lights the scene was seen, for the last time."""
         keep, self._keep_lights = self._keep_lights, None
+        if self._writing is not None:
+            self._writing.join()
         if keep is not None:
             _write(keep, self._guide.light.known())
 
     def guide(self, image: np.ndarray, prior: CameraPose | None = None,
               motion: np.ndarray | None = None) -> Guide | None:
         """Find the camera and draw what is around it; None while it is lost."""
-        self._images += 1
-        if self._keep_lights is not None and self._images % LIGHTS_EVERY == 0:
-            known = [[cells.copy() for cells in light] for light in self._guide.light.known()]
-            threading.Thread(target=_write, args=(self._keep_lights, known), name='lights',
-                             daemon=True).start()
+        keep, light = self._keep_lights, self._guide.light
+        self._images += light.other
+        if keep is not None and self._images >= LIGHTS_EVERY and not (
+                self._writing is not None and self._writing.is_alive()):
+            self._images = 0
+            known = [[cells.copy() for cells in one] for one in light.known()]
+            self._writing = threading.Thread(target=_write, args=(keep, known), name='lights',
+                                             daemon=True)
+            self._writing.start()
         return self._guide.guide(image, prior, motion)
 
     @property
@@ -102,8 +111,12 @@ class GuidedView:
             return fuse(image, guide, self._guide.expansion, self._thresholds)
 
     def reset(self) -> None:
-        """Forget the frames so far."""
+        """Forget the frames so far; the light stays."""
         self._guide.reset()
+
+    def forget_light(self) -> None:
+        """Begin with the lights that were read, as if nothing had been seen since."""
+        self._guide.light.begin(self._lights)
 
 
 def _write(keep: KeepLights, lights: Sequence[Cells]) -> None:

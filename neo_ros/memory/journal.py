@@ -1,6 +1,7 @@
 """The journal beside a scene memory: what has changed since it was made, record by record."""
 from collections.abc import Iterable
 from contextlib import ExitStack, suppress
+import errno
 import fcntl
 import logging
 import os
@@ -158,7 +159,8 @@ class JournalWriter:
                 logger.warning('%s: the journal is full (%d kB), nothing more is learnt; neo '
                                'memory compact makes room', self.path, self._end >> 10)
                 break
-            os.pwrite(self._file, content, self._end)
+            if os.pwrite(self._file, content, self._end) != len(content):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             self._end, self._check, self._pixels = self._end + len(content), check, pixels
             added.append(patch)
         os.fsync(self._file)

@@ -69,7 +69,8 @@ def decode_image(content: bytes, flags: int) -> np.ndarray | None:
 def on_own_pages(array: np.ndarray) -> np.ndarray:
     """Return a copy outside of malloc's heap, where it would leave a hole when it is dropped."""
     pages = mmap.mmap(-1, array.nbytes, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
-    with suppress(OSError):  # Not every kernel has large pages, which take a third of the time.
+    # Not every kernel has large pages, which take a third of the time.
+    with suppress(AttributeError, OSError):
         pages.madvise(mmap.MADV_HUGEPAGE)
     copy = np.frombuffer(pages, array.dtype).reshape(array.shape)
     copy[:] = array

@@ -8,7 +8,7 @@ import zlib
 from neo_ros.errors import ModelError
 from neo_ros.machine.files import whole_file
 from neo_ros.machine.regular_file import read_model_bytes
-from neo_ros.memory.scene_light import Cells
+from neo_ros.memory.scene_light import Cells, LightThresholds
 import numpy as np
 
 logger = logging.getLogger(__name__)
@@ -17,7 +17,9 @@ MAGIC = b'neo_ros lights 1\n'
 # Behind them the SHA-256 of the memory, and the CRC-32 of the rest: numbers of two bytes, packed.
 _CHECK = struct.Struct('<I')
 HEADER_BYTES = len(MAGIC) + 32 + _CHECK.size
-MOST_LIGHTS = 4
+MOST_LIGHTS = LightThresholds.most_lights
+# Logarithms of brightness that can be: of 1 by 255, and the noise of two bytes.
+MOST_LOG, NOISE = 6.0, 0.02
 
 
 def lights_path(memory: Path) -> Path:
@@ -58,8 +60,12 @@ def _unpacked(path: Path, packed: bytes, empty: Cells) -> list[Cells]:
                          f'{len(numbers)} bytes')
     lights = []
     for one in np.frombuffer(numbers, np.float16).reshape(-1, size // 2).astype(np.float32):
-        if not np.isfinite(one).all():
-            raise ModelError(f'{path}: expected finite numbers')
+        sums, trust = one.reshape(-1, 4)[:, :3], one.reshape(-1, 4)[:, 3:]
+        with np.errstate(invalid='ignore'):
+            fits = (trust >= 0) & (trust <= 2 * LightThresholds.kept) & (
+                np.abs(sums) <= MOST_LOG * trust + NOISE)
+        if not fits.all():
+            raise ModelError(f'{path}: expected logarithms of brightness, got other numbers')
         parts = np.split(one, np.cumsum([cells.size for cells in empty])[:-1])
         lights.append([part.reshape(cells.shape) for part, cells in zip(parts, empty)])
     return lights

@@ -37,9 +37,12 @@ def aligned_covariance(photo: PhotoLevel, guide: GuideLevel, camera: Intrinsics,
     H = np.empty((8, 8))
     pinhole = Pinhole(camera.fx, camera.fy, camera.cx, camera.cy)
     variance = equations_in_place(photo, guide, pinhole, scale, H)
+    spread = np.sqrt(np.maximum(np.diag(H), 1e-30))
     try:
+        # Refuses what is singular up to rounding, such as an image of stripes.
+        np.linalg.cholesky(H / np.outer(spread, spread) - 1e-9 * np.eye(8))
         inverse = np.linalg.inv(H)  # An eighth of the time of pinv.
-    except np.linalg.LinAlgError:  # An image of one colour.
+    except np.linalg.LinAlgError:
         inverse = np.linalg.pinv(H, hermitian=True)
     # Gain and bias are free, so they take their part.
     covariance = variance * inverse[:6, :6]

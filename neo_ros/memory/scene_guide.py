@@ -172,7 +172,7 @@ class SceneGuide:
             gain = self._expose(wide.image, known, image.pixels)
             self._recent.keep(image.pixels, wide.image, wide.depth, pose, gain)
             seen_before = self._recent.bring(wide.depth, pose, gain)
-            lit = SceneLight(self._memory.positions, self.expansion)
+            lit = SceneLight(self._memory.positions, self.expansion, self.thresholds.light)
             lit.other = True
             lit.see(image.pixels, wide.image, wide.depth, pose)
             lit.shine(wide.image, wide.depth, pose, self.expansion.target)

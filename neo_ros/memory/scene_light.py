@@ -31,7 +31,7 @@ class LightThresholds:
     doubt: float = 0.5
     kept: float = 60.0
     # The light is another one where surfaces are by so much brighter or darker than others,
-    # averaged over the last images; it is as before where it is less again. The tenth of an image
+    # averaged over the last images; it may be as before where it is less. The tenth of an image
     # that differs most does not count: something may stand there. In the flat 95 % of the images
     # have 0.015 at most, with chairs moved, too; in the sun half of them 0.019, by lamps 0.12.
     other: float = 0.02
@@ -43,12 +43,18 @@ class LightThresholds:
     # before one is taken that leaves less than the first of what is left now.
     better: float = 0.7
     worse: float = 0.9
-    # Beside the one of now.
+    # After so many images that need no other light it is the photos' again: one wall tells little.
+    calm: int = 30
+    # Of an image at least this share has to tell of light.
+    least: float = 0.05
+    # Lights of before that are kept.
     most_lights: int = 4
     # Of all cells of one size there are so many at most: in a large building they are larger.
     most_cells: int = 1 << 20
 
 
+# Of a pixel's trust, from which on it tells of light by itself.
+SURE = 0.5
 # A light: sums by the size of cells, float32 (X, Y, Z, 4), see `look_up_light`.
 Cells = list[np.ndarray]
 
@@ -72,12 +78,15 @@ class SceneLight:
         self._sizes = [np.float32(max(cell, least)) for cell in thresholds.cells]
         self.empty: Cells = [np.zeros((*np.maximum(np.ceil(extent / cell).astype(int) + 1, 2), 4),
                                       np.float32) for cell in self._sizes]
-        self.lights: list[Cells] = []
-        self._now = self._copy(self.empty)
-        self._place: int | None = None  # In `lights`, of what it went on from.
         self._source, self._rays = _small_camera(expansion.source, thresholds.width)
         self._observed = expansion.observed
+        self.begin([])
+
+    def begin(self, lights: list[Cells]) -> None:
+        """Forget what was seen; lights: of before."""
+        self.lights = list(lights)
         self.other = False
+        self._go_on_from(None)
         # By how much the light differs from the photos', and from what was kept of it before.
         self._off: float | None = None
         self._left: float | None = None
@@ -85,9 +94,14 @@ class SceneLight:
     def known(self) -> list[Cells]:
         """Return the lights of before and the one of now, the last of them."""
         if not self.other:
-            return list(self.lights)
-        return [*(light for place, light in enumerate(self.lights) if place != self._place),
-                self._now]
+            return self.lights
+        return [*(light for light in self.lights if light is not self._from),
+                self._now][-self.thresholds.most_lights:]
+
+    def _go_on_from(self, light: Cells | None) -> None:
+        """Begin with one of the lights of before, None: with the photos'."""
+        self._from, self._calm = light, 0
+        self._now = [cells.copy() for cells in (self.empty if light is None else light)]
 
     def shine(self, image: np.ndarray, depth: np.ndarray, pose: CameraPose, view: Intrinsics
               ) -> np.ndarray | None:
@@ -104,7 +118,7 @@ class SceneLight:
                            interpolation=cv2.INTER_NEAREST_EXACT)
         factor = np.exp(self._at(_points(rays, small, pose), self._now)).reshape(*small.shape, 3)
         factor = cv2.resize(factor, image.shape[1::-1], interpolation=cv2.INTER_LINEAR)
-        np.minimum(cv2.multiply(image, factor), np.float32(255), out=image)
+        cv2.multiply(image, factor, dst=image)
         return factor
 
     def see(self, image: np.ndarray, shown: np.ndarray, depth: np.ndarray, pose: CameraPose
@@ -124,10 +138,10 @@ class SceneLight:
         darker = cv2.split(np.minimum(now, then))
         usable = (away > 0) & (np.maximum.reduce(darker) > limits.darkest) & (
             np.minimum.reduce(darker) < limits.brightest)
-        if not usable.any():
-            return
         ratio = np.log((now + limits.black) / (then + limits.black))
         trust = _steady(ratio, usable, limits)[usable]
+        if (trust > SURE).sum() < limits.least * usable.size:
+            return
         ratio, points = ratio[usable], _points(self._rays, away, pose)[usable.ravel()]
         kept = self._at(points, self._now)
         light = ratio + kept if self.other else ratio
@@ -137,35 +151,37 @@ class SceneLight:
         if self._left > limits.other:
             self._choose(points, light, trust, left)
         least, most = (limits.same, limits.worse) if self.other else (limits.other, limits.better)
-        self.other = self._off > least and self._left < most * self._off
+        if self._off > least and self._left < most * self._off:
+            self.other, self._calm = True, 0
+        elif self.other:
+            self._calm += 1
+            if self._calm == limits.calm:
+                self._put_aside()
         for cell, cells in zip(self._sizes, self._now):
             add_light(points, light, trust, self._low, cell, np.float32(limits.kept), cells)
+
+    def _put_aside(self) -> None:
+        """Keep the light of now with those of before; the photos' is back."""
+        self.lights, self.other = self.known(), False
+        self._go_on_from(None)
 
     def _choose(self, points: np.ndarray, light: np.ndarray, trust: np.ndarray, now: float
                 ) -> None:
         """Go on from the light of before, or the photos', that is nearest to what is seen."""
         limits = self.thresholds
-        others: list[tuple[int | None, Cells]] = [
-            (place, cells) for place, cells in enumerate(self.lights) if place != self._place]
+        others = [cells for cells in self.lights if cells is not self._from]
         if self.other:
-            others.append((None, self.empty))
-        if not others:
-            return
+            others.append(self.empty)
         left = [_spread(light - self._at(points, cells), trust, limits.counted)
-                for _, cells in others]
-        best = int(np.argmin(left))
-        if left[best] > limits.better * now:
+                for cells in others]
+        best = int(np.argmin(left)) if left else 0
+        if not left or left[best] > limits.better * now:
             return
-        if self.other and self._place is not None:
-            self.lights[self._place] = self._now
-        elif self.other:
-            self.lights.append(self._now)
-        place, cells = others[best]
-        if len(self.lights) > limits.most_lights:
-            gone = int(place == 0)
-            del self.lights[gone]
-            place = place - 1 if place is not None and place > gone else place
-        self._place, self._now = place, self._copy(cells)
+        if self.other:
+            self._put_aside()
+        if others[best] is not self.empty:
+            self.other = True
+            self._go_on_from(others[best])
         self._off, self._left = _spread(light, trust, limits.counted), left[best]
 
     def _at(self, points: np.ndarray, cells: Cells) -> np.ndarray:
@@ -177,10 +193,6 @@ class SceneLight:
             light = finer
         return light
 
-    @staticmethod
-    def _copy(cells: Cells) -> Cells:
-        return [one.copy() for one in cells]
-
 
 def _spread(light: np.ndarray, trust: np.ndarray, counted: float) -> float:
     """
@@ -188,10 +200,7 @@ def _spread(light: np.ndarray, trust: np.ndarray, counted: float) -> float:
 
     counted: of all trust, as much as differs least.
     """
-    some = trust > 0.5
-    if not some.any():
-        return 0.0
-    off = np.abs(light - np.median(light[some], axis=0)).mean(-1)
+    off = np.abs(light - np.median(light[trust > SURE], axis=0)).mean(-1)
     order = np.argsort(off)
     below = np.cumsum(trust[order])
     last = int(np.searchsorted(below, counted * below[-1])) + 1

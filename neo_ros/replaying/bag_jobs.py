@@ -24,6 +24,7 @@ from neo_ros.machine.files import write_bytes
 from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.machine.regular_file import read_model_bytes
 from neo_ros.memory.journal import journal_path
+from neo_ros.memory.light_file import lights_path
 from neo_ros.replaying.bag_replayer import BagReplayer, ReplayOptions, ScoredReplay
 from neo_ros.replaying.summary import ReplayedBag
 from neo_ros.runtime import ModelCard
@@ -56,11 +57,11 @@ def asked_of_all(model: Path, card: ModelCard, options: ReplayOptions) -> dict[s
 
     Raises ModelError where the model cannot be read.
     """
-    learnt = None
+    learnt = []
     if card.memory is not None:
-        journal = journal_path(memory_path(model, card.memory))
-        if journal.is_file():
-            learnt = hashlib.sha256(journal.read_bytes()).hexdigest()
+        memory = memory_path(model, card.memory)
+        learnt = [hashlib.sha256(path.read_bytes()).hexdigest()
+                  for path in (journal_path(memory), lights_path(memory)) if path.is_file()]
     return json.loads(json.dumps({
         'model': _digest(model), 'learnt': learnt, 'options': asdict(options),
         'neo_ros': __version__}))

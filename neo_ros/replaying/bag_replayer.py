@@ -63,7 +63,7 @@ class BagReplayer:
         self.model = model
         self.extrapolator = FovExtrapolator.load(
             model, threads, learn='at once' if learn else 'never')
-        self._threads = threads
+        self._threads, self._learns = threads, learn
         self._scored: FovExtrapolator | None = None
 
     def replay(self, bag: Path, out: Path, options: ReplayOptions,
@@ -76,6 +76,8 @@ class BagReplayer:
         Raises BagError as `bags.replay` does.
         """
         self.extrapolator.reset()
+        if not self._learns:  # Else a bag would depend on those before it.
+            self.extrapolator.forget_light()
         scores, truth_topic = self._scores(bag, options)
         takers = [] if on_frame is None else [on_frame]
         if scores is not None and truth_topic is None:

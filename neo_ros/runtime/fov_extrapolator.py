@@ -150,6 +150,11 @@ class FovExtrapolator:
         if self._guided_view is not None:
             self._guided_view.reset()
 
+    def forget_light(self) -> None:
+        """Forget in which light the scene was seen since the model was loaded."""
+        if self._guided_view is not None:
+            self._guided_view.forget_light()
+
 
 def memory_path(model: Path | str, memory: MemoryFile) -> Path:
     """

@@ -6,12 +6,28 @@ from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.memory.alignment_kernels import (
     equations_in_place, GuideLevel, normal_equations, PhotoLevel, Warp)
 from neo_ros.memory.kernels import Pinhole
+from neo_ros.memory.pose_covariance import aligned_covariance
 from neo_ros.memory.recent_images import SeenBefore
 from neo_ros.memory.sight import Guide, TrustThresholds
 import numpy as np
 import pytest
 
 OBSERVED = (slice(20, 60), slice(30, 91))
+
+
+@pytest.mark.parametrize('pattern', ['vertical', 'aslant', 'plain'])
+def test_a_covariance_is_one_whatever_is_seen(pattern):
+    camera = Intrinsics(48, 32, 30.0, 30.0, 24.0, 16.0)
+    y, x = np.mgrid[:32, :48].astype(np.float32)
+    noise = 1e-3 * np.random.default_rng(0).random((32, 48), np.float32)
+    grey = {'vertical': 0.5 + 0.4 * np.sin(x), 'aslant': 0.5 + 0.4 * np.sin(0.7 * (x + y)),
+            'plain': 0.5 + noise}[pattern].astype(np.float32)
+    photo = PhotoLevel(grey, *(np.gradient(grey, axis=axis).astype(np.float32) for axis in (1, 0)))
+    guide = GuideLevel(grey + noise, np.full((32, 48), 2, np.float32), camera.pixel_rays())
+    covariance = aligned_covariance(photo, guide, camera, 0.08)
+    assert np.isfinite(covariance).all()
+    least = np.linalg.eigvalsh((covariance + covariance.T) / 2)[0]
+    assert least >= -1e-6 * np.abs(covariance).max()
 
 
 def test_equations_in_place_are_those_of_a_warp_that_moves_nothing():

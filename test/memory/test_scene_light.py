@@ -60,7 +60,7 @@ def test_a_light_of_before_is_found_again_and_the_others_stay() -> None:
     kept = [[cells.copy() for cells in light] for light in guide.light.known()]
     assert len(kept) == 1
     later = SceneGuide(MEMORY, EXPANSION, 1)
-    later.light.lights = kept
+    later.light.begin(kept)
     first, second = ring_psnr(later, 0.1, WALK[:2])
     assert second > ring_psnr(SceneGuide(MEMORY, EXPANSION, 1), 0.1, WALK[:2])[1] + 2
     # By day again: the evening is put aside as it was, and comes back.
@@ -83,9 +83,15 @@ def test_what_is_something_else_is_no_light() -> None:
 
 
 def some_lights(count: int) -> tuple[SceneLight, list[list[np.ndarray]]]:
+    """Return lights that can be: sums of logarithms, and their trust."""
     light, random = SceneLight(MEMORY.positions, EXPANSION), np.random.default_rng(1)
-    return light, [[random.integers(0, 9, cells.shape).astype(np.float32) for cells in light.empty]
-                   for _ in range(count)]
+    lights = []
+    for _ in range(count):
+        lights.append([cells.copy() for cells in light.empty])
+        for cells in lights[-1]:
+            cells[..., 3] = random.integers(0, 9, cells.shape[:3])
+            cells[..., :3] = cells[..., 3:] * random.integers(-1, 2, (*cells.shape[:3], 3))
+    return light, lights
 
 
 def test_lights_survive_in_their_file_the_newest_of_them(tmp_path: Path) -> None:
@@ -119,9 +125,12 @@ def test_a_file_that_is_wrong_is_left_aside(
     assert len(caplog.records) == len(wrong) + 2 and 'neo memory forget' in caplog.text
 
 
-def test_not_finite_numbers_are_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize('numbers', [
+    (np.nan, 0, 0, 1), (0, 0, np.inf, 1), (0, 0, 0, -0.5), (6e4, 0, 0, 1), (0, 0, 0, 1e4),
+], ids=str)
+def test_numbers_that_no_light_has_are_refused(tmp_path: Path, numbers: tuple) -> None:
     light, lights = some_lights(1)
-    lights[0][0][0, 0, 0] = np.nan
+    lights[0][1][0, 0, 0] = numbers
     write_lights(tmp_path / 'lights', SHA256, lights)
     assert read_lights(tmp_path / 'lights', SHA256, light.empty) == []
 
@@ -142,12 +151,50 @@ def test_a_model_that_learns_keeps_its_lights(tmp_path: Path) -> None:
 
 def test_few_lights_are_kept() -> None:
     guide, most = SceneGuide(MEMORY, EXPANSION, 1), 0
-    limit = guide.light.thresholds.most_lights
     for slope in (0.1, -0.1, 0.06, -0.06, 0.12, -0.12, 0.1):
         for pose in WALK[:8]:
             guide.guide(np.ascontiguousarray(EXPANSION.crop(lit(pose, slope))), prior=pose)
         most = max(most, len(guide.light.lights))
-        assert len(guide.light.lights) <= limit
-        place = guide.light._place
-        assert place is None or 0 <= place < len(guide.light.lights)
-    assert most > 1
+    assert 1 < most <= guide.light.thresholds.most_lights
+
+
+def looks(light: SceneLight, images: list[np.ndarray]) -> None:
+    """Let the light see images of the memory's own views, in the exposure that they have."""
+    for pose, image in zip(WALK, images):
+        shown, depth = view(pose, EXPANSION.target)
+        wide, away = shown.astype(np.float32), depth.astype(np.float32)
+        light.shine(wide, away, pose, EXPANSION.target)
+        light.see(image, wide, away, pose)
+
+
+def narrow(slope: float) -> list[np.ndarray]:
+    return [np.array(EXPANSION.crop(lit(pose, slope))) for pose in WALK]
+
+
+def test_a_light_that_fades_gently_is_kept() -> None:
+    light = SceneLight(MEMORY.positions, EXPANSION)
+    looks(light, narrow(0.1))
+    assert light.other
+    for slope in (0.08, 0.06, 0.04, 0.02, 0.0, 0.0, 0.0):
+        looks(light, narrow(slope))
+    assert not light.other and 1 <= len(light.known()) <= light.thresholds.most_lights
+    looks(light, narrow(0.1)[:3])
+    assert light.other
+
+
+def test_images_that_tell_nothing_of_light_change_nothing() -> None:
+    light, random = SceneLight(MEMORY.positions, EXPANSION), np.random.default_rng(0)
+    looks(light, narrow(0.1))
+    assert light.other
+    off = light._off
+    noise = [random.integers(0, 256, (SOURCE.height, SOURCE.width, 3), np.uint8) for _ in WALK]
+    looks(light, [cv2.resize(cv2.resize(one, (16, 16)), (SOURCE.width, SOURCE.height),
+                             interpolation=cv2.INTER_NEAREST) for one in noise])
+    assert light.other and light._off == off
+
+
+def test_a_light_can_be_forgotten() -> None:
+    light = SceneLight(MEMORY.positions, EXPANSION)
+    looks(light, narrow(0.1))
+    light.begin([])
+    assert not light.other and not light.known()
