@@ -12,9 +12,8 @@ from neo_ros.memory.changes import Changes
 from neo_ros.memory.fusion import fuse, FusionThresholds
 from neo_ros.memory.journal import journal_path, JournalWriter, most_bytes, read_journal
 from neo_ros.memory.learning import Learn, Learner
-from neo_ros.memory.light_file import lights_path, read_lights, write_lights
+from neo_ros.memory.light_file import Cells, lights_path, read_lights, write_lights
 from neo_ros.memory.scene_guide import SceneGuide
-from neo_ros.memory.scene_light import Cells
 from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.memory.sight import Guide
 import numpy as np

@@ -8,16 +8,20 @@ import zlib
 from neo_ros.errors import ModelError
 from neo_ros.machine.files import whole_file
 from neo_ros.machine.regular_file import read_model_bytes
-from neo_ros.memory.scene_light import Cells, LightThresholds
 import numpy as np
 
+# A light: sums by the size of cells, float32 (X, Y, Z, 4), see `light_kernels.look_up_light`.
+Cells = list[np.ndarray]
 logger = logging.getLogger(__name__)
 SUFFIX = '.lights'
 MAGIC = b'neo_ros lights 1\n'
 # Behind them the SHA-256 of the memory, and the CRC-32 of the rest: numbers of two bytes, packed.
 _CHECK = struct.Struct('<I')
 HEADER_BYTES = len(MAGIC) + 32 + _CHECK.size
-MOST_LIGHTS = LightThresholds.most_lights
+# Lights of before that are kept.
+MOST_LIGHTS = 4
+# Cells trust no more than this, whatever they have seen.
+MOST_TRUST = 60.0
 # Logarithms of brightness that can be: of 1 by 255, and the noise of two bytes.
 MOST_LOG, NOISE = 6.0, 0.02
 
@@ -62,7 +66,7 @@ def _unpacked(path: Path, packed: bytes, empty: Cells) -> list[Cells]:
     for one in np.frombuffer(numbers, np.float16).reshape(-1, size // 2).astype(np.float32):
         sums, trust = one.reshape(-1, 4)[:, :3], one.reshape(-1, 4)[:, 3:]
         with np.errstate(invalid='ignore'):
-            fits = (trust >= 0) & (trust <= 2 * LightThresholds.kept) & (
+            fits = (trust >= 0) & (trust <= 1.01 * MOST_TRUST) & (
                 np.abs(sums) <= MOST_LOG * trust + NOISE)
         if not fits.all():
             raise ModelError(f'{path}: expected logarithms of brightness, got other numbers')

@@ -128,7 +128,10 @@ class SceneGuide:
         view, known = best.view, best.view.depth > 0
         gain = self._expose(view.image, known, image.pixels)
         solid = np.where(view.stretched, 0, view.depth)
+        before_light = self.light.other
         self.light.see(image.pixels, view.image, solid, best.pose)
+        if self.light.other != before_light:
+            self._recent.forget()  # They differ from what is drawn no more.
         seen_before = self._recent.bring(solid, best.pose, gain)
         self._recent.keep(image.pixels, view.image, solid, best.pose, gain)
         light = None if view.light is None else view.light[self.expansion.observed]

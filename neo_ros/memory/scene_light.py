@@ -4,6 +4,7 @@ from functools import lru_cache
 
 import cv2
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
+from neo_ros.memory.light_file import Cells, MOST_LIGHTS, MOST_TRUST
 from neo_ros.memory.light_kernels import add_light, look_up_light
 import numpy as np
 
@@ -29,7 +30,7 @@ class LightThresholds:
     black: float = 4.0
     # Of what the cells hold: what came before counts as so much of it; more is forgotten.
     doubt: float = 0.5
-    kept: float = 60.0
+    kept: float = MOST_TRUST
     # The light is another one where surfaces are by so much brighter or darker than others,
     # averaged over the last images; it may be as before where it is less. The tenth of an image
     # that differs most does not count: something may stand there. In the flat 95 % of the images
@@ -47,16 +48,13 @@ class LightThresholds:
     calm: int = 30
     # Of an image at least this share has to tell of light.
     least: float = 0.05
-    # Lights of before that are kept.
-    most_lights: int = 4
+    most_lights: int = MOST_LIGHTS
     # Of all cells of one size there are so many at most: in a large building they are larger.
     most_cells: int = 1 << 20
 
 
 # Of a pixel's trust, from which on it tells of light by itself.
 SURE = 0.5
-# A light: sums by the size of cells, float32 (X, Y, Z, 4), see `look_up_light`.
-Cells = list[np.ndarray]
 
 
 class SceneLight:
