@@ -25,7 +25,7 @@ class PlaneRules:
     leap: float = 0.1             # depths of neighbours that differ by more are of two surfaces
     reach: int = 3                # pixels, to the neighbours that tell a surface's direction
     facing: float = 0.7           # cosine of a surface's direction and that of its plane
-    one_direction: float = 0.97        # cosine of directions that are one
+    one_direction: float = 0.97   # cosine of directions that are one
     least_share: float = 0.02     # of all that is flat, for a direction to be one of the scene
     most_directions: int = 6
     tried: int = 400              # directions, for the densest of them

@@ -7,7 +7,8 @@ Processes that learn, update or compact, killed at random moments: what is left 
 Of the kills half are of a camera that learns (`kill_victims.py`), three tenths of `neo update`,
 the rest of `neo memory compact` and `neo memory forget`, all in the small room of `small_room.py`.
 They come at any moment of the process, or while it writes. After each a fresh process loads what
-is left. DIR keeps the trained room; what is in the file of rows is not measured again.
+is left; of an update it does if there is a new run. DIR keeps the trained room; what is in the
+file of rows is not measured again.
 """
 import argparse
 from collections.abc import Callable
@@ -25,7 +26,7 @@ from neo_ros.benchmark.small_room import AFTER, BEFORE, write_drive, write_room
 from neo_ros.experiment import Experiment, ViewConfig
 from neo_ros.field.config import FieldConfig
 from neo_ros.machine.result_rows import ResultRows
-from neo_ros.memory.journal import delete_journal, LEAST_BYTES, read_journal
+from neo_ros.memory.journal import delete_learnt, LEAST_BYTES, read_journal
 from neo_ros.memory.learning import Learn
 from neo_ros.outpaint.fitting import OutpaintConfig
 from neo_ros.outpaint.network import NetworkConfig
@@ -89,7 +90,7 @@ class Journal:
 
     def anew(self) -> None:
         """Forget everything."""
-        delete_journal(self.path)
+        delete_learnt(self.path)
         self.records: list[int] = []
 
     @property

@@ -16,13 +16,11 @@ from functools import partial
 import json
 from pathlib import Path
 import shutil
-import subprocess
-import sys
 import tempfile
-import time
 from typing import Any
 
 from neo_ros.bags import write_demo_bag
+from neo_ros.benchmark.killing import end, neo
 from neo_ros.evaluation.metrics import auroc, psnr
 from neo_ros.flat.demo_flat import build_demo_flat, walking_paths
 from neo_ros.flat.visits import (
@@ -67,7 +65,7 @@ class Walks:
 def walks_of(visit: Visit, seed: int, count: int, camera: Intrinsics, folder: Path, name: str
              ) -> Walks:
     """Cast the frames of some walks on a visit, or read them where they are kept."""
-    path = folder / f'{name}_{seed}.npz'
+    path = folder / f'{name}_{seed}_{count}_{camera.width}.npz'
     if not path.exists():
         paths = []
         off = np.array([*(one.goal for one in (*CHAIRS, PLANT)), DOOR_PLACE])
@@ -183,15 +181,11 @@ def measure(run: Path, frames: Path, visits: int, driven: int, out: Path) -> Non
                           name=visit.light)
             drive(learning, path)
             bag, after = frames / f'drive_{number}', Path(folder) / str(number)
-            started = time.monotonic()
             shutil.rmtree(bag, ignore_errors=True)
             as_bag(bag, path, trained)
-            # As a user does; where nothing has changed nothing is written.
-            subprocess.run([sys.executable, '-m', 'neo_ros.cli.main', 'update', newest, bag,
-                            '--out', after], check=True, stdout=subprocess.DEVNULL)
-            if after.exists():
+            minutes = end(neo('update', newest, bag, '--out', after)) / 60
+            if after.exists():  # Where nothing has changed nothing is written.
                 newest = after
-            minutes = (time.monotonic() - started) / 60
             scored = {mode: score(model, test, before) for mode, model in (
                 ('none', trained), ('learn', learning), ('update', newest / trained.name))}
             for mode, (scores, shown) in scored.items():

@@ -43,15 +43,17 @@ def info(model: Model) -> None:
 @memory.command()
 def forget(model: Model) -> None:
     """Delete what was learnt: the scene is shown as it was trained."""
-    from neo_ros.memory.journal import delete_journal
+    from neo_ros.memory.journal import delete_learnt
     from neo_ros.memory.light_file import lights_path
     import rich
     from rich.markup import escape
 
     memory_file, journal, _ = _places(model)
     for path in (journal, lights_path(memory_file)):
-        delete_journal(path)  # Of lights, too: it is as good for any file beside a memory.
-        rich.print(f'Forgotten: {escape(str(path))}')
+        there = path.exists()
+        delete_learnt(path)
+        if there:
+            rich.print(f'Forgotten: {escape(str(path))}')
 
 
 @memory.command()

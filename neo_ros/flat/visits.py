@@ -1,5 +1,6 @@
 """The demo flat on the days after the training: furniture, light, a door, somebody who walks."""
 from dataclasses import dataclass, replace
+from functools import lru_cache
 import math
 from pathlib import Path
 
@@ -8,6 +9,7 @@ from neo_ros.flat.light import bake_light, chart_layout, LightMap, LightSources
 from neo_ros.flat.rooms import BEDROOM, DOOR, DOOR_TOP, LAMPS, WINDOWS
 from neo_ros.flat.shapes import paint, SolidBuilder, Solids
 from neo_ros.geometry import CameraPose
+from neo_ros.machine.files import whole_file
 import numpy as np
 
 # Where solids are put that somebody took away: nobody sees it there.
@@ -83,6 +85,7 @@ VISITS = (
     Visit(_FURNITURE[4], 'sun'), Visit(_FURNITURE[4], closed=True), Visit(_FURNITURE[4]))
 
 
+@lru_cache(maxsize=2)
 def visited_flat(visit: Visit, lights: Path) -> DemoFlat:
     """
     Return the flat as a visit finds it; furniture's shadows stay where they were.
@@ -156,7 +159,8 @@ def _lit(flat: DemoFlat, light: str, folder: Path) -> DemoFlat:
     path = folder / f'light_{light}.npy'
     if not path.exists():
         folder.mkdir(parents=True, exist_ok=True)
-        np.save(path, bake_light(build_demo_flat().solids, sources))
+        with whole_file(path) as partial, open(partial, 'wb') as file:
+            np.save(file, bake_light(build_demo_flat().solids, sources))
     lit = replace(flat.light, values=np.load(path).astype(np.float32))
     if light == 'evening':
         return replace(flat, light=lit, outside=0.01, exposure=EVENING_EXPOSURE)

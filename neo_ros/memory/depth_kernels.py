@@ -91,8 +91,8 @@ def _forget_contradicted(image, other, weight, window, half, limit, depth):
 
 
 @njit(**FAST)
-def trust(remembered, stretched, confidence, least_confidence, images, window, seen, half, limit,
-          depth):
+def fill_trusted_depth(remembered, stretched, confidence, least_confidence, images, window, seen,
+                       half, limit, depth):
     """
     Fill depth float32 (H, W) with what is remembered, or NaN where it is not to be told.
 

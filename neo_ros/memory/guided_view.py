@@ -33,7 +33,7 @@ class GuidedView:
         self._keep_lights: KeepLights | None = None
         self._images = 0  # In another light, since it was written.
         self._writing: threading.Thread | None = None
-        self._lights: list[Cells] = []
+        self._read_lights: Callable[[], list[Cells]] = list
 
     @classmethod
     def load(cls, path: Path, sha256: str, expansion: ViewExpansion, threads: int,
@@ -54,8 +54,8 @@ class GuidedView:
         view, shown = cls(guide), guide.warm_up()
         view.fuse(expansion.crop(shown.image).astype(np.uint8), shown)
         lights = lights_path(path)
-        view._lights = read_lights(lights, sha256, guide.light.empty)
-        guide.light.begin(view._lights)
+        view._read_lights = partial(read_lights, lights, sha256, guide.light.empty)
+        view.forget_light()
         if learn != 'never':
             guide.learner = Learner(memory, expansion, partial(
                 JournalWriter, journal, sha256, most_bytes(path.stat().st_size)),
@@ -114,8 +114,8 @@ class GuidedView:
         self._guide.reset()
 
     def forget_light(self) -> None:
-        """Begin with the lights that were read, as if nothing had been seen since."""
-        self._guide.light.begin(self._lights)
+        """Begin with the lights that lie beside the memory, as if nothing had been seen since."""
+        self._guide.light.begin(self._read_lights())
 
 
 def _write(keep: KeepLights, lights: Sequence[Cells]) -> None:

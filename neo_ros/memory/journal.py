@@ -87,9 +87,9 @@ def compact_journal(path: Path, memory_sha256: str, most: int) -> tuple[list[Pat
         writer.close()
 
 
-def delete_journal(path: Path) -> None:
+def delete_learnt(path: Path) -> None:
     """
-    Delete a journal, whatever the file holds, and what a kill left of one.
+    Delete a journal, or lights, whatever the file holds, and what a kill left of one.
 
     Raises ModelError where it cannot, and where another process learns into it, which would go on
     writing what nobody finds.

@@ -76,5 +76,5 @@ class MemoryRenderer:
                 kernels.draw_keyframe(mesh, own + STRETCHED * fill, fill, canvas)
         inverse = canvas.inverse
         depth = np.divide(1, inverse, out=np.zeros_like(inverse), where=inverse > 0)
-        light = None if self.light is None else self.light.shine(canvas.image, depth, pose, view)
+        light = None if self.light is None else self.light.relight(canvas.image, depth, pose, view)
         return GuideView(canvas.image, depth, canvas.rank >= STRETCHED, light)

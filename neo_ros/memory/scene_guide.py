@@ -178,7 +178,7 @@ class SceneGuide:
             lit = SceneLight(self._memory.positions, self.expansion, self.thresholds.light)
             lit.other = True
             lit.see(image.pixels, wide.image, wide.depth, pose)
-            lit.shine(wide.image, wide.depth, pose, self.expansion.target)
+            lit.relight(wide.image, wide.depth, pose, self.expansion.target)
         self.reset()
         return Guide(wide.image, known, wide.stretched, pose, sight.agreement, seen_before)
 

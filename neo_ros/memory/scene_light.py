@@ -86,8 +86,8 @@ class SceneLight:
         self.other = False
         self._go_on_from(None)
         # By how much the light differs from the photos', and from what was kept of it before.
-        self._off: float | None = None
-        self._left: float | None = None
+        self._deviation: float | None = None
+        self._residual: float | None = None
 
     def known(self) -> list[Cells]:
         """Return the lights of before and the one of now, the last of them."""
@@ -101,8 +101,8 @@ class SceneLight:
         self._from, self._calm = light, 0
         self._now = [cells.copy() for cells in (self.empty if light is None else light)]
 
-    def shine(self, image: np.ndarray, depth: np.ndarray, pose: CameraPose, view: Intrinsics
-              ) -> np.ndarray | None:
+    def relight(self, image: np.ndarray, depth: np.ndarray, pose: CameraPose, view: Intrinsics
+                ) -> np.ndarray | None:
         """
         Show a view of the memory, float32 RGB (H, W, 3), in the light of now, in place.
 
@@ -124,8 +124,8 @@ class SceneLight:
         """
         Take in an image, uint8 RGB (h, w, 3), and its wide view of the memory.
 
-        shown float32 RGB (H, W, 3), in the image's exposure and as `shine` left it; depth float32
-        (H, W) metres, 0 = unknown.
+        shown float32 RGB (H, W, 3), in the image's exposure and as `relight` left it; depth
+        float32 (H, W) metres, 0 = unknown.
         """
         limits = self.thresholds
         size = (self._source.width, self._source.height)
@@ -143,13 +143,14 @@ class SceneLight:
         ratio, points = ratio[usable], _points(self._rays, away, pose)[usable.ravel()]
         kept = self._at(points, self._now)
         light = ratio + kept if self.other else ratio
-        off, left = (_spread(one, trust, limits.counted) for one in (light, light - kept))
-        self._off = _towards(self._off, off, limits.averaged)
-        self._left = _towards(self._left, left, limits.averaged)
-        if self._left > limits.other:
+        off, left = (_trimmed_deviation(one, trust, limits.counted)
+                     for one in (light, light - kept))
+        self._deviation = _moving_average(self._deviation, off, limits.averaged)
+        self._residual = _moving_average(self._residual, left, limits.averaged)
+        if self._residual > limits.other:
             self._choose(points, light, trust, left)
         least, most = (limits.same, limits.worse) if self.other else (limits.other, limits.better)
-        if self._off > least and self._left < most * self._off:
+        if self._deviation > least and self._residual < most * self._deviation:
             self.other, self._calm = True, 0
         elif self.other:
             self._calm += 1
@@ -170,7 +171,7 @@ class SceneLight:
         others = [cells for cells in self.lights if cells is not self._from]
         if self.other:
             others.append(self.empty)
-        left = [_spread(light - self._at(points, cells), trust, limits.counted)
+        left = [_trimmed_deviation(light - self._at(points, cells), trust, limits.counted)
                 for cells in others]
         best = int(np.argmin(left)) if left else 0
         if not left or left[best] > limits.better * now:
@@ -180,7 +181,8 @@ class SceneLight:
         if others[best] is not self.empty:
             self.other = True
             self._go_on_from(others[best])
-        self._off, self._left = _spread(light, trust, limits.counted), left[best]
+        self._deviation = _trimmed_deviation(light, trust, limits.counted)
+        self._residual = left[best]
 
     def _at(self, points: np.ndarray, cells: Cells) -> np.ndarray:
         light = np.zeros_like(points)
@@ -192,11 +194,11 @@ class SceneLight:
         return light
 
 
-def _spread(light: np.ndarray, trust: np.ndarray, counted: float) -> float:
+def _trimmed_deviation(light: np.ndarray, trust: np.ndarray, counted: float) -> float:
     """
-    Return by how much logarithms (M, 3) differ from place to place; trust (M,) weighs them.
+    Return the mean absolute deviation of logarithms (M, 3) from their median, by trust (M,).
 
-    counted: of all trust, as much as differs least.
+    counted: of all trust, so much, that which differs least.
     """
     off = np.abs(light - np.median(light[trust > SURE], axis=0)).mean(-1)
     order = np.argsort(off)
@@ -206,7 +208,7 @@ def _spread(light: np.ndarray, trust: np.ndarray, counted: float) -> float:
     return float((trust[least] * off[least]).sum() / trust[least].sum())
 
 
-def _towards(before: float | None, now: float, share: float) -> float:
+def _moving_average(before: float | None, now: float, share: float) -> float:
     return now if before is None else before + share * (now - before)
 
 

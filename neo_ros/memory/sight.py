@@ -7,7 +7,7 @@ from typing import Literal, TYPE_CHECKING
 from neo_ros.geometry import CameraPose
 from neo_ros.memory.alignment import AlignmentThresholds, Drawn
 from neo_ros.memory.alignment_kernels import PhotoLevel
-from neo_ros.memory.depth_kernels import trust
+from neo_ros.memory.depth_kernels import fill_trusted_depth
 from neo_ros.memory.landmarks import LandmarkThresholds, Location
 from neo_ros.memory.local_features import Features
 from neo_ros.memory.pose_covariance import CovarianceThresholds
@@ -209,10 +209,10 @@ class Guide:
         assert self.remembered_depth is not None
         depth = np.empty_like(self.remembered_depth)
         rows, columns = self.observed
-        trust(self.remembered_depth, self.stretched, confidence, thresholds.least_confidence,
-              (self.image, wide_image), (rows.start, columns.start, rows.stop, columns.stop),
-              self.seen_before, thresholds.around // 2, np.float32(thresholds.contradiction),
-              depth)
+        fill_trusted_depth(
+            self.remembered_depth, self.stretched, confidence, thresholds.least_confidence,
+            (self.image, wide_image), (rows.start, columns.start, rows.stop, columns.stop),
+            self.seen_before, thresholds.around // 2, np.float32(thresholds.contradiction), depth)
         return depth
 
     def panorama(self, wide_image: np.ndarray, width: int) -> 'Panorama':

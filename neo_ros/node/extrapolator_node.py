@@ -277,6 +277,7 @@ class ExtrapolatorNode(LifecycleNode):
         """Let the next frame go through this model."""
         if self._model is not None:
             self._model.stop_learning()  # Both may have one journal.
+            model.forget_light()  # It was read before the other model wrote it.
         self._model = model
         self._statistics.forget_model()
         self._diagnosing.begin()

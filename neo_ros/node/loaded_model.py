@@ -22,6 +22,7 @@ class LoadedModel:
     card: ModelCard
     description: dict[str, str]
     stop_learning: Callable[[], None] = lambda: None
+    forget_light: Callable[[], None] = lambda: None
 
     @property
     def memory(self) -> bool:
@@ -46,7 +47,8 @@ def load_model(values: NodeParameters, load: Load = FovExtrapolator.load) -> Loa
                    if PROVIDERS[name] not in extrapolator.providers]:
         description['not here'] = ', '.join(missing)
     return LoadedModel(FrameProcessor(extrapolator, values.rectify), extrapolator.card,
-                       description, *((extrapolator.stop_learning,) if values.learn else ()))
+                       description, *((extrapolator.stop_learning, extrapolator.forget_light)
+                                      if values.learn else ()))
 
 
 def _describe_size(extrapolator: Extrapolator) -> dict[str, str]:

@@ -60,8 +60,8 @@ def asked_of_all(model: Path, card: ModelCard, options: ReplayOptions) -> dict[s
     learnt = []
     if card.memory is not None:
         memory = memory_path(model, card.memory)
-        learnt = [hashlib.sha256(path.read_bytes()).hexdigest()
-                  for path in (journal_path(memory), lights_path(memory)) if path.is_file()]
+        learnt = [_digest(path) for path in (journal_path(memory), lights_path(memory))
+                  if path.is_file()]
     return json.loads(json.dumps({
         'model': _digest(model), 'learnt': learnt, 'options': asdict(options),
         'neo_ros': __version__}))
@@ -184,5 +184,5 @@ def _attempt(out: Path) -> Iterator[Path]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def _digest(model: Path) -> str:
-    return hashlib.sha256(read_model_bytes(model)).hexdigest()
+def _digest(path: Path) -> str:
+    return hashlib.sha256(read_model_bytes(path)).hexdigest()

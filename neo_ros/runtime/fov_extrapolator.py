@@ -151,7 +151,7 @@ class FovExtrapolator:
             self._guided_view.reset()
 
     def forget_light(self) -> None:
-        """Forget in which light the scene was seen since the model was loaded."""
+        """Forget the light of now; the lights that are kept beside the memory are read again."""
         if self._guided_view is not None:
             self._guided_view.forget_light()
 

@@ -64,7 +64,7 @@ def _drive(bag: Path, extrapolator: FovExtrapolator, image_topic: str | None,
             assert frame.image is not None
             image = np.array(extrapolator.expansion.crop(frame.image))
             if guide.light is not None:
-                other, image = True, in_photos_light(image, guide.light)
+                other, image = True, _in_photos_light(image, guide.light)
             photos.append((image, guide.pose))
             if len(photos) == MOST_PHOTOS:
                 photos, metres, radians = photos[::2], 2 * metres, 2 * radians
@@ -75,7 +75,7 @@ def _drive(bag: Path, extrapolator: FovExtrapolator, image_topic: str | None,
     return Drive(list(images), list(poses), seen), other
 
 
-def in_photos_light(image: np.ndarray, light: np.ndarray) -> np.ndarray:
+def _in_photos_light(image: np.ndarray, light: np.ndarray) -> np.ndarray:
     """Bring an image, uint8 RGB (h, w, 3), out of a light, see `Guide.light`."""
     return np.rint(np.clip(image / light, 0, 255)).astype(np.uint8)
 

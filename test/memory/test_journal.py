@@ -8,7 +8,7 @@ from neo_ros.errors import ModelError
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.memory import journal
 from neo_ros.memory.journal import (
-    compact_journal, delete_journal, HEADER_BYTES, JournalWriter, MAGIC, most_bytes, read_journal,
+    compact_journal, delete_learnt, HEADER_BYTES, JournalWriter, MAGIC, most_bytes, read_journal,
     write_journal)
 from neo_ros.memory.patch import Patch
 import numpy as np
@@ -186,7 +186,7 @@ def test_what_another_process_learns_is_neither_deleted_nor_compacted(tmp_path: 
     writer = JournalWriter(path, MEMORY, 1 << 20)
     writer.append(PATCHES[:2])
     with pytest.raises(ModelError, match='another process'):
-        delete_journal(path)
+        delete_learnt(path)
     with pytest.raises(ModelError, match='another process'):
         compact_journal(path, MEMORY, 1 << 20)
     writer.append(PATCHES[2:])
@@ -216,14 +216,14 @@ def test_a_journal_that_was_replaced_meanwhile_is_opened_anew(
 def test_whatever_the_file_holds_it_is_deleted(tmp_path: Path) -> None:
     path = tmp_path / 'a.journal'
     partial = tmp_path / 'a.journal.partial'
-    delete_journal(path)
+    delete_learnt(path)
     path.write_bytes(b'something else')
     partial.write_bytes(b'left by a kill')
-    delete_journal(path)
+    delete_learnt(path)
     assert list(tmp_path.iterdir()) == []
     path.symlink_to(tmp_path / 'nowhere')
-    delete_journal(path)
+    delete_learnt(path)
     assert not path.is_symlink()
     path.mkdir()
     with pytest.raises(ModelError, match='cannot delete'):
-        delete_journal(path)
+        delete_learnt(path)

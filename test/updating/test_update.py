@@ -1,9 +1,9 @@
 """`neo update` from bag to folder: what has changed is changed, and nothing else."""
-import hashlib
 from pathlib import Path
 
 import cv2
 from neo_ros.bags import write_demo_bag
+from neo_ros.benchmark.killing import digests
 from neo_ros.benchmark.kills import ROOM
 from neo_ros.benchmark.small_room import (
     AFTER, BEFORE, cast_with_post, drive, HALF, look, WIDE, write_drive, write_room)
@@ -37,11 +37,6 @@ def base(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert 0 < update(folder / 'run', [folder / 'moved'], folder / 'new', experiment=ROOM)[0] <= 4
     assert digests(folder / 'run') == before
     return folder
-
-
-def digests(folder: Path) -> dict[Path, str]:
-    return {path: hashlib.sha256(path.read_bytes()).hexdigest()
-            for path in folder.rglob('*') if path.is_file()}
 
 
 def memory_of(folder: Path) -> SceneMemory:
