@@ -10,10 +10,12 @@ from typing import Literal, NamedTuple, TYPE_CHECKING
 
 import cv2
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
+from neo_ros.memory.change_kernels import SAME
 from neo_ros.memory.changes import Changes
 from neo_ros.memory.contradiction import contradicted, contradiction, ContradictionThresholds
 from neo_ros.memory.journal import JournalWriter
 from neo_ros.memory.patch import Patch
+from neo_ros.memory.scene_light import log_ratio, steadiness, SURE
 from neo_ros.memory.stereo import confirm, find_depth, Shot, StereoThresholds
 import numpy as np
 
@@ -91,9 +93,8 @@ class Learner:
         """
         Take in an image uint8 RGB (h, w, 3) and its wide view of the memory.
 
-        shown float32 RGB (H, W, 3), in the image's exposure and light, which are the memory's
-        times gain (3,) or (h, w, 3); depth float32 (H, W) metres, 0 = unknown. Nothing of it is
-        kept.
+        shown float32 RGB (H, W, 3), in the image's exposure, which is the memory's times gain
+        (3,); depth float32 (H, W) metres, 0 = unknown. Nothing of it is kept.
         """
         self._take_up()
         limits = self.thresholds
@@ -133,8 +134,6 @@ class Learner:
             image, shown = (cv2.resize(one, size, interpolation=cv2.INTER_AREA)
                             for one in (image, shown))
             depth = cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST_EXACT)
-            if gain.ndim > 1:
-                gain = cv2.resize(gain, size, interpolation=cv2.INTER_AREA)
         now, before = image.astype(np.float32) / gain, shown / gain
         limits = self.thresholds.contradiction
         score = contradiction(now, before, depth > 0, limits)
@@ -210,6 +209,7 @@ def find_patches(shots: Sequence[Shot], new: int, camera: Intrinsics, rays: np.n
     patches = []
     for index in range(len(shots) - new, len(shots)):
         depth = confirm(shots, index, stacked, camera, rays, limits)
+        depth[_lit_otherwise(shots[index], depth)] = 0
         if (depth > 0).sum() < thresholds.least_pixels:
             continue
         rows, columns = (np.flatnonzero(depth.any(axis)) for axis in (1, 0))
@@ -221,3 +221,14 @@ def find_patches(shots: Sequence[Shot], new: int, camera: Intrinsics, rays: np.n
             np.clip(shots[index].image[part] + 0.5, 0, 255).astype(np.uint8), depth[part],
             shots[index].stamp_ns, batch))
     return patches
+
+
+def _lit_otherwise(shot: Shot, depth: np.ndarray) -> np.ndarray:
+    """
+    Tell where a shot shows a surface of before in another light, bool (h, w).
+
+    The sun on a floor: at the same depth (h, w), and as much brighter as its neighbours.
+    """
+    known = (shot.depth > 0) & (depth > 0)
+    same = known & (np.abs(depth - shot.depth) < SAME * shot.depth)
+    return same & (steadiness(log_ratio(shot.image, shot.shown), shot.depth > 0) > SURE)

@@ -135,10 +135,9 @@ class SceneGuide:
         seen_before = self._recent.bring(solid, best.pose, gain)
         self._recent.keep(image.pixels, view.image, solid, best.pose, gain)
         light = None if view.light is None else view.light[self.expansion.observed]
-        if self.learner is not None:
-            self.learner.see(
-                image.pixels, view.image, solid, best.pose,
-                gain if light is None else gain * light, best.agreement)
+        # Another light would be learnt as a change.
+        if self.learner is not None and self.light.as_in_photos:
+            self.learner.see(image.pixels, view.image, solid, best.pose, gain, best.agreement)
         return Guide(view.image, known, view.stretched, best.pose, best.agreement, seen_before,
                      best.found, len(best.location.points) if best.location else 0, view.depth,
                      partial(self._covariance, best, image.photo[0]), self.expansion.observed,

@@ -89,6 +89,12 @@ class SceneLight:
         self._deviation: float | None = None
         self._residual: float | None = None
 
+    @property
+    def as_in_photos(self) -> bool:
+        """Whether the last images show the photos' light: what differs in them is no light."""
+        return not self.other and self._residual is not None and (
+            self._residual <= self.thresholds.same)
+
     def known(self) -> list[Cells]:
         """Return the lights of before and the one of now, the last of them."""
         if not self.other:
@@ -136,8 +142,8 @@ class SceneLight:
         darker = cv2.split(np.minimum(now, then))
         usable = (away > 0) & (np.maximum.reduce(darker) > limits.darkest) & (
             np.minimum.reduce(darker) < limits.brightest)
-        ratio = np.log((now + limits.black) / (then + limits.black))
-        trust = _steady(ratio, usable, limits)[usable]
+        ratio = log_ratio(now, then, limits)
+        trust = steadiness(ratio, usable, limits)[usable]
         if (trust > SURE).sum() < limits.least * usable.size:
             return
         ratio, points = ratio[usable], _points(self._rays, away, pose)[usable.ravel()]
@@ -226,7 +232,14 @@ def _points(rays: np.ndarray, depth: np.ndarray, pose: CameraPose) -> np.ndarray
         (rays * depth[..., None]).reshape(-1, 3) @ R.T + t, np.float32)
 
 
-def _steady(ratio: np.ndarray, usable: np.ndarray, limits: LightThresholds) -> np.ndarray:
+def log_ratio(now: np.ndarray, then: np.ndarray, limits: LightThresholds = LightThresholds()
+              ) -> np.ndarray:
+    """Return by how much an image float32 (h, w, 3) is brighter than another, as logarithms."""
+    return np.log((np.maximum(now, 0) + limits.black) / (np.maximum(then, 0) + limits.black))
+
+
+def steadiness(ratio: np.ndarray, usable: np.ndarray,
+               limits: LightThresholds = LightThresholds()) -> np.ndarray:
     """Return how far logarithms (h, w, 3) are those of another light, (h, w) up to 1."""
     side = (limits.around, limits.around)
     known = usable.astype(np.float32)

@@ -11,10 +11,11 @@ from neo_ros.cli.main import app
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.memory.changes import Changes, without_replaced
 from neo_ros.memory.journal import journal_path, JournalWriter, read_journal
-from neo_ros.memory.learning import Learner, LearningThresholds
+from neo_ros.memory.learning import _lit_otherwise, Learner, LearningThresholds
 from neo_ros.memory.patch import Patch
 from neo_ros.memory.rendering import MemoryRenderer
 from neo_ros.memory.scene_memory import SceneMemory
+from neo_ros.memory.stereo import Shot
 from neo_ros.runtime import FovExtrapolator, read_model_card
 import numpy as np
 import pytest
@@ -179,3 +180,20 @@ def kill_once(folder: Path, after: float) -> int:
 @pytest.mark.parametrize('after', [0.0, 0.003, 0.02, 0.05])
 def test_killed_at_any_moment_it_holds_whole_patches(tmp_path: Path, after: float) -> None:
     assert kill_once(tmp_path, after) >= 0
+
+
+@pytest.mark.parametrize('made, same_depth, light', [
+    ('brighter', True, True), ('brighter', False, False), ('repainted', True, False)], ids=str)
+def test_a_surface_in_the_sun_is_no_change(made: str, same_depth: bool, light: bool) -> None:
+    pose = planar(1.9, 1.7, 35)
+    shown, depth = (one.astype(np.float32) for one in view(pose, SOURCE))
+    part = (slice(20, 44), slice(16, 48))
+    image = shown.copy()
+    image[part] = 1.5 * shown[part] if made == 'brighter' else np.random.default_rng(0).uniform(
+        0, 255, shown[part].shape)
+    seen = np.zeros_like(depth)
+    seen[part] = depth[part] if same_depth else 0.7 * depth[part]
+    shot = Shot(pose, image, shown, depth, depth > 0, depth, 0)
+    # Where the window ends neighbours differ.
+    found = _lit_otherwise(shot, seen)[24:40, 20:44]
+    assert (found.mean() > 0.95) if light else (found.mean() < 0.3)

@@ -200,3 +200,16 @@ def test_a_light_can_be_forgotten() -> None:
     looks(light, narrow(0.1))
     light.begin([])
     assert not light.other and not light.known()
+
+
+@pytest.mark.parametrize('slope, learns', [(0.0, True), (0.1, False)], ids=['photos', 'other'])
+def test_in_another_light_nothing_is_learnt(slope: float, learns: bool) -> None:
+    light = SceneLight(MEMORY.positions, EXPANSION)
+    assert not light.as_in_photos
+    for pose in WALK:
+        # By day the memory is exact here.
+        shown, depth = view(pose, EXPANSION.target)
+        wide, away = shown.astype(np.float32), depth.astype(np.float32)
+        light.relight(wide, away, pose, EXPANSION.target)
+        light.see(np.array(EXPANSION.crop(lit(pose, slope))), wide, away, pose)
+        assert light.as_in_photos == learns
