@@ -45,7 +45,7 @@ LAW: dict[str, set[str]] = {
     # Reads bags, and changes what a training left.
     'updating': {'geometry', 'machine', 'pictures', 'scenes', 'field', 'memory', 'baking',
                  'runtime', 'messages', 'bags', 'reports', 'training', 'experiment', 'numba',
-                 'scipy', 'cv2'},
+                 'scipy', 'cv2', 'pycolmap'},
     # Trains with the pipeline, which itself scores with `evaluation`.
     'benchmark': {'geometry', 'machine', 'pictures', 'scenes', 'captures', 'flat', 'field',
                   'outpaint', 'runtime', 'memory', 'baking', 'messages', 'reports', 'evaluation',

@@ -25,7 +25,8 @@ from neo_ros.field.rendering import render_rays, to_uint8, world_rays
 from neo_ros.geometry import Band, CameraPose, Intrinsics, ViewExpansion
 from neo_ros.machine.evenly import evenly
 from neo_ros.machine.files import whole_file
-from neo_ros.machine.progress import no_stage_progress, of_stage, Progress, StageProgress
+from neo_ros.machine.progress import (
+    no_progress, no_stage_progress, of_stage, Progress, StageProgress)
 from neo_ros.memory.keyframe import compress, FINER, Keyframe
 from neo_ros.memory.scene_memory import Glances, SceneMemory
 from neo_ros.scenes.pose_sampling import PoseSampler
@@ -93,7 +94,7 @@ def bake_memory(field: RadianceField, photos: Photos, expansion: ViewExpansion,
                      np.stack([sampler.draw_rotation(random) for _ in range(500)]),
                      sampler.yaw_range)
     positions = keyframe_positions(sampler, photos, config.distance)
-    seen, gains = _seen_by_photos(field, photos, rules, of_stage(progress, 'depth of photos'))
+    seen, gains = seen_by_photos(field, photos, rules, of_stage(progress, 'depth of photos'))
     directions = NO_DIRECTIONS if hand_held(positions) else _put_on_planes(
         photos, seen, rules, of_stage(progress, 'planes of photos'))
     frames: list[tuple[bytes, bytes, Glances]] = []
@@ -124,8 +125,8 @@ def bake_memory(field: RadianceField, photos: Photos, expansion: ViewExpansion,
         np.concatenate([part.T_world_cam for part in glances])))
 
 
-def _seen_by_photos(field: RadianceField, photos: Photos, rules: BakingRules, progress: Progress
-                    ) -> tuple[np.ndarray, np.ndarray]:
+def seen_by_photos(field: RadianceField, photos: Photos, rules: BakingRules = BakingRules(),
+                   progress: Progress = no_progress) -> tuple[np.ndarray, np.ndarray]:
     """Return how far photos see, float32 (N, h, w) metres along the ray, and gains (N, 3)."""
     camera = _seeing_camera(photos.intrinsics, rules)
     seen = np.empty((len(photos.images), camera.height, camera.width), np.float32)
@@ -276,7 +277,7 @@ def bake_keyframe(field: RadianceField, photos: Photos, seen: np.ndarray, gains:
     """
     Render and colour a keyframe of a size as `keyframe_size` tells.
 
-    seen, gains: of the photos, see `_seen_by_photos`; directions: that planes face, see
+    seen, gains: of the photos, see `seen_by_photos`; directions: that planes face, see
     `with_planes`; part: rows and columns of the mesh that are made, None: all.
     """
     height, width, finer = size

@@ -31,7 +31,7 @@ class PhotoBank:
     def __init__(self, photos: PosedImages, scale: float, features: Sequence[Features]) -> None:
         self.photos, self.scale, self.features = photos, scale, features
         self.words = _learn_words(np.concatenate([one.descriptors for one in features]))
-        self.vectors = np.stack([self._vlad(one) for one in features])
+        self.vectors = np.stack([_vlad(one, self.words) for one in features])
 
     @property
     def megabytes(self) -> float:
@@ -40,17 +40,8 @@ class PhotoBank:
 
     def nearest(self, image_features: Features, count: int) -> np.ndarray:
         """Return the indices of the photos that look most like an image, best first."""
-        likeness = self.vectors @ self._vlad(image_features)
+        likeness = self.vectors @ _vlad(image_features, self.words)
         return np.argsort(-likeness, kind='stable')[:count]
-
-    def _vlad(self, features: Features) -> np.ndarray:
-        """Sum the residuals to the nearest words, each word's sum brought to length 1."""
-        vector = np.zeros_like(self.words)
-        if len(features.descriptors):
-            word = _nearest_word(features.descriptors, self.words)
-            np.add.at(vector, word, features.descriptors - self.words[word])
-        vector /= np.maximum(np.linalg.norm(vector, axis=1, keepdims=True), 1e-6)
-        return (vector / max(float(np.linalg.norm(vector)), 1e-6)).ravel()
 
 
 def read_photo_bank(photos: PosedImages, scale: float, cache: Path,
@@ -83,6 +74,23 @@ def read_photo_bank(photos: PosedImages, scale: float, cache: Path,
     ends = np.cumsum(counts)[:-1]
     return PhotoBank(photos, scale, [
         Features(*pair) for pair in zip(np.split(points, ends), np.split(descriptors, ends))])
+
+
+def likeness_of(features: Sequence[Features]) -> np.ndarray:
+    """Return how much images (N) with these features look like one another, float32 (N, N)."""
+    words = _learn_words(np.concatenate([one.descriptors for one in features]))
+    vectors = np.stack([_vlad(one, words) for one in features])
+    return vectors @ vectors.T
+
+
+def _vlad(features: Features, words: np.ndarray) -> np.ndarray:
+    """Sum the residuals to the nearest words, each word's sum brought to length 1."""
+    vector = np.zeros_like(words)
+    if len(features.descriptors):
+        word = _nearest_word(features.descriptors, words)
+        np.add.at(vector, word, features.descriptors - words[word])
+    vector /= np.maximum(np.linalg.norm(vector, axis=1, keepdims=True), 1e-6)
+    return (vector / max(float(np.linalg.norm(vector)), 1e-6)).ravel()
 
 
 def _of_scene(features: Features, usable: np.ndarray | None) -> Features:

@@ -28,6 +28,7 @@ def update(
     """
     Change a trained scene where bags show that it has changed, and nowhere else.
 
+    Places that no photo showed, such as a room whose door was closed, are added.
     Leaves model, scene memory, field, photos and report.html in OUT; RUN stays as it is. Broken
     off? Run the same command again.
     """
@@ -44,7 +45,7 @@ def update(
         places = update_run(run, bags, out, options, scene,
                             None if config is None else read_experiment(config), show)
     for bag, count in zip(bags, places):
-        what = f'{count} changed places' if count else 'nothing has changed'
+        what = f'{count} changed or new places' if count else 'nothing has changed'
         rich.print(f'{escape(bag.name)}: {what}')
     if not any(places):
         rich.print('Nothing is written: the run is up to date.')

@@ -266,7 +266,7 @@ class FieldTrainer:
         """
         rules, nearest = self.rules, math.inf
         stride = max(int(math.sqrt(self.images[0, ..., 0].size / rules.near_pixels)), 1)
-        for rays_o, rays_d in self._photo_rays(stride):
+        for rays_o, rays_d in self.photo_rays(stride):
             shown = render_rays(self.placed, rays_o, rays_d)
             depth = np.where(shown.opacity > 0.9, shown.depth, np.inf)
             nearest = min(nearest, float(np.percentile(
@@ -284,12 +284,12 @@ class FieldTrainer:
             raise SceneError(
                 'field: the photos left nothing in it; are the poses right (OpenGL camera axes, '
                 'metres), and field.steps enough?')
-        self.placed.mark_seen(self._photo_rays())
+        self.placed.mark_seen(self.photo_rays())
         found = self.placed.home().of_seen_cells()
         found.near = self.view_near
         return found
 
-    def _photo_rays(self, stride: int = 1) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    def photo_rays(self, stride: int = 1) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Yield each photo's rays_o and rays_d (R, 3), through every `stride`th row and column."""
         directions = self.rays[1][::stride, ::stride].reshape(-1, 3)
         for photo, (rotation, origin) in enumerate(zip(self.rotations, self.origins)):

@@ -148,6 +148,18 @@ class SceneMemory:
             textures[index], depths[index] = compress(keyframe)
         return SceneMemory(self.positions, self.band, textures, depths, self.glances, landmarks)
 
+    def with_more(self, keyframes: Sequence[Keyframe], glances: Sequence[Glances],
+                  landmarks: Landmarks | None) -> 'SceneMemory':
+        """Return the memory with more keyframes of its size and glances, and other landmarks."""
+        more = [compress(keyframe) for keyframe in keyframes]
+        every = (self.glances, *glances)
+        return SceneMemory(
+            np.concatenate([self.positions, *(one.position[None] for one in keyframes)]),
+            self.band, [*self._textures, *(one[0] for one in more)],
+            [*self._depths, *(one[1] for one in more)],
+            Glances(np.concatenate([part.pictures for part in every]),
+                    np.concatenate([part.T_world_cam for part in every])), landmarks)
+
     def write(self, path: Path) -> str:
         """Write the memory; returns the file's SHA-256, for the model's card."""
         band = self.band

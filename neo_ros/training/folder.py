@@ -51,7 +51,9 @@ def claim(out: Path, scene: Scene, experiment: Experiment,
 
 def note_update(out: Path, run: Path, scene: Scene) -> None:
     """Note in a new folder that it holds the run in the folder `run`, of more photos."""
-    note = {**_read_run_note(run / RUN_FILE), 'photos': list_digest(scene.train)[:12]}
+    floor = None if scene.walkable is None else floor_digest(scene.walkable)[:12]
+    note = {**_read_run_note(run / RUN_FILE), 'photos': list_digest(scene.train)[:12],
+            'floor': floor}
     note.pop('folder', None)
     write_bytes(out / RUN_FILE, json.dumps(note).encode())
 

@@ -31,7 +31,7 @@ def bake_changes(field: VoxelField, space: ChangedSpace, memory: SceneMemory, ph
     whose surface was, and is, outside of the space are the old ones.
     """
     changed = {}
-    directions = _directions(memory)
+    directions = directions_of(memory)
     for index, old in enumerate(memory.each()):
         rays = memory.band.rays(*old.depth.shape)
         met = space.met_by(field, old.position, rays, (1 + rules.one_surface) * old.depth)
@@ -50,7 +50,8 @@ def bake_changes(field: VoxelField, space: ChangedSpace, memory: SceneMemory, ph
     return changed
 
 
-def _directions(memory: SceneMemory) -> np.ndarray:
+def directions_of(memory: SceneMemory) -> np.ndarray:
+    """Return the directions that the surfaces of a scene face, see `dominant_directions`."""
     if hand_held(memory.positions):
         return NO_DIRECTIONS
     depths = [memory.keyframe(int(index)).depth

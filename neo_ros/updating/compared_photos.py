@@ -53,10 +53,23 @@ class ComparedPhotos:
         """Return where a photo was taken."""
         return CameraPose(self.photos.T_world_cam[index])
 
+    def first(self, count: int) -> 'ComparedPhotos':
+        """Return the first photos alone."""
+        photos = self.photos
+        assert photos.usable is not None
+        return ComparedPhotos(
+            Photos(photos.images[:count], photos.intrinsics, photos.T_world_cam[:count],
+                   photos.usable[:count]), self.gains[:count], self.depth[:count],
+            self.contradicts[:count], self.agrees[:count], self.old)
+
 
 def compare(photos: Photos, old: int, memory: SceneMemory, progress: Progress = no_progress,
-            rules: WitnessRules = WitnessRules()) -> ComparedPhotos:
-    """Compare photos, of which the first `old` are those that the memory was made of."""
+            rules: WitnessRules = WitnessRules(), elsewhere: int = 0) -> ComparedPhotos:
+    """
+    Compare photos, of which the first `old` are those that the memory was made of.
+
+    elsewhere: so many, the last ones, are of where it shows nothing; they have no say.
+    """
     camera, renderer = photos.intrinsics, MemoryRenderer(memory)
     assert photos.usable is not None
     usable = photos.usable.copy()
@@ -64,7 +77,7 @@ def compare(photos: Photos, old: int, memory: SceneMemory, progress: Progress = 
     gains = np.ones((len(photos.images), 3), np.float32)
     depth = np.zeros(usable.shape, np.float32)
     off = np.zeros_like(usable)
-    poses = list(map(CameraPose, photos.T_world_cam))
+    poses = list(map(CameraPose, photos.T_world_cam[:len(photos.images) - elsewhere]))
     # Those near one another one after the other: few keyframes are kept decoded.
     order = sorted(range(len(poses)), key=lambda index: int(
         renderer.nearest(poses[index].position, 1)[0]))

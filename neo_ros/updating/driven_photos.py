@@ -1,9 +1,10 @@
 """Photos out of a bag: images of which the scene memory knows where they were taken."""
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import cast
+from typing import cast, NamedTuple
 
+import cv2
 from neo_ros.bags import BagReader
 from neo_ros.bags.camera_topics import as_raw_image, find_camera
 from neo_ros.errors import BagError, ImageRejected
@@ -19,15 +20,36 @@ import numpy as np
 
 # Of a bag so many photos are kept at most; of a longer one those that are farther apart.
 MOST_PHOTOS = 400
+# Images without a pose are kept where they differ from the one before by so many grey levels.
+LOST_ACROSS, LOST_APART = 16, 3.0
+
+
+class LostImage(NamedTuple):
+    """An image whose pose the memory does not know, uint8 RGB (h, w, 3), and its number."""
+
+    image: np.ndarray
+    number: int
 
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """Photos of a bag, uint8 RGB (h, w, 3) each, their poses, and how many images it has."""
+    """
+    Photos of a bag, uint8 RGB (h, w, 3) each, their poses, and how many images it has.
+
+    numbers: of the photos in the bag; lost: images between them.
+    """
 
     images: list[np.ndarray]
     poses: list[CameraPose]
     seen: int
+    numbers: list[int]
+    lost: list[LostImage]
+
+    def with_more(self, images: list[np.ndarray], poses: list[CameraPose],
+                  numbers: list[int]) -> 'Drive':
+        """Return the drive with more photos behind the others."""
+        return replace(self, images=self.images + images, poses=self.poses + poses,
+                       numbers=self.numbers + numbers)
 
 
 def drive_through(bag: Path, extrapolator: FovExtrapolator, image_topic: str | None = None,
@@ -51,28 +73,49 @@ def _drive(bag: Path, extrapolator: FovExtrapolator, image_topic: str | None,
            info_topic: str | None, rectify: bool, progress: Progress, limits: LearningThresholds
            ) -> tuple[Drive, bool]:
     """Return the drive, and whether a photo of it was taken in another light."""
-    other, photos = False, list[tuple[np.ndarray, CameraPose]]()
+    other, photos = False, list[tuple[np.ndarray, CameraPose, int]]()
     seen, metres, radians = 0, limits.metres, limits.radians
+    lost = _LostImages()
     extrapolator.reset()
     with BagReader(bag) as reader:
         for frame in _frames(reader, extrapolator, image_topic, info_topic, rectify, progress):
             seen += 1
             guide = cast(Guide | None, frame.guide)
-            if guide is None or guide.agreement < limits.least_agreement or (
-                    photos and not guide.pose.is_apart(photos[-1][1], metres, radians)):
-                continue
             assert frame.image is not None
             image = np.array(extrapolator.expansion.crop(frame.image))
+            if guide is None or guide.agreement < limits.least_agreement:
+                lost.add(image, seen)
+                continue
+            if photos and not guide.pose.is_apart(photos[-1][1], metres, radians):
+                continue
             if guide.light is not None:
                 other, image = True, _in_photos_light(image, guide.light)
-            photos.append((image, guide.pose))
+            photos.append((image, guide.pose, seen))
             if len(photos) == MOST_PHOTOS:
                 photos, metres, radians = photos[::2], 2 * metres, 2 * radians
     if not photos:
         raise BagError(f'{bag}: of {seen} images none shows the scene of '
                        f'{extrapolator.card.scene_id}; give bags of the same place and camera')
-    images, poses = zip(*photos)
-    return Drive(list(images), list(poses), seen), other
+    images, poses, numbers = zip(*photos)
+    return Drive(list(images), list(poses), seen, list(numbers), lost.kept), other
+
+
+class _LostImages:
+    """Keeps images that differ; of too many every second one, and then those that differ more."""
+
+    def __init__(self) -> None:
+        self.kept: list[LostImage] = []
+        self._apart, self._last = LOST_APART, np.full((LOST_ACROSS, LOST_ACROSS), np.inf)
+
+    def add(self, image: np.ndarray, number: int) -> None:
+        small = cv2.resize(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), (LOST_ACROSS, LOST_ACROSS),
+                           interpolation=cv2.INTER_AREA).astype(float)
+        if np.abs(small - self._last).mean() < self._apart:
+            return
+        self._last = small
+        self.kept.append(LostImage(image, number))
+        if len(self.kept) == MOST_PHOTOS:
+            self.kept, self._apart = self.kept[::2], 2 * self._apart
 
 
 def _in_photos_light(image: np.ndarray, light: np.ndarray) -> np.ndarray:

@@ -62,7 +62,7 @@ def refit(field: VoxelField, space: ChangedSpace, compared: ComparedPhotos, conf
                 sharpness=0.0), seed, usable=usable)
     trainer.camera.log_gain = -np.log(compared.gains).astype(np.float32)
     trainer.change_only(*opened(field, space))
-    _fit(trainer, rules.new_alone, progress)
+    fit_until(trainer, rules.new_alone, progress)
     fitted = trainer.field
     space = truly_changed(field, fitted, usable, compared, space, rules)
     if not space.places:
@@ -74,12 +74,13 @@ def refit(field: VoxelField, space: ChangedSpace, compared: ComparedPhotos, conf
     usable[:] = space.reached_by(field, compared, beyond)
     usable[:compared.old] &= agreeing(narrower, compared, usable)[:compared.old]
     trainer.change_only(narrower, points)
-    _fit(trainer, 1.0, progress)
+    fit_until(trainer, 1.0, progress)
     usable[:compared.old] = False
     return _finished(field, trainer.field, space, usable, compared), space
 
 
-def _fit(trainer: FieldTrainer, share: float, progress: Progress) -> None:
+def fit_until(trainer: FieldTrainer, share: float, progress: Progress) -> None:
+    """Fit on until a share of the fit is done."""
     while trainer.share < share:
         trainer.train_step()
         progress(*trainer.done)

@@ -7,10 +7,9 @@ import shutil
 import time
 
 import cv2
-from neo_ros.baking.keyframes import BakingRules, clear_pixels, Photos
-from neo_ros.errors import ConfigError, ModelError, SceneError
+from neo_ros.baking.keyframes import BakingRules, MemoryConfig, Photos
+from neo_ros.errors import ConfigError
 from neo_ros.experiment import Experiment
-from neo_ros.field.mesh_field import MeshField
 from neo_ros.field.rendering import render_rays, world_rays
 from neo_ros.field.voxel_field import VoxelField
 from neo_ros.machine.files import make_output_folder, see_to_disk, share_file
@@ -18,20 +17,22 @@ from neo_ros.machine.progress import no_stage_progress, of_stage, StageProgress
 from neo_ros.memory.landmarks import Landmarks
 from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.reports.report import Section, write_report
-from neo_ros.runtime import FovExtrapolator, ModelCard
-from neo_ros.runtime.fov_extrapolator import memory_path
-from neo_ros.runtime.model_card import MemoryFile, read_model_card, Update, write_model_card
-from neo_ros.scenes.scene import Scene
+from neo_ros.runtime import FovExtrapolator
+from neo_ros.runtime.model_card import MemoryFile, Update, write_model_card
 from neo_ros.scenes.upright import read_upright_scene
-from neo_ros.training.folder import check_run, note_update, scene_folder
-from neo_ros.training.time_plan import PLAN_FILE, read_plan
+from neo_ros.training.folder import note_update, scene_folder
+from neo_ros.training.time_plan import PLAN_FILE
 from neo_ros.updating.changed_keyframes import bake_changes
 from neo_ros.updating.changed_space import ChangedSpace, find_changed_space
 from neo_ros.updating.compared_photos import compare, ComparedPhotos
 from neo_ros.updating.driven_photos import Drive, drive_through
+from neo_ros.updating.growth import grow, Growth, stand_outside
 from neo_ros.updating.more_photos import write_more_photos
+from neo_ros.updating.new_keyframes import joined_floor, new_floor, new_positions, with_place
+from neo_ros.updating.placing import place_lost
 from neo_ros.updating.refit import agreeing, refit
 from neo_ros.updating.update_report import update_sections
+from neo_ros.updating.update_run import UpdateRun
 import numpy as np
 
 
@@ -43,38 +44,6 @@ class UpdateOptions:
     info_topic: str | None = None
     rectify: bool = False
     minutes: float | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class UpdateRun:
-    """A finished run: its folder, scene, settings and model."""
-
-    folder: Path
-    scene: Scene
-    experiment: Experiment
-    model: Path
-    card: ModelCard
-    memory: Path
-
-    @classmethod
-    def find(cls, folder: Path, scene: Path | None, experiment: Experiment | None) -> 'UpdateRun':
-        """Raise NeoError for a folder that is no finished run with a memory and a fitted field."""
-        if experiment is None:
-            planned = (folder / PLAN_FILE).exists()
-            experiment = read_plan(folder).experiment if planned else Experiment()
-        found = read_upright_scene(scene or scene_folder(folder))
-        check_run(folder, found, experiment)
-        if not (folder / 'field.npz').exists():
-            raise SceneError(f'{folder}: expected a finished run with its field.npz, there is '
-                             'none; train it to the end, or anew')
-        if MeshField.load(folder / 'field.npz') is not None:
-            raise SceneError(f'{folder}: expected a field that was fitted to photos, got a mesh '
-                             'or splats, which cannot be changed in part')
-        model = folder / f'{found.name}.onnx'
-        card = read_model_card(model)
-        if card.memory is None:
-            raise ModelError(f'{model}: expected a model with a scene memory; it has none')
-        return cls(folder, found, experiment, model, card, memory_path(model, card.memory))
 
 
 def update(run: Path, bags: Sequence[Path], out: Path, options: UpdateOptions = UpdateOptions(),
@@ -130,18 +99,32 @@ def update_once(run: UpdateRun, bag: Path, out: Path, options: UpdateOptions,
                           options.info_topic, options.rectify, of_stage(progress, bag.name))
     field = VoxelField.load(run.folder / 'field.npz')
     before = SceneMemory.read(memory_file, named.sha256)
-    compared = compare(_small_photos(run, drive), len(run.scene.train), before,
-                       of_stage(progress, 'photos'))
+    drive, compared, growth = _grown(run, field, before, drive, options.minutes, progress)
+    if growth is not None:
+        field = growth.field
     space = find_changed_space(field, compared)
     if space.places:
         field, space = refit(field, space, compared, run.experiment.field, run.experiment.seed,
                              options.minutes, of_stage(progress, 'field'))
+    landmarks = _landmarks_outside(before.landmarks, field, space)
+    if growth is not None:
+        space = growth.joined(space)
     if not space.places:
         return None
     photos, seen, gains, chosen = _photos_that_see(run, field, space, drive, compared)
-    after = before.replaced(
+    after, scene = before.replaced(
         bake_changes(field, space, before, photos, seen, gains, of_stage(progress, 'keyframes')),
-        _landmarks_outside(before.landmarks, field, space))
+        landmarks), run.scene
+    if growth is not None:
+        growth = replace(growth, field=field)
+        floor = new_floor(growth, run.card.expansion.source, run.experiment.sampling,
+                          scene.walkable)
+        memory_config = run.experiment.memory or MemoryConfig()
+        after = with_place(
+            after, before, growth, new_positions(growth, floor, before, memory_config.distance),
+            photos, seen, gains, run.card.expansion.source, of_stage(progress, 'new keyframes'))
+        if floor is not None and scene.walkable is not None:
+            scene = replace(scene, walkable=joined_floor(scene.walkable, floor))
     sha256 = after.write(memory_file)
     field.save(out / 'field.npz')
     write_model_card(model, replace(
@@ -149,51 +132,39 @@ def update_once(run: UpdateRun, bag: Path, out: Path, options: UpdateOptions,
         updates=(*run.card.updates, Update(
             memory=named.sha256, bag=bag.name, photos=len(drive.poses),
             at=f'{datetime.now(timezone.utc):%Y-%m-%d %H:%M:%S}'))))
-    write_more_photos(out / run.scene.name, run.scene, chosen, photos)
+    write_more_photos(out / run.scene.name, scene, chosen, photos)
     note_update(out, run.folder, read_upright_scene(out / run.scene.name))
     for name in (PLAN_FILE, 'field.json'):
         if (run.folder / name).exists():
             share_file(run.folder / name, out / name)
     return len(space.places), update_sections(
-        bag.name, run.scene, run.card.expansion, drive, compared, space, before, after,
-        time.monotonic() - started)
+        bag.name, scene, run.card.expansion, drive, compared, space, before, after,
+        time.monotonic() - started, growth)
 
 
-def _small_photos(run: UpdateRun, drive: Drive) -> Photos:
-    """Return all photos of the run, and behind them the new ones, as fine as the field shows."""
-    train, scale = run.scene.train, run.experiment.scale
-    camera = train.intrinsics.scaled(scale)
-    small = camera.scaled(min(BakingRules.photo_focal / camera.fx, 1.0))
-    count = len(train) + len(drive.poses)
-    images = np.empty((count, small.height, small.width, 3), np.uint8)
-    usable = np.ones(images.shape[:3], bool)
-    for index in range(count):
-        image, mask = _photo(run, drive, index)
-        images[index] = cv2.resize(image, (small.width, small.height),
-                                   interpolation=cv2.INTER_AREA)
-        if not mask.all():
-            usable[index] = clear_pixels(mask, small)
-    return Photos(images, small, np.concatenate(
-        [train.T_world_cam, np.stack([pose.T_world_cam for pose in drive.poses])]), usable)
-
-
-def _photo(run: UpdateRun, drive: Drive, index: int) -> tuple[np.ndarray, np.ndarray]:
-    """
-    Return photo `index` of the run, or of the drive behind them, and what of it is usable.
-
-    uint8 RGB (H, W, 3), bool (H, W); a photo of the drive stands in the middle of a black one.
-    """
-    train, scale = run.scene.train, run.experiment.scale
-    camera = train.intrinsics.scaled(scale)
-    if index < len(train):
-        mask = train.read_usable(index, scale)
-        return train.read_image(index, scale), (
-            np.ones((camera.height, camera.width), bool) if mask is None else mask)
-    image = np.zeros((camera.height, camera.width, 3), np.uint8)
-    usable = np.zeros(image.shape[:2], bool)
-    window = camera.window(run.card.expansion.source)
-    image[window], usable[window] = drive.images[index - len(train)], True
-    return image, usable
+def _grown(run: UpdateRun, field: VoxelField, before: SceneMemory, drive: Drive,
+           minutes: float | None, progress: StageProgress
+           ) -> tuple[Drive, ComparedPhotos, Growth | None]:
+    """Return the drive, its photos compared, and the place that it shows and the scene had not."""
+    train = len(run.scene.train)
+    tied = place_lost(drive, run.card.expansion.source, of_stage(progress, 'poses of lost images'))
+    placed, known = len(tied.poses), len(drive.poses)
+    longer = drive.with_more([one.image for one in tied.images], tied.poses,
+                             [one.number for one in tied.images])
+    compared = compare(run.photos(longer, range(train + known + placed), run.small_camera), train,
+                       before, of_stage(progress, 'photos'), elsewhere=placed)
+    outside = stand_outside(compared, placed)
+    growth = None
+    if len(outside):
+        chosen = [train + index for index in (*tied.beside, *range(known, known + placed))]
+        fit_camera = run.scene.train.intrinsics.scaled(run.experiment.field_scale)
+        growth = grow(field, compared, outside, tied, chosen,
+                      run.photos(longer, chosen, fit_camera),
+                      run.experiment.field_config(run.scene.walkable is not None),
+                      run.experiment.seed, minutes, of_stage(progress, 'new place'))
+    if growth is None:  # What was placed in the scene as it was teaches nothing new.
+        return drive, compared.first(train + known), None
+    return longer, compared, growth
 
 
 def _photos_that_see(run: UpdateRun, field: VoxelField, space: ChangedSpace, drive: Drive,
@@ -210,8 +181,8 @@ def _photos_that_see(run: UpdateRun, field: VoxelField, space: ChangedSpace, dri
     reached[compared.old:] = compared.photos.usable[compared.old:]
     chosen = [index for index, pixels in enumerate(reached) if pixels.any()]
     agree = agreeing(field, compared, reached)
-    photos, masks = zip(*(_photo(run, drive, index) for index in chosen))
-    camera = run.scene.train.intrinsics.scaled(run.experiment.scale)
+    photos, masks = zip(*(run.photo(drive, index) for index in chosen))
+    camera = run.camera
     seen, usable = compared.depth[chosen], np.stack(masks)
     for place, index in enumerate(chosen):
         origin, rays = world_rays(small, compared.pose(index))

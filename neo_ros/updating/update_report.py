@@ -9,6 +9,7 @@ from neo_ros.scenes.scene import Scene
 from neo_ros.updating.changed_space import ChangedPlace, ChangedSpace
 from neo_ros.updating.compared_photos import ComparedPhotos
 from neo_ros.updating.driven_photos import Drive
+from neo_ros.updating.growth import Growth
 import numpy as np
 
 STRIPS, MOST_PLACES = 4, 20
@@ -19,10 +20,15 @@ _PHOTO, _CHANGED = (150, 155, 165), (200, 40, 40)
 
 def update_sections(bag: str, scene: Scene, expansion: ViewExpansion, drive: Drive,
                     compared: ComparedPhotos, space: ChangedSpace, before: SceneMemory,
-                    after: SceneMemory, seconds: float) -> list[Section]:
+                    after: SceneMemory, seconds: float, growth: Growth | None = None
+                    ) -> list[Section]:
     """Return the part of a report that tells of one bag."""
+    what = 'changed places' if growth is None else 'changed or new places, the first is new'
     intro = (f'{len(drive.poses)} photos out of {drive.seen} images show {len(space.places)} '
-             f'changed places; the update took {seconds / 60:.1f} minutes.')
+             f'{what}; the update took {seconds / 60:.1f} minutes.')
+    if drive.lost and growth is None:
+        intro += (f' Of {len(drive.lost)} more nobody knows where they were taken, or they show '
+                  'no place that is new.')
     rows = [(str(number), *(f'{low:.2f} to {high:.2f}'
                             for low, high in zip(place.low, place.high)), str(place.photos))
             for number, place in enumerate(space.places[:MOST_PLACES], 1)]
@@ -32,7 +38,8 @@ def update_sections(bag: str, scene: Scene, expansion: ViewExpansion, drive: Dri
             Picture('Changed places from above', _plan(scene, drive, space.places), (
                 'Red, with the numbers of the table: what may have changed. Grey: where photos '
                 'were taken, and where they looked. Pale green: free floor.')),
-            *_strips(expansion, drive, compared, before, after)]
+            *_strips(expansion, drive, compared, before, after),
+            *([] if growth is None else _new_place(expansion, drive, growth, before, after))]
 
 
 def _plan(scene: Scene, drive: Drive, places: list[ChangedPlace]) -> np.ndarray:
@@ -73,6 +80,34 @@ def _strips(expansion: ViewExpansion, drive: Drive, compared: ComparedPhotos,
                                     np.uint8)) for name, renderer in renderers.items())]))
     return [Text('Views of the bag that showed most of it, and what the memory shows there.',
                  'Before and after'), *strips]
+
+
+def _new_place(expansion: ViewExpansion, drive: Drive, growth: Growth, before: SceneMemory,
+               after: SceneMemory) -> list[Section]:
+    """Return what was added; growth.T are among the drive's last poses."""
+    tied, first = len(growth.tied.poses), len(drive.poses) - len(growth.tied.poses)
+    intro = (f'Of {len(drive.lost)} images whose pose the memory did not know {tied} were placed '
+             f'by what they have in common with others, {len(drive.lost) - tied} could not be; '
+             f'{len(growth.T)} were taken where no photo was before. '
+             f'{len(after.positions) - len(before.positions)} keyframes are new, '
+             f'{_landmarks(after) - _landmarks(before)} landmarks more than before.')
+    strips: list[Section] = []
+    chosen: list[CameraPose] = []
+    renderer = MemoryRenderer(after)
+    for image, pose in zip(drive.images[first:], drive.poses[first:]):
+        if len(chosen) == STRIPS:
+            break
+        if (growth.T == pose.T_world_cam).all((1, 2)).any() and all(
+                _apart(pose, other) for other in chosen):
+            chosen.append(pose)
+            strips.append(Strip('The memory did not know where the camera was', [
+                ('before', _in_place(image, expansion)),
+                ('now', renderer.render(pose, expansion.target).image.astype(np.uint8))]))
+    return [Text(intro, 'The new place'), *strips]
+
+
+def _landmarks(memory: SceneMemory) -> int:
+    return 0 if memory.landmarks is None else len(memory.landmarks.points)
 
 
 def _apart(one: CameraPose, other: CameraPose) -> bool:

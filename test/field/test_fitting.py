@@ -99,7 +99,7 @@ def test_what_a_mask_leaves_out_is_never_drawn(images: np.ndarray) -> None:
     row = CAMERA.fy * down / ahead + CAMERA.cy
     assert row.max() < 3 and len(set(photo)) == len(images) - 1
     # The field is not known by rays that a mask leaves out, either.
-    assert [len(rays) for rays, _ in fit._photo_rays()] == [3 * CAMERA.width] * (len(images) - 1)
+    assert [len(rays) for rays, _ in fit.photo_rays()] == [3 * CAMERA.width] * (len(images) - 1)
     with pytest.raises(SceneError, match='masks: expected pixels that are not left out'):
         FieldTrainer(images, CAMERA, np.stack([pose.T_world_cam for pose in POSES]),
                      FieldConfig(**SETTINGS), 0, usable=np.zeros_like(usable))

@@ -1,0 +1,209 @@
+"""A place that the scene did not have: fitted by itself, and taken into the scene's field."""
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+import logging
+
+from neo_ros.baking.keyframes import Photos, seen_by_photos
+from neo_ros.errors import SceneError
+from neo_ros.field import kernels
+from neo_ros.field.config import FieldConfig
+from neo_ros.field.enlarging import enlarged, filled
+from neo_ros.field.fitting import FieldTrainer
+from neo_ros.field.rendering import render_rays, world_rays
+from neo_ros.field.voxel_field import AIR_KEPT, dilated, VoxelField
+from neo_ros.geometry import CameraPose
+from neo_ros.machine.progress import no_progress, Progress
+from neo_ros.updating.changed_space import ChangedPlace, ChangedSpace
+from neo_ros.updating.compared_photos import ComparedPhotos
+from neo_ros.updating.kernels import count_votes, pinholes
+from neo_ros.updating.placing import Placed
+from neo_ros.updating.refit import fit_until
+import numpy as np
+from scipy import ndimage
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class GrowthRules:
+    """When a place is new, and how it is fitted."""
+
+    # Photos that were taken where fewer than so many photos of before look: so many make a place.
+    least_looks: int = 2
+    least_photos: int = 8
+    # Each pixel is fitted so often.
+    passes: float = 6.0
+    least_steps: int = 1200
+    most_steps: int = 6000
+    # Of the steps the place is fitted in a field of its own, with its own box, coarse to fine;
+    # then in the scene's.
+    alone: float = 0.7
+    # Cells behind a surface that are seen with it.
+    behind: float = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class Growth:
+    """
+    A field with a new place, and the poses of photos that were taken in it, (M, 4, 4).
+
+    space: its cells; tied: all images that were placed, and what they show.
+    """
+
+    field: VoxelField
+    space: ChangedSpace
+    T: np.ndarray
+    tied: Placed
+
+    def joined(self, changed: ChangedSpace) -> ChangedSpace:
+        """Return the new place, and behind it what has changed."""
+        return ChangedSpace(self.space.cells | changed.cells,
+                            [*self.space.places, *changed.places])
+
+
+def stand_outside(compared: ComparedPhotos, placed: int, rules: GrowthRules = GrowthRules()
+                  ) -> np.ndarray:
+    """Return which of the last photos were taken where none of before looks; none if few were."""
+    count = len(compared.photos.images)
+    new = np.arange(count - placed, count)
+    outside = new[_looks(compared.photos.T_world_cam[new, :3, 3], compared,
+                         slice(compared.old), 0) < rules.least_looks]
+    return outside if len(outside) >= rules.least_photos else outside[:0]
+
+
+def grow(field: VoxelField, compared: ComparedPhotos, outside: np.ndarray, tied: Placed,
+         chosen: Sequence[int], photos: Photos, config: FieldConfig, seed: int,
+         minutes: float | None = None, progress: Progress = no_progress,
+         rules: GrowthRules = GrowthRules()) -> Growth | None:
+    """
+    Take a place into the field that no photo of before shows; None where nothing comes of it.
+
+    outside: the photos that were taken there, see `stand_outside`; chosen: all that see it, and
+    photos: these at the resolution of the fit. To the last ones, tied, the memory shows
+    nothing: their gains and depth in `compared` are filled. What the field has stays as it is.
+    minutes: of fitting; None: as many as it takes.
+    """
+    T = compared.photos.T_world_cam
+    new = np.arange(len(T) - len(tied.poses), len(T))
+    gains = _gains(compared, chosen, np.isin(chosen, new))
+    trainer = _trainer(photos, gains, config, seed, minutes, rules)
+    fit_until(trainer, rules.alone, progress)
+    own = trainer.finished()
+    try:
+        larger = enlarged(field, own.centre - own.half_extent, own.centre + own.half_extent)
+    except SceneError as error:
+        logger.warning('%s', error)
+        return None
+    cells = _new_cells(larger, own, compared, chosen, T[outside, :3, 3], rules)
+    grown, points = filled(larger, own, cells)
+    if not points.any():
+        return None
+    assert trainer.usable is not None
+    trainer.usable &= _in_place(grown, cells, photos)
+    if not trainer.usable.any():
+        return None
+    trainer.change_only(grown, points)
+    fit_until(trainer, 1.0, progress)
+    grown = _finished(larger, trainer, cells)
+    usable = compared.photos.usable
+    assert usable is not None
+    shown = Photos(compared.photos.images[new], compared.photos.intrinsics, T[new], usable[new])
+    compared.depth[new], compared.gains[new] = seen_by_photos(grown, shown)
+    usable[new] &= compared.depth[new] > 0
+    index = np.argwhere(cells)
+    low, high = index.min(0), index.max(0) + 1
+    place = ChangedPlace(index, grown.world_points(low), grown.world_points(high), len(outside))
+    return Growth(grown, ChangedSpace(cells, [place]), T[outside], tied)
+
+
+def _gains(compared: ComparedPhotos, chosen: Sequence[int], unknown: np.ndarray) -> np.ndarray:
+    """Return gains of photos (N, 3); those that are unknown, bool (N,), have the others' mean."""
+    gains = compared.gains[chosen].copy()
+    if not unknown.all():
+        gains[unknown] = gains[~unknown].mean(0)
+    return gains
+
+
+def _trainer(photos: Photos, gains: np.ndarray, config: FieldConfig, seed: int,
+             minutes: float | None, rules: GrowthRules) -> FieldTrainer:
+    assert photos.usable is not None
+    steps = int(np.clip(rules.passes * photos.usable.sum() / config.rays_per_step,
+                        rules.least_steps, rules.most_steps))
+    trainer = FieldTrainer(
+        photos.images, photos.intrinsics, photos.T_world_cam,
+        replace(config, steps=steps, minutes=minutes, exposure=False, vignetting=False,
+                sharpness=0.0), seed, usable=photos.usable.copy())
+    trainer.camera.log_gain = -np.log(gains).astype(np.float32)
+    return trainer
+
+
+def _looks(points: np.ndarray, compared: ComparedPhotos, photos: slice, behind: float
+           ) -> np.ndarray:
+    """Count the photos that see points (N, 3), up to `behind` metres behind a surface: (N,)."""
+    photo, depth = compared.photos, np.ascontiguousarray(compared.depth[photos])
+    everything = np.ones(depth.shape, bool)
+    against, looks = np.zeros((2, len(points)), np.int32)
+    count_votes(points.astype(np.float32),
+                pinholes(photo.intrinsics, photo.T_world_cam[photos]), depth,
+                ~everything, everything, np.float32(behind), against, looks,
+                np.ones(len(points), np.float32))
+    return looks
+
+
+def _new_cells(field: VoxelField, own: VoxelField, compared: ComparedPhotos,
+               chosen: Sequence[int], positions: np.ndarray, rules: GrowthRules) -> np.ndarray:
+    """
+    Return the cells, bool (X, Y, Z), that photos see in a field of their own, and none of before.
+
+    Of these, what hangs together with a place where one was taken, positions (M, 3).
+    """
+    photos, behind = compared.photos, rules.behind * field.voxel
+    assert photos.usable is not None
+    seen, _ = seen_by_photos(own, Photos(photos.images[chosen], photos.intrinsics,
+                                         photos.T_world_cam[chosen], photos.usable[chosen]))
+    theirs = replace(compared, photos=replace(photos, T_world_cam=photos.T_world_cam[chosen]),
+                     depth=seen)
+    cells = np.zeros(field.shape, bool)
+    for plane in range(field.shape[0] - 1):  # One by one: positions are float64.
+        index = np.moveaxis(np.indices((1, *(size - 1 for size in field.shape[1:]))), 0, -1)
+        index = index.reshape(-1, 3) + [plane, 0, 0]
+        points = field.world_points(index + 0.5)
+        found = _looks(points, theirs, slice(None), behind) > 0
+        found[found] = _looks(points[found], compared, slice(compared.old), behind) == 0
+        cells[tuple(index[found].T)] = True
+    labels, _ = ndimage.label(cells)
+    size = np.array(field.shape)
+    place = ((field.grid_position(positions) + 1) / 2 * (size - 1)).astype(int)
+    reached = np.unique(labels[tuple(np.clip(place, 0, size - 2).T)])
+    return np.isin(labels, reached[reached > 0])
+
+
+def _in_place(field: VoxelField, cells: np.ndarray, photos: Photos) -> np.ndarray:
+    """
+    Tell which pixels of photos show a surface in the new cells, or none: bool (N, H, W).
+
+    Through a door that was closed they show what the field does not: it would be painted on air.
+    """
+    found = np.zeros(photos.images.shape[:3], bool)
+    space = ChangedSpace(cells, [])
+    for pixels, T in zip(found, photos.T_world_cam):
+        origin, rays = world_rays(photos.intrinsics, CameraPose(T))
+        shown = render_rays(field, origin, rays)
+        points = (origin + shown.depth[..., None] * rays).reshape(-1, 3)
+        pixels[:] = (shown.opacity < 0.5) | space.holds(field, points).reshape(pixels.shape)
+    return found
+
+
+def _finished(field: VoxelField, trainer: FieldTrainer, cells: np.ndarray) -> VoxelField:
+    """Leave out of the new cells the air, and what no photo reaches; note as seen what they do."""
+    fitted = trainer.field
+    seen = np.zeros_like(fitted.seen)
+    for rays_o, rays_d in trainer.photo_rays():
+        kernels.mark_seen(rays_o, rays_d, fitted.arrays, seen)
+    seen &= cells.ravel().view(np.uint8)
+    kept = dilated(fitted.matter & cells, AIR_KEPT) & dilated(
+        seen.view(bool).reshape(fitted.shape), 0)
+    found = fitted.keeping((field.row_of >= 0) | (fitted.row_of >= 0) & kept.ravel())
+    found.seen = field.seen | seen
+    found.update_occupancy()
+    return found

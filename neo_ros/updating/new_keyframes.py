@@ -1,0 +1,135 @@
+"""What the memory shows of a new place: where the robot can be there, keyframes, landmarks."""
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from neo_ros.baking.glances import keyframe_glances, photo_glances
+from neo_ros.baking.keyframes import bake_keyframe, BakingRules, Photos
+from neo_ros.baking.plain_surfaces import hand_held
+from neo_ros.errors import SceneError
+from neo_ros.field.free_space import find_free_floor
+from neo_ros.geometry import CameraPose, Intrinsics
+from neo_ros.machine.progress import no_progress, Progress
+from neo_ros.memory.keyframe import Keyframe
+from neo_ros.memory.landmarks import Landmarks
+from neo_ros.memory.scene_memory import SceneMemory
+from neo_ros.scenes.pose_sampling import SamplingConfig
+from neo_ros.scenes.posed_images import PosedImages
+from neo_ros.scenes.walkable import WalkableMap
+from neo_ros.updating.changed_keyframes import directions_of
+from neo_ros.updating.growth import Growth
+import numpy as np
+
+
+def new_floor(growth: Growth, camera: Intrinsics, config: SamplingConfig,
+              walkable: WalkableMap | None) -> WalkableMap | None:
+    """
+    Return the free floor of the new place, around where the camera drove; None where none is.
+
+    It keeps as far off what is not free as the scene's floor map does.
+    """
+    count = len(growth.T)
+    photos = PosedImages(camera, (Path(),) * count, tuple(map(CameraPose, growth.T)), (0,) * count)
+    radius = config.robot_radius
+    if walkable is not None:
+        config = replace(config, camera_height=walkable.camera_height)
+        radius = walkable.clearance
+    try:
+        free = find_free_floor(growth.field, photos, config).kept_off(radius)
+    except SceneError:
+        return None
+    centres = free.centres()
+    cells, rows = free.cells.copy(), growth.space.holds(growth.field, np.column_stack(
+        [centres, np.full(len(centres), free.camera_height)]))
+    cells[cells] = rows
+    return replace(free, cells=cells) if cells.any() else None
+
+
+def joined_floor(old: WalkableMap, new: WalkableMap) -> WalkableMap:
+    """Return a floor map with more free floor, in the cells of the old one."""
+    edge, origin = old.resolution, np.array(old.origin)
+    size = np.array(old.cells.shape[::-1])
+    centres = new.centres()
+    before = np.maximum(np.ceil((origin - centres.min(0)) / edge), 0).astype(int)
+    after = np.maximum(np.ceil((centres.max(0) - origin) / edge) - size, 0).astype(int)
+    cells = np.pad(old.cells, ((before[1], after[1]), (before[0], after[0])))
+    start = origin - before * edge
+    j, i = np.indices(cells.shape)
+    at = (np.stack([i, j], -1).reshape(-1, 2) + 0.5) * edge + start
+    return WalkableMap(edge, (float(start[0]), float(start[1])),
+                       cells | new.contains(at).reshape(cells.shape), old.camera_height,
+                       old.clearance)
+
+
+def new_positions(growth: Growth, floor: WalkableMap | None, memory: SceneMemory, distance: float
+                  ) -> np.ndarray:
+    """
+    Choose positions (K, 3) of keyframes, so that each new place has one within `distance`.
+
+    Places are where photos were taken, and the free floor; a hand-held camera's are the first
+    alone. The memory's own keyframes count.
+    """
+    places = growth.T[:, :3, 3]
+    if floor is not None and not hand_held(memory.positions):
+        centres = floor.centres()
+        places = np.concatenate([places, np.column_stack(
+            [centres, np.full(len(centres), floor.camera_height)])])
+    away = np.linalg.norm(places[:, None] - memory.positions, axis=-1).min(1)
+    chosen = []
+    while away.max() > distance:
+        chosen.append(int(away.argmax()))
+        away = np.minimum(away, np.linalg.norm(places - places[chosen[-1]], axis=1))
+    return places[chosen]
+
+
+def with_place(memory: SceneMemory, before: SceneMemory, growth: Growth, positions: np.ndarray,
+               photos: Photos, seen: np.ndarray, gains: np.ndarray, source: Intrinsics,
+               progress: Progress = no_progress, rules: BakingRules = BakingRules()
+               ) -> SceneMemory:
+    """
+    Bake keyframes at new positions (K, 3), take glances of them and of photos; add landmarks.
+
+    memory: that of `before` with what has changed; photos, seen, gains: as `bake_keyframe` takes
+    them. Glances are those of photos taken in the new place.
+    """
+    size = _size(before)
+    directions, rotations = directions_of(before), _rotations(before)
+    keyframes: list[Keyframe] = []
+    taken = (photos.T_world_cam[:, None] == growth.T).all((2, 3)).any(1)
+    glances = [photo_glances(photos.images[taken], photos.intrinsics, photos.T_world_cam[taken],
+                             source)]
+    for done, position in enumerate(positions, 1):
+        one = bake_keyframe(growth.field, photos, seen, gains, position, before.band, size, rules,
+                            directions)
+        keyframes.append(one)
+        if rotations:
+            glances.append(keyframe_glances([one], before.band, source, rotations))
+        progress(done, len(positions))
+    return memory.with_more(keyframes, glances, _joined(
+        memory.landmarks, growth.tied.landmarks, growth))
+
+
+def _size(memory: SceneMemory) -> tuple[int, int, int]:
+    first = memory.keyframe(0)
+    rows, columns = first.depth.shape
+    return rows, columns, len(first.texture) // rows
+
+
+def _rotations(memory: SceneMemory) -> list[np.ndarray]:
+    """Return the rotations (3, 3) of glances at a keyframe."""
+    poses = memory.glances.T_world_cam
+    at_first = (poses[:, :3, 3] == memory.positions[0]).all(1)
+    return list(poses[at_first, :3, :3])
+
+
+def _joined(old: Landmarks | None, new: Landmarks | None, growth: Growth) -> Landmarks | None:
+    """Return old landmarks, and new ones in the new place."""
+    if new is None:
+        return old
+    inside = growth.space.holds(growth.field, new.points)
+    parts: Sequence[Landmarks] = [one for one in (old, Landmarks(
+        new.points[inside], new.descriptors[inside])) if one is not None and len(one.points)]
+    if not parts:
+        return None
+    return Landmarks(np.concatenate([one.points for one in parts]),
+                     np.concatenate([one.descriptors for one in parts]))

@@ -1,0 +1,240 @@
+"""
+Poses for images that the memory does not know: structure from motion that begins with known ones.
+
+Photos of the same drive whose poses the memory gave hold the world in place: its frame, its
+scale. What they show is triangulated; images that show it, too, are placed; and so on (pycolmap).
+"""
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+import tempfile
+from typing import Any
+
+from neo_ros.baking.photo_bank import likeness_of
+from neo_ros.baking.sparse_model import epipolar_distance
+from neo_ros.geometry import CameraPose, Intrinsics
+from neo_ros.machine.progress import no_progress, Progress
+from neo_ros.memory.landmarks import Landmarks, magnification, WORKED_WIDTH
+from neo_ros.memory.local_features import Features, find_features, match_features
+from neo_ros.updating.driven_photos import Drive, LostImage
+import numpy as np
+
+
+@dataclass(frozen=True)
+class PlacingRules:
+    """Which images are compared, and when a pose counts; pixels of an image of WORKED_WIDTH."""
+
+    # Each is compared with so many that follow it in the bag, and with so many that look like it.
+    neighbours: int = 10
+    alike: int = 10
+    # Of the photos with poses those count that come so near in the bag, or look like a lost one.
+    around: int = 40
+    ratio: float = 0.85
+    most_pixels: float = 1.0
+    least_matches: int = 15
+    # An image is placed where it shows so many points; those that known photos show, too, are
+    # what holds all of it: so many.
+    least_points: int = 25
+    least_ties: int = 25
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """
+    Images that were placed in the scene, in its frame and scale, and their poses.
+
+    beside: which photos of the drive show what they show. landmarks: the points that three or
+    more show, None where there are none.
+    """
+
+    images: list[LostImage]
+    poses: list[CameraPose]
+    beside: list[int]
+    landmarks: Landmarks | None
+
+
+NOTHING = Placed([], [], [], None)
+
+
+def place_lost(drive: Drive, source: Intrinsics, progress: Progress = no_progress,
+               rules: PlacingRules = PlacingRules()) -> Placed:
+    """Place what can be tied in well of a drive's lost images; source: their camera."""
+    if not drive.lost or find_spec('pycolmap') is None:
+        return NOTHING
+    known = _near_lost(drive, rules)
+    total = len(known) + len(drive.lost)
+    images = [drive.images[index] for index in known] + [one.image for one in drive.lost]
+    numbers = [drive.numbers[index] for index in known] + [one.number for one in drive.lost]
+    camera = source.scaled(WORKED_WIDTH / source.width)
+    features = [_features(image, source, camera) for image in images]
+    if max(len(one.points) for one in features) < rules.least_matches:
+        return NOTHING
+    poses = [drive.poses[index] for index in known]
+    with tempfile.TemporaryDirectory() as folder:
+        model = _map(features, poses, _pairs(features, numbers, rules), camera, Path(folder),
+                     progress, rules)
+    if model is None:
+        return NOTHING
+    progress(total, total)
+    return _well_tied(drive, known, model, features, rules)
+
+
+def _features(image: np.ndarray, source: Intrinsics, camera: Intrinsics) -> Features:
+    found = find_features(image, magnification(source))
+    return Features(found.points * (camera.width / source.width), found.descriptors)
+
+
+def _near_lost(drive: Drive, rules: PlacingRules) -> list[int]:
+    """Return the photos of a drive that come near a lost image, in the order of the bag."""
+    lost = np.array([one.number for one in drive.lost])
+    order = np.sort(np.concatenate([lost, drive.numbers]))
+    place = {int(number): at for at, number in enumerate(order)}
+    at_lost = np.array([place[int(number)] for number in lost])
+    return [index for index, number in enumerate(drive.numbers)
+            if np.abs(at_lost - place[number]).min() <= rules.around]
+
+
+def _pairs(features: Sequence[Features], numbers: Sequence[int], rules: PlacingRules
+           ) -> list[tuple[int, int]]:
+    """Return which images to compare: neighbours in the bag, and those that look alike."""
+    order = np.argsort(numbers, kind='stable')
+    pairs = {(int(order[at]), int(order[at + step])) for step in range(1, rules.neighbours + 1)
+             for at in range(len(order) - step)}
+    likeness = likeness_of(features)
+    np.fill_diagonal(likeness, -1)
+    for index, row in enumerate(np.argsort(-likeness, axis=1, kind='stable')):
+        pairs.update((index, int(other)) for other in row[:rules.alike] if other != index)
+    return sorted({(min(pair), max(pair)) for pair in pairs})
+
+
+def _map(features: Sequence[Features], poses: Sequence[CameraPose],
+         pairs: Sequence[tuple[int, int]], camera: Intrinsics, folder: Path, progress: Progress,
+         rules: PlacingRules) -> Any | None:
+    """Return a model of all that can be placed; the first have these poses, and keep them."""
+    import pycolmap
+    pycolmap.logging.minloglevel = int(pycolmap.logging.FATAL)
+    known = _write_database(features, poses, pairs, camera, folder / 'database.db', progress,
+                            rules)
+    options = pycolmap.IncrementalPipelineOptions()
+    options.random_seed, options.num_threads = 0, 1  # Threads would add in another order.
+    options.fix_existing_frames, options.multiple_models = True, False
+    options.extract_colors = False
+    options.structure_less_registration_fallback = False
+    options.ba_refine_focal_length = options.ba_refine_extra_params = False
+    options.constant_cameras = {1}
+    options.min_model_size = 2
+    options.mapper.abs_pose_max_error = 2 * rules.most_pixels
+    options.mapper.abs_pose_min_num_inliers = rules.least_matches
+    options.mapper.abs_pose_refine_focal_length = False
+    options.mapper.abs_pose_refine_extra_params = False
+    options.mapper.filter_max_reproj_error = rules.most_pixels
+    options.triangulation.merge_max_reproj_error = rules.most_pixels
+    options.triangulation.complete_max_reproj_error = rules.most_pixels
+    known = pycolmap.triangulate_points(known, folder / 'database.db', folder, folder,
+                                        options=options)
+    if not known.num_points3D():
+        return None
+    (folder / 'known').mkdir()
+    (folder / 'all').mkdir()
+    known.write(folder / 'known')
+    models = pycolmap.incremental_mapping(folder / 'database.db', folder, folder / 'all', options,
+                                          folder / 'known')
+    return max(models.values(), key=lambda found: found.num_reg_images(), default=None)
+
+
+def _write_database(features: Sequence[Features], poses: Sequence[CameraPose],
+                    pairs: Sequence[tuple[int, int]], camera: Intrinsics, path: Path,
+                    progress: Progress, rules: PlacingRules) -> Any:
+    """Fill a database with keypoints and verified matches; returns the images with poses."""
+    import pycolmap
+    lens = pycolmap.Camera(model='PINHOLE', width=camera.width, height=camera.height,
+                           params=[camera.fx, camera.fy, camera.cx, camera.cy], camera_id=1,
+                           has_prior_focal_length=True)
+    known, everything = pycolmap.Reconstruction(), pycolmap.Reconstruction()
+    for one in (known, everything):
+        one.add_camera_with_trivial_rig(lens)
+    with pycolmap.Database.open(path) as database:
+        database.write_camera(lens, use_camera_id=True)
+        for rig in known.rigs.values():
+            database.write_rig(rig, use_rig_id=True)
+        for index, found in enumerate(features):
+            def image() -> Any:
+                return pycolmap.Image(name=f'{index:06d}', keypoints=found.points.astype(float),
+                                      camera_id=1, image_id=index + 1)
+
+            if index < len(poses):
+                known.add_image_with_trivial_frame(
+                    image(), pycolmap.Rigid3d(poses[index].inverse()[:3]))
+            everything.add_image_with_trivial_frame(image())
+            written = everything.image(index + 1)
+            database.write_frame(written.frame, use_frame_id=True)
+            database.write_image(written, use_image_id=True)
+            database.write_keypoints(index + 1, found.points)
+        for done, (i, j) in enumerate(pairs, 1):
+            a, b = features[i], features[j]
+            matches = match_features(a.descriptors, b.descriptors, rules.ratio)
+            if len(matches) >= rules.least_matches:
+                geometry = _verified(lens, camera, a.points, b.points, matches, rules, *(
+                    poses[one] if one < len(poses) else None for one in (i, j)))
+                if len(geometry.inlier_matches) >= rules.least_matches:
+                    database.write_matches(i + 1, j + 1, matches.astype(np.uint32))
+                    database.write_two_view_geometry(i + 1, j + 1, geometry)
+            progress(done, len(pairs) + 1)
+    return known
+
+
+def _verified(lens: Any, camera: Intrinsics, a: np.ndarray, b: np.ndarray, matches: np.ndarray,
+              rules: PlacingRules, pose_a: CameraPose | None, pose_b: CameraPose | None) -> Any:
+    """Return the matches that two views allow, by their poses where both are known."""
+    import pycolmap
+    if pose_a is None or pose_b is None:
+        options = pycolmap.TwoViewGeometryOptions()
+        options.ransac.max_error, options.ransac.random_seed = rules.most_pixels, 0
+        options.min_num_inliers = rules.least_matches
+        return pycolmap.estimate_calibrated_two_view_geometry(
+            lens, a.astype(float), lens, b.astype(float), matches.astype(np.uint32), options)
+    geometry = pycolmap.TwoViewGeometry()
+    geometry.config = pycolmap.TwoViewGeometryConfiguration.CALIBRATED
+    off = epipolar_distance(camera, pose_b.inverse() @ pose_a.T_world_cam, a[matches[:, 0]],
+                            b[matches[:, 1]])
+    # Two from one place have no epipolar line.
+    apart = np.linalg.norm(pose_a.position - pose_b.position) > 1e-3
+    geometry.inlier_matches = matches[(off < rules.most_pixels) & apart].astype(np.uint32)
+    return geometry
+
+
+def _well_tied(drive: Drive, known: Sequence[int], model: Any, features: Sequence[Features],
+               rules: PlacingRules) -> Placed:
+    """Leave out images that show too few points, and all where too few points tie them in."""
+    shown = [np.zeros(0, np.int64)] * len(features)
+    placed = dict[int, CameraPose]()
+    for number, image in model.images.items():
+        if image.has_pose:
+            index = number - 1
+            shown[index] = np.array([point.point3D_id for point in image.points2D
+                                     if point.has_point3D()], np.int64)
+            placed[index] = CameraPose.nearest(np.linalg.inv(
+                np.vstack([image.cam_from_world().matrix(), [0, 0, 0, 1]])))
+    new = [index for index in placed
+           if index >= len(known) and len(shown[index]) >= rules.least_points]
+    before, after = (np.unique(np.concatenate([np.zeros(0, np.int64), *(
+        shown[index] for index in some)])) for some in (range(len(known)), new))
+    if len(np.intersect1d(before, after)) < rules.least_ties:
+        return NOTHING
+    beside = [one for index, one in enumerate(known)
+              if len(np.intersect1d(shown[index], after)) >= rules.least_points]
+    return Placed([drive.lost[index - len(known)] for index in sorted(new)],
+                  [placed[index] for index in sorted(new)], beside, _landmarks(model, features))
+
+
+def _landmarks(model: Any, features: Sequence[Features]) -> Landmarks | None:
+    starts = np.cumsum([0, *(len(one.points) for one in features)])
+    point_of = np.full(starts[-1], -1, np.int64)
+    points = np.zeros((len(model.points3D), 3))
+    for index, point in enumerate(model.points3D.values()):
+        points[index] = point.xyz
+        for element in point.track.elements:
+            point_of[starts[element.image_id - 1] + element.point2D_idx] = index
+    return Landmarks.from_observations(points, point_of, np.concatenate(
+        [one.descriptors for one in features]))

@@ -1,0 +1,91 @@
+"""The run that is updated, and its photos with those of a drive behind them."""
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+from neo_ros.baking.keyframes import BakingRules, clear_pixels, Photos
+from neo_ros.errors import ModelError, SceneError
+from neo_ros.experiment import Experiment
+from neo_ros.field.mesh_field import MeshField
+from neo_ros.geometry import Intrinsics
+from neo_ros.runtime import ModelCard
+from neo_ros.runtime.fov_extrapolator import memory_path
+from neo_ros.runtime.model_card import read_model_card
+from neo_ros.scenes.scene import Scene
+from neo_ros.scenes.upright import read_upright_scene
+from neo_ros.training.folder import check_run, scene_folder
+from neo_ros.training.time_plan import PLAN_FILE, read_plan
+from neo_ros.updating.driven_photos import Drive
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False)
+class UpdateRun:
+    """A finished run: its folder, scene, settings and model."""
+
+    folder: Path
+    scene: Scene
+    experiment: Experiment
+    model: Path
+    card: ModelCard
+    memory: Path
+
+    @classmethod
+    def find(cls, folder: Path, scene: Path | None, experiment: Experiment | None) -> 'UpdateRun':
+        """Raise NeoError for a folder that is no finished run with a memory and a fitted field."""
+        if experiment is None:
+            planned = (folder / PLAN_FILE).exists()
+            experiment = read_plan(folder).experiment if planned else Experiment()
+        found = read_upright_scene(scene or scene_folder(folder))
+        check_run(folder, found, experiment)
+        if not (folder / 'field.npz').exists():
+            raise SceneError(f'{folder}: expected a finished run with its field.npz, there is '
+                             'none; train it to the end, or anew')
+        if MeshField.load(folder / 'field.npz') is not None:
+            raise SceneError(f'{folder}: expected a field that was fitted to photos, got a mesh '
+                             'or splats, which cannot be changed in part')
+        model = folder / f'{found.name}.onnx'
+        card = read_model_card(model)
+        if card.memory is None:
+            raise ModelError(f'{model}: expected a model with a scene memory; it has none')
+        return cls(folder, found, experiment, model, card, memory_path(model, card.memory))
+
+    @property
+    def camera(self) -> Intrinsics:
+        """The camera of photos at the resolution of the wide views."""
+        return self.scene.train.intrinsics.scaled(self.experiment.scale)
+
+    @property
+    def small_camera(self) -> Intrinsics:
+        """The same, as fine as the field shows."""
+        return self.camera.scaled(min(BakingRules.photo_focal / self.camera.fx, 1.0))
+
+    def photo(self, drive: Drive, index: int) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Return photo `index` of the run, or of the drive behind them, and what of it is usable.
+
+        uint8 RGB (H, W, 3), bool (H, W); a photo of the drive stands in the middle of a black one.
+        """
+        train, camera = self.scene.train, self.camera
+        if index < len(train):
+            return train.read_shown(index, self.experiment.scale)
+        image = np.zeros((camera.height, camera.width, 3), np.uint8)
+        usable = np.zeros(image.shape[:2], bool)
+        window = camera.window(self.card.expansion.source)
+        image[window], usable[window] = drive.images[index - len(train)], True
+        return image, usable
+
+    def photos(self, drive: Drive, chosen: Sequence[int], camera: Intrinsics) -> Photos:
+        """Return photos as a camera of fewer pixels sees them."""
+        images = np.empty((len(chosen), camera.height, camera.width, 3), np.uint8)
+        usable = np.ones(images.shape[:3], bool)
+        for place, index in enumerate(chosen):
+            image, mask = self.photo(drive, index)
+            images[place] = cv2.resize(image, (camera.width, camera.height),
+                                       interpolation=cv2.INTER_AREA)
+            if not mask.all():
+                usable[place] = clear_pixels(mask, camera)
+        train = self.scene.train
+        return Photos(images, camera, np.concatenate([train.T_world_cam, *(
+            pose.T_world_cam[None] for pose in drive.poses)])[chosen], usable)
