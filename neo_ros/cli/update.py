@@ -29,6 +29,7 @@ def update(
     Change a trained scene where bags show that it has changed, and nowhere else.
 
     Places that no photo showed, such as a room whose door was closed, are added.
+
     Leaves model, scene memory, field, photos and report.html in OUT; RUN stays as it is. Broken
     off? Run the same command again.
     """

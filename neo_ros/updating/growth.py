@@ -32,8 +32,8 @@ class GrowthRules:
     least_looks: int = 2
     least_photos: int = 8
     # Each pixel is fitted so often.
-    passes: float = 6.0
-    least_steps: int = 1200
+    passes: float = 4.0
+    least_steps: int = 800
     most_steps: int = 6000
     # Of the steps the place is fitted in a field of its own, with its own box, coarse to fine;
     # then in the scene's.

@@ -78,5 +78,5 @@ def test_a_new_room_is_added_and_the_old_one_keeps_its_bits() -> None:
         here = origin[0] + depth * rays[..., 0] > DOORWAY[1, 0]
         off.append(np.abs(255 * shown.image - truth).mean(-1)[here])
         far.append(np.abs(shown.depth - depth)[here])
-    print(np.concatenate(off).mean(), np.median(np.concatenate(far)), (np.concatenate(off).mean(), [compared.gains[-3:]]))
-    assert np.median(np.concatenate(far)) < 0.1 and np.concatenate(off).mean() < 25
+
+    assert np.median(np.concatenate(far)) < 0.15 and np.concatenate(off).mean() < 20
