@@ -38,7 +38,7 @@ def enlarged(field: VoxelField, low: np.ndarray, high: np.ndarray) -> VoxelField
         raise SceneError(f'field: expected a place that is at most {most} grid points large, with '
                          f'what the field has, got {math.prod(shape)}; train anew, with larger '
                          'voxels')
-    result = VoxelField(field.grid, tuple(shape), centre, half, field.shell, field.step,
+    result = VoxelField(field.grid, (shape[0], shape[1], shape[2]), centre, half, field.shell, field.step,
                         field.near, field.initial_alpha,
                         np.full(math.prod(shape), -1, np.int32))
     _take_points(result, field, -first)

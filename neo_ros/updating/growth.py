@@ -159,16 +159,19 @@ def _new_cells(field: VoxelField, own: VoxelField, compared: ComparedPhotos,
     """
     photos, behind = compared.photos, rules.behind * field.voxel
     assert photos.usable is not None
-    seen, _ = seen_by_photos(own, Photos(photos.images[chosen], photos.intrinsics,
-                                         photos.T_world_cam[chosen], photos.usable[chosen]))
-    theirs = replace(compared, photos=replace(photos, T_world_cam=photos.T_world_cam[chosen]),
-                     depth=seen)
+    theirs = Photos(photos.images[chosen], photos.intrinsics, photos.T_world_cam[chosen],
+                    photos.usable[chosen])
+    seen, known = (seen_by_photos(one, theirs)[0] for one in (own, field))
+    # What they show behind surfaces that the field has, through the door, is shown roughly.
+    hidden = (known > 0) & ((seen == 0) | (known < seen))
+    seen[hidden] = known[hidden]
+    looks = replace(compared, photos=theirs, depth=seen)
     cells = np.zeros(field.shape, bool)
     for plane in range(field.shape[0] - 1):  # One by one: positions are float64.
         index = np.moveaxis(np.indices((1, *(size - 1 for size in field.shape[1:]))), 0, -1)
         index = index.reshape(-1, 3) + [plane, 0, 0]
         points = field.world_points(index + 0.5)
-        found = _looks(points, theirs, slice(None), behind) > 0
+        found = _looks(points, looks, slice(None), behind) > 0
         found[found] = _looks(points[found], compared, slice(compared.old), behind) == 0
         cells[tuple(index[found].T)] = True
     labels, _ = ndimage.label(cells)

@@ -7,7 +7,7 @@ import shutil
 import time
 
 import cv2
-from neo_ros.baking.keyframes import BakingRules, MemoryConfig, Photos
+from neo_ros.baking.keyframes import BakingRules, Photos
 from neo_ros.errors import ConfigError
 from neo_ros.experiment import Experiment
 from neo_ros.field.rendering import render_rays, world_rays
@@ -119,9 +119,8 @@ def update_once(run: UpdateRun, bag: Path, out: Path, options: UpdateOptions,
         growth = replace(growth, field=field)
         floor = new_floor(growth, run.card.expansion.source, run.experiment.sampling,
                           scene.walkable)
-        memory_config = run.experiment.memory or MemoryConfig()
         after = with_place(
-            after, before, growth, new_positions(growth, floor, before, memory_config.distance),
+            after, before, growth, new_positions(growth, floor, before, run.keyframes_apart),
             photos, seen, gains, run.card.expansion.source, of_stage(progress, 'new keyframes'))
         if floor is not None and scene.walkable is not None:
             scene = replace(scene, walkable=joined_floor(scene.walkable, floor))

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
-from neo_ros.baking.keyframes import BakingRules, clear_pixels, Photos
+from neo_ros.baking.keyframes import BakingRules, clear_pixels, MemoryConfig, Photos
 from neo_ros.errors import ModelError, SceneError
 from neo_ros.experiment import Experiment
 from neo_ros.field.mesh_field import MeshField
@@ -50,6 +50,11 @@ class UpdateRun:
         if card.memory is None:
             raise ModelError(f'{model}: expected a model with a scene memory; it has none')
         return cls(folder, found, experiment, model, card, memory_path(model, card.memory))
+
+    @property
+    def keyframes_apart(self) -> float:
+        """Metres from any place to the nearest keyframe, at most."""
+        return (self.experiment.memory or MemoryConfig()).distance
 
     @property
     def camera(self) -> Intrinsics:

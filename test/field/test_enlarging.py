@@ -1,4 +1,4 @@
-"""A field in a larger grid keeps what it had, and takes surfaces of another field into the rest."""
+"""A field in a larger grid keeps what it had, and takes another's surfaces into the rest."""
 from neo_ros.errors import SceneError
 from neo_ros.field import enlarging
 from neo_ros.field.enlarging import enlarged, filled

@@ -11,7 +11,7 @@ from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.pipeline import train
 from neo_ros.runtime import FovExtrapolator, read_model_card
 from neo_ros.scenes.scene import read_scene
-from neo_ros.updating.update import update
+from neo_ros.updating.update import update, UpdateOptions
 import numpy as np
 import pytest
 from two_rooms import (
@@ -19,6 +19,7 @@ from two_rooms import (
 
 pytestmark = [pytest.mark.slow, pytest.mark.torch, pytest.mark.timeout(900)]
 EXPERIMENT = replace(ROOM, view=ViewConfig((80, 80), (160, 160)))
+QUICK = UpdateOptions(minutes=0.15)
 OLD = [(1.2, 1.2, 0.5), (2.0, 2.2, -2.0), (2.4, 1.4, 3.0)]
 NEW = [(4.9, 1.3, 0.2), (5.5, 2.2, 2.4), (5.9, 1.6, 1.2)]
 
@@ -31,7 +32,8 @@ def base(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_first_room(folder / 'room')
     train(folder / 'room', EXPERIMENT, folder / 'run')
     write_door_drive(folder / 'drive')
-    found, = update(folder / 'run', [folder / 'drive'], folder / 'new', experiment=EXPERIMENT)
+    found, = update(folder / 'run', [folder / 'drive'], folder / 'new', QUICK,
+                    experiment=EXPERIMENT)
     assert found >= 1
     return folder
 
@@ -61,7 +63,6 @@ def test_the_camera_is_found_in_the_new_room_and_the_room_is_shown(base: Path) -
     assert not seen(base / 'run' / 'room.onnx', NEW)
     before, old, new = (seen(base / name / 'room.onnx', places) for name, places in (
         ('run', OLD), ('new', OLD), ('new', NEW)))
-    print(before, old, new)
     assert len(before) == len(old) == len(OLD) and len(new) == len(NEW)
     assert max(metres for metres, _ in new) < 0.15
     assert np.mean([off for _, off in old]) < np.mean([off for _, off in before]) + 2
@@ -114,7 +115,7 @@ def test_floor_photos_card_and_report_tell_of_it(base: Path) -> None:
 
 def test_a_drive_through_a_room_that_is_known_adds_nothing(base: Path, tmp_path: Path) -> None:
     before = memory_of(base / 'new')
-    update(base / 'new', [base / 'drive'], tmp_path / 'again', experiment=EXPERIMENT)
+    update(base / 'new', [base / 'drive'], tmp_path / 'again', QUICK, experiment=EXPERIMENT)
     if (tmp_path / 'again').exists():  # What moved by a little; but no place is new.
         assert len(memory_of(tmp_path / 'again').positions) == len(before.positions)
     assert len(drive_through_door()) > 100

@@ -12,7 +12,8 @@ from neo_ros.updating.growth import grow, GrowthRules, stand_outside
 from neo_ros.updating.placing import Placed
 import numpy as np
 import pytest
-from two_rooms import cast, DOORWAY, drive_through_door, FIRST, HEIGHT, look, poses_in_first, SOURCE
+from two_rooms import (
+    cast, DOORWAY, drive_through_door, FIRST, HEIGHT, look, poses_in_first, SOURCE)
 
 pytestmark = pytest.mark.slow
 SMALL = SOURCE.scaled(0.5)
