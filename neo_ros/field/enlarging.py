@@ -38,9 +38,9 @@ def enlarged(field: VoxelField, low: np.ndarray, high: np.ndarray) -> VoxelField
         raise SceneError(f'field: expected a place that is at most {most} grid points large, with '
                          f'what the field has, got {math.prod(shape)}; train anew, with larger '
                          'voxels')
-    result = VoxelField(field.grid, (shape[0], shape[1], shape[2]), centre, half, field.shell, field.step,
-                        field.near, field.initial_alpha,
-                        np.full(math.prod(shape), -1, np.int32))
+    size = (shape[0], shape[1], shape[2])
+    result = VoxelField(field.grid, size, centre, half, field.shell, field.step, field.near,
+                        field.initial_alpha, np.full(math.prod(size), -1, np.int32))
     _take_points(result, field, -first)
     result.seen = _seen_at(field, result, np.ones(result.shape, bool)).ravel().view(np.uint8)
     result.update_occupancy()
