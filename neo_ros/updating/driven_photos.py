@@ -25,10 +25,16 @@ LOST_ACROSS, LOST_APART = 16, 3.0
 
 
 class LostImage(NamedTuple):
-    """An image whose pose the memory does not know, uint8 RGB (h, w, 3), and its number."""
+    """
+    An image that the memory hardly knows, or not at all, uint8 RGB (h, w, 3), and its number.
+
+    pose: where most of the image is something else, before a door that is open now, landmarks may
+    tell it nevertheless.
+    """
 
     image: np.ndarray
     number: int
+    pose: CameraPose | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +90,7 @@ def _drive(bag: Path, extrapolator: FovExtrapolator, image_topic: str | None,
             assert frame.image is not None
             image = np.array(extrapolator.expansion.crop(frame.image))
             if guide is None or guide.agreement < limits.least_agreement:
-                lost.add(image, seen)
+                lost.add(LostImage(image, seen, None if guide is None else guide.pose))
                 continue
             if photos and not guide.pose.is_apart(photos[-1][1], metres, radians):
                 continue
@@ -93,11 +99,11 @@ def _drive(bag: Path, extrapolator: FovExtrapolator, image_topic: str | None,
             photos.append((image, guide.pose, seen))
             if len(photos) == MOST_PHOTOS:
                 photos, metres, radians = photos[::2], 2 * metres, 2 * radians
-    if not photos:
+    if not photos and not any(one.pose for one in lost.kept):
         raise BagError(f'{bag}: of {seen} images none shows the scene of '
                        f'{extrapolator.card.scene_id}; give bags of the same place and camera')
-    images, poses, numbers = zip(*photos)
-    return Drive(list(images), list(poses), seen, list(numbers), lost.kept), other
+    images, poses, numbers = map(list, zip(*photos)) if photos else ([], [], [])
+    return Drive(images, poses, seen, numbers, lost.kept), other
 
 
 class _LostImages:
@@ -107,13 +113,13 @@ class _LostImages:
         self.kept: list[LostImage] = []
         self._apart, self._last = LOST_APART, np.full((LOST_ACROSS, LOST_ACROSS), np.inf)
 
-    def add(self, image: np.ndarray, number: int) -> None:
-        small = cv2.resize(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), (LOST_ACROSS, LOST_ACROSS),
-                           interpolation=cv2.INTER_AREA).astype(float)
+    def add(self, one: LostImage) -> None:
+        small = cv2.resize(cv2.cvtColor(one.image, cv2.COLOR_RGB2GRAY),
+                           (LOST_ACROSS, LOST_ACROSS), interpolation=cv2.INTER_AREA).astype(float)
         if np.abs(small - self._last).mean() < self._apart:
             return
         self._last = small
-        self.kept.append(LostImage(image, number))
+        self.kept.append(one)
         if len(self.kept) == MOST_PHOTOS:
             self.kept, self._apart = self.kept[::2], 2 * self._apart
 

@@ -168,8 +168,8 @@ def _new_cells(field: VoxelField, own: VoxelField, compared: ComparedPhotos,
     looks = replace(compared, photos=theirs, depth=seen)
     cells = np.zeros(field.shape, bool)
     for plane in range(field.shape[0] - 1):  # One by one: positions are float64.
-        index = np.moveaxis(np.indices((1, *(size - 1 for size in field.shape[1:]))), 0, -1)
-        index = index.reshape(-1, 3) + [plane, 0, 0]
+        indices = np.moveaxis(np.indices((1, *(size - 1 for size in field.shape[1:]))), 0, -1)
+        index = indices.reshape(-1, 3) + np.array([plane, 0, 0])
         points = field.world_points(index + 0.5)
         found = _looks(points, looks, slice(None), behind) > 0
         found[found] = _looks(points[found], compared, slice(compared.old), behind) == 0

@@ -60,24 +60,22 @@ NOTHING = Placed([], [], [], None)
 def place_lost(drive: Drive, source: Intrinsics, progress: Progress = no_progress,
                rules: PlacingRules = PlacingRules()) -> Placed:
     """Place what can be tied in well of a drive's lost images; source: their camera."""
-    if not drive.lost or find_spec('pycolmap') is None:
+    lost = sorted(drive.lost, key=lambda one: one.pose is None)
+    if all(one.pose for one in lost) or find_spec('pycolmap') is None:
         return NOTHING
-    known = _near_lost(drive, rules)
-    total = len(known) + len(drive.lost)
-    images = [drive.images[index] for index in known] + [one.image for one in drive.lost]
-    numbers = [drive.numbers[index] for index in known] + [one.number for one in drive.lost]
+    near = _near_lost(drive, rules)
+    shots = [*(LostImage(drive.images[index], drive.numbers[index], drive.poses[index])
+               for index in near), *lost]
     camera = source.scaled(WORKED_WIDTH / source.width)
-    features = [_features(image, source, camera) for image in images]
+    features = [_features(one.image, source, camera) for one in shots]
     if max(len(one.points) for one in features) < rules.least_matches:
         return NOTHING
-    poses = [drive.poses[index] for index in known]
+    poses = [one.pose for one in shots if one.pose is not None]
+    pairs = _pairs(features, [one.number for one in shots], rules)
     with tempfile.TemporaryDirectory() as folder:
-        model = _map(features, poses, _pairs(features, numbers, rules), camera, Path(folder),
-                     progress, rules)
-    if model is None:
-        return NOTHING
-    progress(total, total)
-    return _well_tied(drive, known, model, features, rules)
+        model = _map(features, poses, pairs, camera, Path(folder), progress, rules)
+    progress(len(pairs) + 1, len(pairs) + 1)
+    return NOTHING if model is None else _well_tied(near, shots, model, features, rules)
 
 
 def _features(image: np.ndarray, source: Intrinsics, camera: Intrinsics) -> Features:
@@ -87,8 +85,8 @@ def _features(image: np.ndarray, source: Intrinsics, camera: Intrinsics) -> Feat
 
 def _near_lost(drive: Drive, rules: PlacingRules) -> list[int]:
     """Return the photos of a drive that come near a lost image, in the order of the bag."""
-    lost = np.array([one.number for one in drive.lost])
-    order = np.sort(np.concatenate([lost, drive.numbers]))
+    lost = np.array([one.number for one in drive.lost if one.pose is None])
+    order = np.sort(np.concatenate([lost, np.array(drive.numbers, int)]))
     place = {int(number): at for at, number in enumerate(order)}
     at_lost = np.array([place[int(number)] for number in lost])
     return [index for index, number in enumerate(drive.numbers)
@@ -168,6 +166,7 @@ def _write_database(features: Sequence[Features], poses: Sequence[CameraPose],
                     image(), pycolmap.Rigid3d(poses[index].inverse()[:3]))
             everything.add_image_with_trivial_frame(image())
             written = everything.image(index + 1)
+            assert written.frame is not None
             database.write_frame(written.frame, use_frame_id=True)
             database.write_image(written, use_image_id=True)
             database.write_keypoints(index + 1, found.points)
@@ -204,28 +203,35 @@ def _verified(lens: Any, camera: Intrinsics, a: np.ndarray, b: np.ndarray, match
     return geometry
 
 
-def _well_tied(drive: Drive, known: Sequence[int], model: Any, features: Sequence[Features],
-               rules: PlacingRules) -> Placed:
-    """Leave out images that show too few points, and all where too few points tie them in."""
-    shown = [np.zeros(0, np.int64)] * len(features)
-    placed = dict[int, CameraPose]()
+def _well_tied(near: Sequence[int], shots: Sequence[LostImage], model: Any,
+               features: Sequence[Features], rules: PlacingRules) -> Placed:
+    """
+    Leave out images that show too few points, and all where too few points tie them in.
+
+    The first shots are the photos `near` of the drive, then come lost images, those of which the
+    memory told the pose first.
+    """
+    shown = [np.zeros(0, np.int64)] * len(shots)
+    poses = [one.pose for one in shots]
     for number, image in model.images.items():
         if image.has_pose:
             index = number - 1
             shown[index] = np.array([point.point3D_id for point in image.points2D
                                      if point.has_point3D()], np.int64)
-            placed[index] = CameraPose.nearest(np.linalg.inv(
+            poses[index] = poses[index] or CameraPose.nearest(np.linalg.inv(
                 np.vstack([image.cam_from_world().matrix(), [0, 0, 0, 1]])))
-    new = [index for index in placed
-           if index >= len(known) and len(shown[index]) >= rules.least_points]
+    many = [len(one) >= rules.least_points for one in shown]
     before, after = (np.unique(np.concatenate([np.zeros(0, np.int64), *(
-        shown[index] for index in some)])) for some in (range(len(known)), new))
+        points for points, shot, enough in zip(shown, shots, many)
+        if enough and (shot.pose is None) == lost)])) for lost in (False, True))
     if len(np.intersect1d(before, after)) < rules.least_ties:
         return NOTHING
-    beside = [one for index, one in enumerate(known)
-              if len(np.intersect1d(shown[index], after)) >= rules.least_points]
-    return Placed([drive.lost[index - len(known)] for index in sorted(new)],
-                  [placed[index] for index in sorted(new)], beside, _landmarks(model, features))
+    beside = [one for one, points in zip(near, shown)
+              if len(np.intersect1d(points, after)) >= rules.least_points]
+    tied = [(shot, pose) for shot, pose, enough in list(zip(shots, poses, many))[len(near):]
+            if enough and pose is not None]
+    return Placed([shot for shot, _ in tied], [pose for _, pose in tied], beside,
+                  _landmarks(model, features))
 
 
 def _landmarks(model: Any, features: Sequence[Features]) -> Landmarks | None:

@@ -67,8 +67,8 @@ def look(pose: CameraPose, camera: Intrinsics, closed: bool) -> np.ndarray:
 def poses_in_first(count: int) -> list[CameraPose]:
     """Return level poses all over the first room."""
     random = np.random.default_rng(1)
-    return [CameraPose.from_planar(*random.uniform((0.4, 0.4), (3.2, 2.8)), HEIGHT,
-                                   random.uniform(-np.pi, np.pi)) for _ in range(count)]
+    places = random.uniform((0.4, 0.4, -np.pi), (3.2, 2.8, np.pi), (count, 3))
+    return [CameraPose.from_planar(x, y, HEIGHT, yaw) for x, y, yaw in places.tolist()]
 
 
 def drive_through_door() -> list[CameraPose]:
@@ -79,7 +79,8 @@ def drive_through_door() -> list[CameraPose]:
     length = np.r_[0, np.cumsum(np.linalg.norm(np.diff(way[:, :2], axis=0), axis=1))]
     at = np.arange(0, length[-1], 0.08)
     x, y, yaw = (np.interp(at, length, one) for one in way.T)
-    return [CameraPose.from_planar(*pose) for pose in zip(x, y, np.full(len(at), HEIGHT), yaw)]
+    return [CameraPose.from_planar(*place) for place in zip(
+        x.tolist(), y.tolist(), [HEIGHT] * len(at), yaw.tolist())]
 
 
 def write_first_room(folder: Path, count: int = 150) -> None:

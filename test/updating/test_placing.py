@@ -32,7 +32,18 @@ def test_images_in_another_room_are_placed_in_metres() -> None:
     # Those at the other end of the first room see too little of the second one.
     assert 10 < len(placed.beside) and len(drive.poses) - 1 in placed.beside
     assert placed.landmarks is not None and (placed.landmarks.points[:, 0] > 3.8).sum() > 200
-    again = place_lost(drive, SOURCE)
+
+
+def test_poses_of_images_that_show_little_of_what_is_known_are_ties() -> None:
+    poses = drive_through_door()[10:60]
+    drive = a_drive([pose.position[0] < 3.2 for pose in poses], poses)
+    half = len(drive.poses) // 2
+    led = [*map(LostImage, drive.images[half:], drive.numbers[half:], drive.poses[half:])]
+    fewer = Drive(drive.images[:half], drive.poses[:half], drive.seen, drive.numbers[:half],
+                  [*drive.lost, *led])
+    placed, again = (place_lost(fewer, SOURCE) for _ in range(2))
+    assert placed.poses[:len(led)] == [one.pose for one in led]
+    assert len(placed.poses) > len(led) + 0.9 * len(drive.lost)
     for one, other in zip(placed.poses, again.poses, strict=True):
         np.testing.assert_array_equal(one.T_world_cam, other.T_world_cam)
 
