@@ -79,22 +79,25 @@ def grow(field: VoxelField, compared: ComparedPhotos, outside: np.ndarray, tied:
     Take a place into the field that no photo of before shows; None where nothing comes of it.
 
     outside: the photos that were taken there, see `stand_outside`; chosen: all that see it, and
-    photos: these at the resolution of the fit. To the last ones, tied, the memory shows
-    nothing: their gains and depth in `compared` are filled. What the field has stays as it is.
-    minutes: of fitting; None: as many as it takes.
+    photos: these at the resolution of the fit. To the last ones the memory shows nothing: their
+    gains and depth in `compared` are filled. What the field has stays as it is. minutes: of
+    fitting; None: as many as it takes.
     """
     T = compared.photos.T_world_cam
-    new = np.arange(len(T) - len(tied.poses), len(T))
+    new = np.arange(len(T) - tied.elsewhere, len(T))
     gains = _gains(compared, chosen, np.isin(chosen, new))
     trainer = _trainer(photos, gains, config, seed, minutes, rules)
     fit_until(trainer, rules.alone, progress)
     own = trainer.finished()
+    at = T[outside, :3, 3]  # What lies far from there, behind windows, is left to the shell.
     try:
-        larger = enlarged(field, own.centre - own.half_extent, own.centre + own.half_extent)
+        larger = enlarged(
+            field, np.maximum(own.centre - own.half_extent, at.min(0) - config.margin),
+            np.minimum(own.centre + own.half_extent, at.max(0) + config.margin))
     except SceneError as error:
         logger.warning('%s', error)
         return None
-    cells = _new_cells(larger, own, compared, chosen, T[outside, :3, 3], rules)
+    cells = _new_cells(larger, own, compared, chosen, at, rules)
     grown, points = filled(larger, own, cells)
     if not points.any():
         return None

@@ -44,14 +44,19 @@ class Placed:
     """
     Images that were placed in the scene, in its frame and scale, and their poses.
 
-    beside: which photos of the drive show what they show. landmarks: the points that three or
-    more show, None where there are none.
+    Those of which the memory told the pose come first. beside: which photos of the drive show what
+    they show. landmarks: the points that three or more show, None where there are none.
     """
 
     images: list[LostImage]
     poses: list[CameraPose]
     beside: list[int]
     landmarks: Landmarks | None
+
+    @property
+    def elsewhere(self) -> int:
+        """How many of them, the last ones, the memory does not know."""
+        return sum(one.pose is None for one in self.images)
 
 
 NOTHING = Placed([], [], [], None)

@@ -151,8 +151,8 @@ def _grown(run: UpdateRun, field: VoxelField, before: SceneMemory, drive: Drive,
     longer = drive.with_more([one.image for one in tied.images], tied.poses,
                              [one.number for one in tied.images])
     compared = compare(run.photos(longer, range(train + known + placed), run.small_camera), train,
-                       before, of_stage(progress, 'photos'), elsewhere=placed)
-    outside = stand_outside(compared, placed)
+                       before, of_stage(progress, 'photos'), elsewhere=tied.elsewhere)
+    outside = stand_outside(compared, tied.elsewhere)
     growth = None
     if len(outside):
         chosen = [train + index for index in (*tied.beside, *range(known, known + placed))]

@@ -8,6 +8,7 @@ from neo_ros.geometry import CameraPose
 from neo_ros.memory.keyframe import Keyframe
 from neo_ros.memory.scene_memory import Glances, SceneMemory
 from neo_ros.updating.compared_photos import compare
+from neo_ros.updating.driven_photos import LostImage
 from neo_ros.updating.growth import grow, GrowthRules, stand_outside
 from neo_ros.updating.placing import Placed
 import numpy as np
@@ -56,7 +57,8 @@ def test_a_new_room_is_added_and_the_old_one_keeps_its_bits() -> None:
     inside = [number for number, pose in enumerate(poses) if pose.position[0] > DOORWAY[1, 0]]
     assert set(inside) >= set(outside.tolist()) and len(outside) > 0.8 * len(inside)
     chosen = [*range(len(old) + len(located) - 8, len(poses))]
-    growth = grow(field, compared, outside, Placed([], placed, [], None), chosen,
+    tied = Placed([LostImage(image, 0) for image in images[-len(placed):]], placed, [], None)
+    growth = grow(field, compared, outside, tied, chosen,
                   Photos(images[chosen], SMALL, photos.T_world_cam[chosen],
                          np.ones((len(chosen), *images.shape[1:3]), bool)),
                   FieldConfig(voxels=60_000, rays_per_step=1024, near=0.1), 0,
