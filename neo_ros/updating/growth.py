@@ -114,8 +114,10 @@ def grow(field: VoxelField, compared: ComparedPhotos, outside: np.ndarray, tied:
     compared.depth[new], compared.gains[new] = seen_by_photos(grown, shown)
     usable[new] &= compared.depth[new] > 0
     index = np.argwhere(cells)
-    low, high = index.min(0), index.max(0) + 1
-    place = ChangedPlace(index, grown.world_points(low), grown.world_points(high), len(outside))
+    points = grown.world_points(index + 0.5)
+    near = points[(np.abs(points - grown.centre) <= grown.half_extent).all(1)]
+    near = near if len(near) else points
+    place = ChangedPlace(index, near.min(0), near.max(0), len(outside))
     return Growth(grown, ChangedSpace(cells, [place]), T[outside], tied)
 
 
