@@ -11,7 +11,7 @@ from typing import Any
 
 from neo_ros.errors import NeoError
 from neo_ros.flat.demo_flat import build_demo_flat
-from neo_ros.flat.visits import changed_flat, CHAIRS
+from neo_ros.flat.visits import CHAIRS, changed_flat
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.machine.host import Machine
 from neo_ros.machine.processes import end_process
@@ -148,7 +148,8 @@ def run_graph(model: Path, images: np.ndarray, seconds: float,
         np.save(Path(folder) / 'images.npy', images)
         node = subprocess.Popen(
             [sys.executable, '-m', 'neo_ros.node.main', '--ros-args',
-             '-p', f'model:={model.resolve()}', '-p', f'learn:={str(learn).lower()}'], env=environment, stdout=log, stderr=log)
+             '-p', f'model:={model.resolve()}', '-p', f'learn:={str(learn).lower()}'],
+            env=environment, stdout=log, stderr=log)
         try:
             probe = subprocess.run(
                 [sys.executable, '-m', 'neo_ros.node.camera_probe',
