@@ -13,7 +13,9 @@ from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
 from neo_ros.memory.change_kernels import SAME
 from neo_ros.memory.changes import Changes
 from neo_ros.memory.contradiction import contradicted, contradiction, ContradictionThresholds
+from neo_ros.memory.decoded import Key
 from neo_ros.memory.journal import JournalWriter
+from neo_ros.memory.keyframe import Keyframe
 from neo_ros.memory.patch import Patch
 from neo_ros.memory.scene_light import log_ratio, steadiness, SURE
 from neo_ros.memory.stereo import confirm, find_depth, Shot, StereoThresholds
@@ -53,10 +55,11 @@ class LearningThresholds:
 
 
 class Learnt(NamedTuple):
-    """Patches that were found, and the changes of the memory with them."""
+    """Patches that were found, changes of the memory with them, keyframes that show these."""
 
     patches: list[Patch]
     changes: Changes
+    drawn: dict[Key, Keyframe]
 
 
 class Learner:
@@ -169,7 +172,10 @@ class Learner:
                 self._journal = self._open_journal()
             patches = self._journal.append(patches)
             logger.debug(LOOKED, len(patches), shots[-1].stamp_ns)
-            pending.set_result(Learnt(patches, changes.with_more(patches)))
+            changes = changes.with_more(patches)
+            # Else the camera would wait while they are decoded.
+            drawn = self._memory.drawn_with(changes) if self._beside and patches else {}
+            pending.set_result(Learnt(patches, changes, drawn))
         except Exception as error:
             pending.set_exception(error)
         if self._closed.is_set() and self._journal is not None:
@@ -187,7 +193,7 @@ class Learner:
             return
         if learnt.patches:
             self._changes = learnt.changes
-            self._memory.change(learnt.changes)
+            self._memory.change(learnt.changes, learnt.drawn)
 
 
 def find_patches(shots: Sequence[Shot], new: int, camera: Intrinsics, rays: np.ndarray,

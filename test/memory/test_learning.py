@@ -86,6 +86,21 @@ def test_a_patch_changes_its_surface_and_nothing_else() -> None:
 
 
 @pytest.mark.slow
+def test_what_was_learnt_is_decoded_before_it_is_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+    memory, changes = box_memory(), Changes([true_patch(DRIVE[10])])
+    memory.keyframe(0), memory.keyframe(1, focal=10.0)
+    drawn = memory.drawn_with(changes)
+    memory.change(changes)
+    expected = [memory.keyframe(0), memory.keyframe(1, focal=10.0)]
+    assert not np.array_equal(expected[0].texture, box_memory().keyframe(0).texture)
+    memory.change(changes, drawn)
+    monkeypatch.setattr(memory, '_decode', None)  # Nobody waits for it.
+    for found, wanted in zip((memory.keyframe(0), memory.keyframe(1, focal=10.0)), expected):
+        assert np.array_equal(found.texture, wanted.texture)
+        assert np.array_equal(found.depth, wanted.depth)
+
+
+@pytest.mark.slow
 def test_what_stays_is_learnt(tmp_path: Path) -> None:
     before, rest = error(box_memory())
     memory, journal = learnt(tmp_path, lambda number: 1.8)
