@@ -31,18 +31,20 @@ from neo_ros.updating.compared_photos import compare, ComparedPhotos
 from neo_ros.updating.driven_photos import Drive, drive_through
 from neo_ros.updating.more_photos import write_more_photos
 from neo_ros.updating.refit import agreeing, refit
+from neo_ros.updating.tuned_network import CHECKPOINT, tune_network
 from neo_ros.updating.update_report import update_sections
 import numpy as np
 
 
 @dataclass(frozen=True, kw_only=True)
 class UpdateOptions:
-    """What a user may say; topics as of a replay, minutes for the fit of the field."""
+    """What a user may say; topics as of a replay, minutes for the fits of field and network."""
 
     image_topic: str | None = None
     info_topic: str | None = None
     rectify: bool = False
     minutes: float | None = None
+    network_minutes: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,8 +59,13 @@ class UpdateRun:
     memory: Path
 
     @classmethod
-    def find(cls, folder: Path, scene: Path | None, experiment: Experiment | None) -> 'UpdateRun':
-        """Raise NeoError for a folder that is no finished run with a memory and a fitted field."""
+    def find(cls, folder: Path, scene: Path | None, experiment: Experiment | None,
+             tuned: bool = False) -> 'UpdateRun':
+        """
+        Raise NeoError for a folder that is no finished run with a memory and a fitted field.
+
+        tuned: its network is to be trained on.
+        """
         if experiment is None:
             planned = (folder / PLAN_FILE).exists()
             experiment = read_plan(folder).experiment if planned else Experiment()
@@ -67,6 +74,9 @@ class UpdateRun:
         if not (folder / 'field.npz').exists():
             raise SceneError(f'{folder}: expected a finished run with its field.npz, there is '
                              'none; train it to the end, or anew')
+        if tuned and not (folder / CHECKPOINT).exists():
+            raise SceneError(f'{folder}: expected {CHECKPOINT} to train its network on, there is '
+                             'none; leave out --network-minutes, or train it anew')
         if MeshField.load(folder / 'field.npz') is not None:
             raise SceneError(f'{folder}: expected a field that was fitted to photos, got a mesh '
                              'or splats, which cannot be changed in part')
@@ -101,13 +111,18 @@ def _update(run: Path, bags: Sequence[Path], out: Path, options: UpdateOptions,
             work: Path) -> list[int]:
     newest, sections, found = run, list[Section](), list[int]()
     for index, bag in enumerate(bags):
-        current = UpdateRun.find(newest, scene if newest == run else None, experiment)
+        current = UpdateRun.find(newest, scene if newest == run else None, experiment,
+                                 options.network_minutes is not None)
         folder = make_output_folder(work / str(index))
         told = update_once(current, bag, folder, options, progress)
         found.append(0 if told is None else told[0])
         if told is not None:
             newest, sections = folder, sections + told[1]
     if newest != run:
+        if options.network_minutes is not None:
+            updated = UpdateRun.find(newest, None, experiment)
+            tune_network(newest, updated.scene, updated.experiment, options.network_minutes,
+                         progress)
         write_report(newest / 'report.html', f'What has changed in {scene_folder(newest).name}',
                      sections)
         # Else a power cut could leave the folder, and files without their content.
@@ -151,7 +166,7 @@ def update_once(run: UpdateRun, bag: Path, out: Path, options: UpdateOptions,
             at=f'{datetime.now(timezone.utc):%Y-%m-%d %H:%M:%S}'))))
     write_more_photos(out / run.scene.name, run.scene, chosen, photos)
     note_update(out, run.folder, read_upright_scene(out / run.scene.name))
-    for name in (PLAN_FILE, 'field.json'):
+    for name in (PLAN_FILE, 'field.json', CHECKPOINT):
         if (run.folder / name).exists():
             share_file(run.folder / name, out / name)
     return len(space.places), update_sections(
