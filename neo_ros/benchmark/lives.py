@@ -69,9 +69,9 @@ class Walks:
     walk: np.ndarray
 
 
-def walks_of(visit: Visit, seed: int, count: int, camera: Intrinsics, folder: Path, name: str
-             ) -> Walks:
-    """Cast the frames of some walks on a visit, or read them where they are kept."""
+def walks_of(visit: Visit, seed: int, count: int, camera: Intrinsics, folder: Path, name: str,
+             most: int | None = None) -> Walks:
+    """Cast the frames of some walks on a visit, at most so many, or read them where they lie."""
     path = folder / f'{name}_{seed}_{count}_{camera.width}.npz'
     if not path.exists():
         paths = []
@@ -80,12 +80,13 @@ def walks_of(visit: Visit, seed: int, count: int, camera: Intrinsics, folder: Pa
             paths += [(number, pose) for pose in walk if np.linalg.norm(
                 off - pose.position[:2], axis=1).min() >= RULES.nearest]
         visited_flat(visit, folder)  # Its light is there for all processes.
+        paths = paths[:most]
         T = np.stack([pose.T_world_cam for _, pose in paths])
         folder.mkdir(parents=True, exist_ok=True)
         np.savez(path, T=T, walk=np.array([number for number, _ in paths]), images=np.stack(list(
             map_in_processes(partial(_cast, visit, folder, camera), list(enumerate(T)), 2))))
     with np.load(path) as data:
-        return Walks(data['images'], data['T'], data['walk'])
+        return Walks(*(data[part][:most] for part in ('images', 'T', 'walk')))
 
 
 def _cast(visit: Visit, folder: Path, camera: Intrinsics, frame: tuple[int, np.ndarray]
@@ -196,8 +197,8 @@ def measure(run: Path, frames: Path, visits: int, driven: int, out: Path,
         shutil.copy(trained.with_suffix('.memory'), folder)
         newest = run
         for number, visit in enumerate(VISITS[:visits]):
-            path = cast(visit, RULES.drive_seed + number, 20, name=f'drive_{number}')
-            path = Walks(path.images[:driven], path.T[:driven], path.walk[:driven])
+            path = cast(visit, RULES.drive_seed + number, 20, name=f'drive_{number}',
+                        most=driven)
             # Nobody is in the way, and the light is the same, where what changed is told apart.
             test = cast(replace(visit, people=False), RULES.test_seed, RULES.test_walks,
                         name=f'test_{number}')
