@@ -1,0 +1,180 @@
+"""Things that have changed, and in which of their states images show them."""
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import cv2
+from neo_ros.geometry import Intrinsics
+from neo_ros.memory.changes import cell_keys, Changes
+from neo_ros.memory.kernels import Pinhole
+from neo_ros.memory.patch import PARTS, Patch
+from neo_ros.memory.state_kernels import Look, OTHER, weigh
+from neo_ros.memory.stereo import Shot
+from neo_ros.memory.turn import Turn
+import numpy as np
+
+# Of 26 neighbours of a cell those that come behind it.
+BEHIND = [offset for offset in product((0, 1), (-1, 0, 1), (-1, 0, 1)) if offset > (0, 0, 0)]
+
+
+@dataclass(frozen=True)
+class StateThresholds:
+    """What belongs to one thing, and when it is in another state."""
+
+    # Metres: what lies in neighbouring cells of an image is one part.
+    cell: float = 0.2
+    # A part belongs to the thing that has this share of its cells, and most of them.
+    shared: float = 0.3
+    # A pixel has a colour if one around it, to so many pixels, has it to so many grey levels; it
+    # has another one if none has it to the second.
+    aside: int = 2
+    alike: float = 10.0
+    different: float = 25.0
+    # A thing is in another state if so many samples of so many images say so, of one image at
+    # least the last; and this share of all that say anything.
+    least: int = 24
+    images: int = 2
+    least_an_image: int = 4
+    share: float = 0.65
+    # Nanoseconds between visits: what was learnt on one visit is one state.
+    pause_ns: int = 600 * 10 ** 9
+
+
+def parts_of(points: np.ndarray, least: int, limits: StateThresholds) -> np.ndarray:
+    """
+    Tell which of world points (N, 3) are connected: their part, uint8 (N,), the largest first.
+
+    Parts of fewer points, and what are too many, are one part, the last.
+    """
+    cells, inverse = np.unique(np.floor(points / limits.cell).astype(np.int64), axis=0,
+                               return_inverse=True)
+    number = {tuple(cell): index for index, cell in enumerate(cells.tolist())}
+    root = list(range(len(cells)))
+
+    def top(index: int) -> int:
+        while root[index] != index:
+            root[index] = index = root[root[index]]
+        return index
+
+    for (x, y, z), index in number.items():
+        for right, down, far in BEHIND:
+            other = number.get((x + right, y + down, z + far))
+            if other is not None:
+                root[top(other)] = top(index)
+    found, part, count = np.unique(np.array([top(index) for index in range(len(cells))])[
+        inverse.ravel()], return_inverse=True, return_counts=True)
+    order = np.argsort(-count, kind='stable')
+    name = np.full(len(found), PARTS - 1, np.uint8)
+    large = order[:PARTS - 1][count[order[:PARTS - 1]] >= least]
+    name[large] = np.arange(len(large))
+    return name[part.ravel()]
+
+
+class Things:
+    """
+    What changes are changes of: parts of patches that lie at the same place are one thing.
+
+    of int64 (PARTS * patches,): the thing that each part belongs to, -1: there is no such part.
+    The other arrays are of the samples of all parts, see Samples; part int64 (N,): which one.
+    """
+
+    def __init__(self, patches: Sequence[Patch], limits: StateThresholds = StateThresholds()
+                 ) -> None:
+        samples = [patch.samples for patch in patches]
+        self.points, self.colours, self.depths = (
+            np.concatenate([getattr(one, name) for one in samples])
+            for name in ('points', 'colours', 'depths'))
+        self.part = np.concatenate([PARTS * index + one.parts.astype(np.int64)
+                                    for index, one in enumerate(samples)])
+        self.of = np.full(PARTS * len(patches), -1)
+        keys = cell_keys(np.concatenate([one.nearer for one in samples]), limits.cell)
+        order = np.argsort(self.part, kind='stable')
+        owner: dict[int, int] = {}
+        things = 0
+        for some in np.split(order, np.flatnonzero(np.diff(self.part[order])) + 1):
+            cells = np.unique(keys[some]).tolist()
+            owners = [owner[cell] for cell in cells if cell in owner]
+            most = max(set(owners), key=lambda one: (owners.count(one), -one), default=-1)
+            if most < 0 or owners.count(most) < limits.shared * len(cells):
+                most, things = things, things + 1
+            self.of[self.part[some[0]]] = most
+            for cell in cells:
+                owner.setdefault(cell, most)
+
+
+def find_turn(shots: Sequence[Shot], changes: Changes, camera: Intrinsics, batch: int,
+              limits: StateThresholds = StateThresholds()) -> Turn | None:
+    """
+    Return which parts images show in another state that was known before; None: none.
+
+    What that explains contradicts no more: it is taken out of the shots.
+    """
+    if not changes.patches or not any(shot.contradicted.any() for shot in shots):
+        return None
+    things = Things(changes.patches, limits)
+    hidden = changes.hidden
+    # What was seen is asked for where it is hidden, else what was before.
+    other = np.where(things.of < 0, -1, np.where(hidden < 0, 1, 0)).astype(np.int8)
+    looks = [_look(shot) for shot in shots]
+    votes = np.stack([_weigh(things, other, look, camera, limits)[0] for look in looks])
+    turned = _turned(votes, things.of, changes, limits)
+    if not turned.any():
+        return None
+    other[~turned] = -1
+    size = 2 * (2 * limits.aside + 1) + 1
+    for shot, look in zip(shots, looks):
+        explained = _weigh(things, other, look, camera, limits)[1]
+        explained = cv2.dilate(explained.view(np.uint8), np.ones((size, size), np.uint8)) > 0
+        explained &= shot.contradicted
+        shot.contradicted[explained] = False
+        shot.depth[explained] = 0
+    return Turn(np.flatnonzero(turned).astype(np.uint32), shots[-1].stamp_ns, batch)
+
+
+def _turned(votes: np.ndarray, things: np.ndarray, changes: Changes, limits: StateThresholds
+            ) -> np.ndarray:
+    """Return which parts turn, bool (parts,), by votes (images, parts, 3) of parts of things."""
+    turned = np.zeros(len(things), bool)
+    stamps = np.repeat([patch.stamp_ns for patch in changes.patches], PARTS)
+    for thing in np.unique(things[votes[..., OTHER].any(0)]):
+        own = np.flatnonzero(things == thing)
+        hidden = changes.hidden[own]
+        # What one turn hid is shown again together.
+        states = [own[hidden == turn] for turn in np.unique(hidden[hidden >= 0])]
+        # What was learnt on a visit goes together with what was learnt later.
+        shown = own[hidden < 0]
+        times = np.unique(stamps[shown])
+        begins = times[np.r_[True, np.diff(times) > limits.pause_ns][:len(times)]]
+        states += [shown[stamps[shown] >= begin] for begin in begins]
+        scores = [_score(votes[:, state], limits) for state in states]
+        best = max(range(len(states)), key=lambda index: (scores[index], index))
+        if scores[best] > 0:
+            turned[states[best]] = True
+    return turned
+
+
+def _score(votes: np.ndarray, limits: StateThresholds) -> int:
+    """Return how much speaks for another state, by votes (images, parts, 3); 0: not enough."""
+    counts = votes.sum(1)
+    other, all_of_them = int(counts[:, OTHER].sum()), int(counts.sum())
+    enough = (other >= limits.least and other >= limits.share * all_of_them
+              and (counts[:, OTHER] >= limits.least_an_image).sum() >= limits.images)
+    return 2 * other - all_of_them if enough else 0
+
+
+def _look(shot: Shot) -> Look:
+    T = shot.pose.inverse()
+    return Look(shot.image, shot.depth, shot.contradicted,
+                np.ascontiguousarray(T[:3, :3], np.float32),
+                np.ascontiguousarray(T[:3, 3], np.float32))
+
+
+def _weigh(things: Things, other: np.ndarray, look: Look, camera: Intrinsics,
+           limits: StateThresholds) -> tuple[np.ndarray, np.ndarray]:
+    """Return votes int32 (parts, 3), and where they are for the other state, bool (h, w)."""
+    votes = np.zeros((len(other), 3), np.int32)
+    explained = np.zeros(look.depth.shape, bool)
+    weigh(things.points, things.colours, things.depths, things.part, other, look,
+          Pinhole(*map(np.float32, (camera.fx, camera.fy, camera.cx, camera.cy))),
+          limits.aside, np.float32(limits.alike), np.float32(limits.different), votes, explained)
+    return votes, explained
