@@ -50,9 +50,9 @@ class Changes:
             (patch.samples, parts[patch.samples.parts] >= 0) for patch, parts in zip(
                 self.patches, self.hidden.reshape(-1, PARTS)))]
         # What lies at the border of a cell may be drawn in the next one.
-        return np.unique([cell_keys(np.concatenate(shown) + np.float32(offset), CELL)
-                          for offset in product((-CELL / 4, CELL / 4), repeat=3)] if shown else
-                         np.empty(0, np.int64))
+        around = np.array(list(product((-CELL / 4, CELL / 4), repeat=3)), np.float32)
+        return np.unique([cell_keys(np.concatenate(shown) + offset, CELL) for offset in around]
+                         if shown else np.empty(0, np.int64))
 
     def shown_at(self, depth: np.ndarray, camera: Intrinsics, pose: CameraPose) -> np.ndarray:
         """

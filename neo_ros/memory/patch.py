@@ -147,8 +147,8 @@ class Patch:
         texture, depths, before = values[18:]
         if len(content) != _HEAD.size + texture + depths + before:
             raise ValueError('record: its pictures do not fill it')
-        ends = np.cumsum([_HEAD.size, texture, depths, before]).tolist()
-        patch = cls(pose, camera, *(content[start:end] for start, end in zip(ends, ends[1:])),
+        start, middle, end = np.cumsum([_HEAD.size, texture, depths]).tolist()
+        patch = cls(pose, camera, content[start:middle], content[middle:end], content[end:],
                     stamp_ns, batch)
         if camera.width * camera.height > MOST_PIXELS:
             raise ValueError('record: its size is out of range')

@@ -143,7 +143,8 @@ class SceneGuide:
                      best.found, len(best.location.points) if best.location else 0, view.depth,
                      partial(self._covariance, best, image.photo[0]), self.expansion.observed,
                      partial(self._panorama, best.pose, gain), light,
-                     changes and changes.shown_at(view.depth, self.expansion.target, best.pose))
+                     None if changes is None else changes.shown_at(
+                         view.depth, self.expansion.target, best.pose))
 
     def _decode_ahead(self, pose: CameraPose) -> None:
         """Have decoded what will be drawn if the camera moves on as it does."""

@@ -52,11 +52,13 @@ def test_what_is_appended_is_read_again(tmp_path: Path) -> None:
     assert [one.stamp_ns for one in written(path, PATCHES[2:])] == [0, 1]
     found = read_journal(path, MEMORY)
     assert [one.stamp_ns for one in found] == [0, 1, 2, 3]
-    image, depth, _ = found[3].pictures
+    last = found[3]
+    assert isinstance(last, Patch)
+    image, depth, _ = last.pictures
     assert np.abs(image.astype(int) - PATCHES[3].pictures[0]).max() < 3
     np.testing.assert_allclose(depth[depth > 0], 5.0, rtol=0.02)
-    assert found[3].camera == CAMERA
-    np.testing.assert_array_equal(found[3].pose.T_world_cam, PATCHES[3].pose.T_world_cam)
+    assert last.camera == CAMERA
+    np.testing.assert_array_equal(last.pose.T_world_cam, PATCHES[3].pose.T_world_cam)
 
 
 @settings(max_examples=40, deadline=None)
