@@ -11,7 +11,7 @@ from neo_ros.memory.kernels import Pinhole
 from neo_ros.memory.keyframe import code_of, depth_of
 from neo_ros.memory.patch import PARTS, Patch
 from neo_ros.memory.state_kernels import find_cells, keys_of
-from neo_ros.memory.turn import hidden_by, Record, Turn
+from neo_ros.memory.turn import Record, Turn, turned_by
 import numpy as np
 
 # Of a patch every so many-th pixel is looked at, to tell whether others have replaced it; it is if
@@ -27,16 +27,15 @@ class Changes:
     """
     Patches in the order in which they were seen; what is newer replaces what is older.
 
-    Turns among the records tell which parts of them are shown. hidden int64 (PARTS * patches,):
-    for each part the number of the turn that hid it, -1: it is shown. Never changed, so that
-    several threads can decode: `with_more` makes others.
+    Turns among the records tell which parts of them are shown; what is shown again is as new as
+    its turn. hidden int64 (PARTS * patches,): for each part the number of the record that hid it,
+    -1: it is shown. Never changed, so that several threads can decode: `with_more` makes others.
     """
 
     def __init__(self, records: Sequence[Record]) -> None:
         self.records = tuple(records)
         self.patches = tuple(one for one in records if isinstance(one, Patch))
-        self.hidden = hidden_by(records, len(self.patches))
-        self.hidden.setflags(write=False)
+        self.hidden, self._again = turned_by(records, len(self.patches))
 
     def with_more(self, records: Sequence[Record]) -> 'Changes':
         """Return these and later ones."""
@@ -69,10 +68,22 @@ class Changes:
         return cv2.resize(found, depth.shape[::-1], interpolation=cv2.INTER_LINEAR)
 
     @cached_property
-    def _shown(self) -> list[tuple[Patch, np.ndarray]]:
-        """Patches of which anything is shown, and which of their parts are: bool (PARTS,)."""
-        shown = (self.hidden < 0).reshape(-1, PARTS)
-        return [(patch, parts) for patch, parts in zip(self.patches, shown) if parts.any()]
+    def layers(self) -> list[tuple[tuple[int, int], Patch, np.ndarray]]:
+        """
+        What is shown, the oldest first: patches, and which of their parts, bool (PARTS,).
+
+        Before them what is the same for those that add to each other.
+        """
+        numbers = [number for number, one in enumerate(self.records) if isinstance(one, Patch)]
+        found = []
+        for number, patch, hidden, again in zip(
+                numbers, self.patches, self.hidden.reshape(-1, PARTS),
+                self._again.reshape(-1, PARTS)):
+            for turn in np.unique(again[hidden < 0]).tolist():
+                found.append((max(turn, number), (turn, patch.batch), patch,
+                              (hidden < 0) & (again == turn)))
+        found.sort(key=lambda layer: layer[0])
+        return [layer[1:] for layer in found]
 
     def put_into(self, position: np.ndarray, band: Band, reduced: int, texture: np.ndarray,
                  coded: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -93,8 +104,8 @@ class Changes:
                         np.float32(band.width), band.wraps)
         _spread(depth, finer, sphere.surface)
         blocks = np.empty((*(-(-size // BLOCK) for size in depth.shape), 4), np.float32)
-        for _, batch in groupby(self._shown, lambda shown: shown[0].batch):
-            seen = [_seen_from(patch, parts, position) for patch, parts in batch]
+        for _, batch in groupby(self.layers, lambda layer: layer[0]):
+            seen = [_seen_from(patch, parts, position) for _, patch, parts in batch]
             bound_blocks(rays, depth, blocks)
             if sum(carve(rays, depth, blocks, *one) for one in seen):
                 sphere.surface[np.repeat(np.repeat(depth == 0, finer, 0), finer, 1)] = 0
@@ -113,14 +124,16 @@ def without_replaced(records: Sequence[Record]) -> list[Record]:
     """
     Leave out patches of which later visits have seen nearly all: they show what is there now.
 
-    What is left keeps its order, and is shown as before. Hidden parts stay.
+    What is left is in the order in which it was shown, and hidden parts stay.
     """
     changes = Changes(records)
     hidden = changes.hidden.reshape(-1, PARTS)
-    kept: list[int] = []
-    for index, patch in enumerate(changes.patches):
-        _, depth, parts = patch.pictures
-        rows, columns = np.nonzero(depth > 0)
+    index_of = {patch: index for index, patch in enumerate(changes.patches)}
+    newest = {patch: place for place, (_, patch, _) in enumerate(changes.layers)}
+    kept: list[Patch] = []
+    for patch, parts in zip(changes.patches, hidden):
+        _, depth, part = patch.pictures
+        rows, columns = np.nonzero((depth > 0) & (parts < 0)[part])
         rows, columns = rows[::SAMPLED], columns[::SAMPLED]
         camera = patch.camera
         local = np.stack([(columns + 0.5 - camera.cx) / camera.fx,
@@ -128,19 +141,17 @@ def without_replaced(records: Sequence[Record]) -> list[Record]:
         local *= depth[rows, columns][:, None]
         points = local @ patch.pose.T_world_cam[:3, :3].T + patch.pose.position
         open_points = np.ones(len(points), bool)
-        own = hidden[index][parts[rows, columns]]
-        for later, turned in zip(changes.patches[index + 1:], hidden[index + 1:]):
-            left = open_points & (own < 0)
-            if later.batch != patch.batch and left.any():
-                open_points[left] = ~_reaches(later, turned < 0, points[left])
-        if open_points.mean() > 1 - REPLACED:
-            kept.append(index)
+        for _, later, shown in changes.layers[newest.get(patch, 0) + 1:]:
+            if later.batch != patch.batch and open_points.any():
+                open_points[open_points] = ~_reaches(later, shown, points[open_points])
+        if (parts >= 0).any() or (len(points) and open_points.mean() > 1 - REPLACED):
+            kept.append(patch)
+    kept.sort(key=lambda patch: newest.get(patch, -1))
     # One turn for each that hides anything still: what it hid is shown again together.
-    left = np.flatnonzero(hidden[kept].ravel() >= 0)
-    turns = hidden[kept].ravel()[left]
-    return [*(changes.patches[index] for index in kept), *(
-        Turn(left[turns == turn].astype(np.uint32), records[turn].stamp_ns, records[turn].batch)
-        for turn in np.unique(turns))]
+    turned = np.concatenate([hidden[index_of[patch]] for patch in kept] or [np.empty(0, int)])
+    return [*kept, *(
+        Turn(np.flatnonzero(turned == turn).astype(np.uint32), records[turn].stamp_ns,
+             records[turn].batch) for turn in np.unique(turned[turned >= 0]))]
 
 
 def _reaches(patch: Patch, shown: np.ndarray, points: np.ndarray) -> np.ndarray:

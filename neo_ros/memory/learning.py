@@ -89,6 +89,7 @@ class Learner:
         self._new = 0
         self._changes = memory.changes or Changes(())
         self._batch = 1 + max((patch.batch for patch in self._changes.patches), default=-1)
+        self._begun = self._batch  # The first one of this visit.
         self._pending: Future[Learnt] | None = None
 
     def see(self, image: np.ndarray, shown: np.ndarray, depth: np.ndarray, pose: CameraPose,
@@ -166,7 +167,8 @@ class Learner:
             # On Linux a thread has a priority of its own.
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 19)
         try:
-            turn = find_turn(shots[-new:], changes, self._camera, batch, self.thresholds.states)
+            turn = find_turn(shots[-new:], changes, self._camera, batch, self._begun,
+                             self.thresholds.states)
             patches = find_patches(shots, new, self._camera, self._rays, batch, self._depths,
                                    self.thresholds)
             if self._journal is None:

@@ -57,7 +57,7 @@ def _off(colour, look, row, column, aside):
 
 @njit(**FAST)
 def weigh(points, colours, depths, parts, other, look, camera, aside, alike, different, votes,
-          explained):
+          said):
     """
     Count what an image says of each part: votes int32 (parts, 3) grow.
 
@@ -65,7 +65,7 @@ def weigh(points, colours, depths, parts, other, look, camera, aside, alike, dif
     int8 (parts,): which of the two is not shown, -1: it is not asked for. aside: pixels; alike,
     different: grey levels. OTHER: the image contradicts what is shown, and shows the other
     state; STAYS: it agrees with what is shown where the other state would be seen; NEITHER: it
-    contradicts both. explained bool (h, w): set where it shows the other state.
+    contradicts both. said bool (3, h, w): set where it says so, but for STAYS.
     """
     for i in range(len(parts)):
         part = parts[i]
@@ -79,9 +79,10 @@ def weigh(points, colours, depths, parts, other, look, camera, aside, alike, dif
         if look.contradicted[row, column]:
             if off < alike:
                 votes[part, OTHER] += 1
-                explained[row, column] = True
+                said[OTHER, row, column] = True
             elif off > different:
                 votes[part, NEITHER] += 1
+                said[NEITHER, row, column] = True
             continue
         if depths[i, state] < depths[i, 1 - state] * (1 - SAME):
             # The other state is nearer: it would hide what is seen.

@@ -8,7 +8,7 @@ from neo_ros.geometry import Intrinsics
 from neo_ros.memory.changes import cell_keys, Changes
 from neo_ros.memory.kernels import Pinhole
 from neo_ros.memory.patch import PARTS, Patch
-from neo_ros.memory.state_kernels import Look, OTHER, STAYS, weigh
+from neo_ros.memory.state_kernels import Look, NEITHER, OTHER, STAYS, weigh
 from neo_ros.memory.stereo import Shot
 from neo_ros.memory.turn import Turn
 import numpy as np
@@ -106,11 +106,13 @@ class Things:
 
 
 def find_turn(shots: Sequence[Shot], changes: Changes, camera: Intrinsics, batch: int,
-              limits: StateThresholds = StateThresholds()) -> Turn | None:
+              begun: int, limits: StateThresholds = StateThresholds()) -> Turn | None:
     """
     Return which parts images show in another state that was known before; None: none.
 
-    What that explains contradicts no more: it is taken out of the shots.
+    begun: the first batch of this visit. What was learnt since, and just now, is asked of no
+    image: it is one state with what is learnt next. Where a turn explains the most of what
+    contradicts, nothing does any more: it is taken out of the shots.
     """
     if not changes.patches or not any(shot.contradicted.any() for shot in shots):
         return None
@@ -118,17 +120,21 @@ def find_turn(shots: Sequence[Shot], changes: Changes, camera: Intrinsics, batch
     hidden = changes.hidden
     # What was seen is asked for where it is hidden, else what was before.
     other = np.where(things.of < 0, -1, np.where(hidden < 0, 1, 0)).astype(np.int8)
+    just_now = shots[0].stamp_ns - limits.pause_ns
+    own = [one.batch >= begun and one.stamp_ns > just_now for one in changes.patches]
+    other[np.repeat(own, PARTS) & (hidden < 0)] = -1
     looks = [_look(shot) for shot in shots]
     votes = np.stack([_weigh(things, other, look, camera, limits)[0] for look in looks])
     turned = _turned(votes, things.of, changes, limits)
     if not turned.any():
         return None
     other[~turned] = -1
-    size = 2 * (2 * limits.aside + 1) + 1
     for shot, look in zip(shots, looks):
-        explained = _weigh(things, other, look, camera, limits)[1]
-        explained = cv2.dilate(explained.view(np.uint8), np.ones((size, size), np.uint8)) > 0
-        explained &= shot.contradicted
+        said = _weigh(things, other, look, camera, limits)[1]
+        count, labels = cv2.connectedComponents(shot.contradicted.view(np.uint8))
+        speaks, speaks_not = (np.bincount(labels[said[vote]], minlength=count)
+                              for vote in (OTHER, NEITHER))
+        explained = ((speaks > speaks_not) & (np.arange(count) > 0))[labels]
         shot.contradicted[explained] = False
         shot.depth[explained] = 0
     return Turn(np.flatnonzero(turned).astype(np.uint32), shots[-1].stamp_ns, batch)
@@ -175,10 +181,10 @@ def _look(shot: Shot) -> Look:
 
 def _weigh(things: Things, other: np.ndarray, look: Look, camera: Intrinsics,
            limits: StateThresholds) -> tuple[np.ndarray, np.ndarray]:
-    """Return votes int32 (parts, 3), and where they are for the other state, bool (h, w)."""
+    """Return votes int32 (parts, 3), and where the image gives them, bool (3, h, w)."""
     votes = np.zeros((len(other), 3), np.int32)
-    explained = np.zeros(look.depth.shape, bool)
+    said = np.zeros((3, *look.depth.shape), bool)
     weigh(things.points, things.colours, things.depths, things.part, other, look,
           Pinhole(*map(np.float32, (camera.fx, camera.fy, camera.cx, camera.cy))),
-          limits.aside, np.float32(limits.alike), np.float32(limits.different), votes, explained)
-    return votes, explained
+          limits.aside, np.float32(limits.alike), np.float32(limits.different), votes, said)
+    return votes, said

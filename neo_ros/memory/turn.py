@@ -41,14 +41,16 @@ class Turn:
 Record = Patch | Turn
 
 
-def hidden_by(records: Sequence[Record], patches: int) -> np.ndarray:
+def turned_by(records: Sequence[Record], patches: int) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return for each part of so many patches which record hid it, int64 (PARTS * patches,).
+    Return for each part of so many patches which record hid it, and which showed it again.
 
-    -1: it is shown.
+    int64 (PARTS * patches,) each; -1: none.
     """
-    hidden = np.full(PARTS * patches, -1)
+    hidden, again = np.full((2, PARTS * patches), -1)
     for number, turn in enumerate(records):
         if isinstance(turn, Turn):
-            hidden[turn.parts] = np.where(hidden[turn.parts] < 0, number, -1)
-    return hidden
+            shown = hidden[turn.parts] < 0
+            hidden[turn.parts] = np.where(shown, number, -1)
+            again[turn.parts] = np.where(shown, -1, number)
+    return hidden, again

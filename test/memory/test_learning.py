@@ -17,6 +17,7 @@ from neo_ros.memory.patch import Patch
 from neo_ros.memory.rendering import MemoryRenderer
 from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.memory.stereo import Shot
+from neo_ros.memory.turn import Turn
 from neo_ros.runtime import FovExtrapolator, read_model_card
 import numpy as np
 import pytest
@@ -28,6 +29,8 @@ Where = Callable[[int], float]
 def learnt(folder: Path, where: Where) -> tuple[SceneMemory, Path]:
     """Drive past a board whose middle a frame's number tells; return memory and journal."""
     memory, journal = box_memory(), folder / 'a.journal'
+    if journal.exists():
+        memory.change(Changes(read_journal(journal, 'ab' * 32)))
     learner = Learner(memory, EXPANSION, lambda: JournalWriter(journal, 'ab' * 32, 1 << 20),
                       False, LearningThresholds(batch=10, window=20, metres=0.01))
     renderer = MemoryRenderer(memory)
@@ -49,7 +52,7 @@ def error(memory: SceneMemory, middle: float = 1.8) -> tuple[float, float]:
 
 def true_patch(pose: CameraPose, batch: int = 0) -> Patch:
     image, depth, board = with_board(pose, SOURCE)
-    return Patch.of(pose, SOURCE, image, np.where(board, depth, 0), 0, batch)
+    return Patch.of(pose, SOURCE, image, np.where(board, depth, 0), 0, batch, view(pose, SOURCE))
 
 
 @pytest.mark.slow
@@ -78,6 +81,25 @@ def test_what_stays_is_learnt(tmp_path: Path) -> None:
     again = box_memory()
     again.change(Changes(read_journal(journal, 'ab' * 32)))
     assert error(again) == pytest.approx((after, rest_after), abs=0.3)
+
+
+@pytest.mark.slow
+def test_a_board_that_goes_and_comes_is_shown_as_it_was_seen_last(tmp_path: Path) -> None:
+    before, journal = error(box_memory())[0], tmp_path / 'a.journal'
+    writer = JournalWriter(journal, 'ab' * 32, 1 << 20)
+    writer.append([true_patch(one) for one in DRIVE[4:16:4]])
+    writer.close()
+    size = journal.stat().st_size
+    for where, turns in ((99, 1), (1.8, 2), (99, 3)):
+        memory, _ = learnt(tmp_path, lambda number, where=where: where)
+        again, records = box_memory(), read_journal(journal, 'ab' * 32)
+        again.change(Changes(records))
+        for one in (memory, again):  # Also after a restart.
+            assert (error(one)[0] > 0.9 * before) if where == 99 else (
+                error(one)[0] < 0.5 * before)
+        assert sum(isinstance(record, Turn) for record in records) == turns
+        # Next to nothing is learnt anew.
+        assert journal.stat().st_size < 1.5 * size
 
 
 @pytest.mark.slow

@@ -55,7 +55,7 @@ def test_a_board_that_left_again_is_hidden_wholly() -> None:
     half = slice(0, 32)
     # Each patch saw a part of it; the images see another.
     patches = [*PATCHES, learnt(DRIVE[10], slice(34, 64))]
-    turn = find_turn(shots(NOWHERE, 1.8, LOOKS, half), Changes(patches), SOURCE, 7)
+    turn = find_turn(shots(NOWHERE, 1.8, LOOKS, half), Changes(patches), SOURCE, 7, 1)
     assert turn is not None and turn.batch == 7 and turn.stamp_ns == LATER
     assert turn.parts.tolist() == [PARTS * number for number in range(4)]
 
@@ -63,19 +63,27 @@ def test_a_board_that_left_again_is_hidden_wholly() -> None:
 def test_what_another_state_explains_contradicts_no_more() -> None:
     looks = shots(NOWHERE, 1.8, LOOKS)
     before = sum(int(one.contradicted.sum()) for one in looks)
-    assert find_turn(looks, Changes(PATCHES), SOURCE, 0) is not None
+    assert find_turn(looks, Changes(PATCHES), SOURCE, 0, 1) is not None
     assert sum(int(one.contradicted.sum()) for one in looks) < 0.35 * before
 
 
 def test_it_turns_back_as_it_was() -> None:
     changes = Changes([*PATCHES, Turn(np.arange(3, dtype=np.uint32) * PARTS, LATER, 1)])
-    turn = find_turn(shots(1.8, NOWHERE, LOOKS, slice(0, 40)), changes, SOURCE, 2)
+    turn = find_turn(shots(1.8, NOWHERE, LOOKS, slice(0, 40)), changes, SOURCE, 2, 1)
     assert turn is not None and turn.parts.tolist() == [PARTS * number for number in range(3)]
     assert (changes.with_more([turn]).hidden < 0).all()
 
 
 def noise(image: np.ndarray) -> np.ndarray:
     return np.random.default_rng(0).integers(0, 256, image.shape)
+
+
+@pytest.mark.parametrize('learnt_ns, turns', [(LATER, False), (LATER - 10 ** 13, True)])
+def test_what_this_visit_has_just_learnt_does_not_turn(learnt_ns: int, turns: bool) -> None:
+    patches = [replace(one, stamp_ns=learnt_ns, batch=4) for one in PATCHES]
+    for begun, expected in ((4, turns), (5, True)):
+        turn = find_turn(shots(NOWHERE, 1.8, LOOKS), Changes(patches), SOURCE, 9, begun)
+        assert (turn is not None) == expected
 
 
 @pytest.mark.parametrize('made', ['as shown', 'something else', 'one image', 'moved on'])
@@ -86,14 +94,14 @@ def test_it_does_not_turn(made: str) -> None:
              # At its old place the board is still seen: it has another beside it.
              'moved on': lambda: [replace(one, contradicted=two.contradicted) for one, two in zip(
                  shots(1.8, 1.8, LOOKS), shots(NOWHERE, 1.8, LOOKS))]}[made]()
-    assert find_turn(looks, Changes(PATCHES), SOURCE, 0) is None
+    assert find_turn(looks, Changes(PATCHES), SOURCE, 0, 1) is None
 
 
 def test_only_what_was_learnt_last_goes_where_the_state_before_it_is_seen() -> None:
     # The board came, and was moved by its width on a later visit; now it is back.
     later = [learnt(DRIVE[number], board=2.8, before=1.8, stamp_ns=LATER) for number in (4, 10)]
     changes = Changes([*PATCHES, *later])
-    turn = find_turn(shots(1.8, 2.8, LOOKS), changes, SOURCE, 0)
+    turn = find_turn(shots(1.8, 2.8, LOOKS), changes, SOURCE, 0, 1)
     assert turn is not None and set(turn.parts // PARTS) == {3, 4}
 
 
