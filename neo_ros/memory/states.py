@@ -7,7 +7,7 @@ import cv2
 from neo_ros.geometry import Intrinsics
 from neo_ros.memory.changes import cell_keys, Changes
 from neo_ros.memory.kernels import Pinhole
-from neo_ros.memory.patch import PARTS, Patch
+from neo_ros.memory.patch import EVERY, PARTS, Patch
 from neo_ros.memory.state_kernels import Look, NEITHER, OTHER, STAYS, weigh
 from neo_ros.memory.stereo import Shot
 from neo_ros.memory.turn import Turn
@@ -32,9 +32,9 @@ class StateThresholds:
     different: float = 25.0
     # A thing is in another state if so many samples say so, in so many images at least the last;
     # and this share of all that say anything, and so many times as many as say that it stays.
-    # Walks of their own, chairs that were put back: shares of 0.58 to 0.92, 4.7 to 16 times as
-    # many; that stood: 0 to 0.29, up to 1.9 times.
-    least: int = 24
+    # Walks of their own, chairs that were put back: 700 and more, shares of 0.58 to 0.92, 4.7 to
+    # 16 times as many; that stood: 0 to 0.29, up to 1.9 times. Slivers beside a door: up to 99.
+    least: int = 100
     images: int = 2
     least_an_image: int = 4
     share: float = 0.5
@@ -130,11 +130,7 @@ def find_turn(shots: Sequence[Shot], changes: Changes, camera: Intrinsics, batch
         return None
     other[~turned] = -1
     for shot, look in zip(shots, looks):
-        said = _weigh(things, other, look, camera, limits)[1]
-        count, labels = cv2.connectedComponents(shot.contradicted.view(np.uint8))
-        speaks, speaks_not = (np.bincount(labels[said[vote]], minlength=count)
-                              for vote in (OTHER, NEITHER))
-        explained = ((speaks > speaks_not) & (np.arange(count) > 0))[labels]
+        explained = _explained(_weigh(things, other, look, camera, limits)[1], look.contradicted)
         shot.contradicted[explained] = False
         shot.depth[explained] = 0
     return Turn(np.flatnonzero(turned).astype(np.uint32), shots[-1].stamp_ns, batch)
@@ -170,6 +166,17 @@ def _score(votes: np.ndarray, limits: StateThresholds) -> int:
                            limits.times * counts[:, STAYS].sum())
               and (counts[:, OTHER] >= limits.least_an_image).sum() >= limits.images)
     return 2 * other - all_of_them if enough else 0
+
+
+def _explained(said: np.ndarray, contradicted: np.ndarray) -> np.ndarray:
+    """Return what another state explains of what contradicts, bool (h, w); said: as `weigh`'s."""
+    count, labels = cv2.connectedComponents(contradicted.view(np.uint8))
+    near = cv2.dilate(said[OTHER].view(np.uint8), np.ones((2 * EVERY + 1,) * 2, np.uint8)) > 0
+    area, covered, speaks, speaks_not = (np.bincount(labels[where], minlength=count) for where in (
+        contradicted, near & contradicted, said[OTHER], said[NEITHER]))
+    # Between the samples nothing is asked; of half a region they tell.
+    whole = 2 * covered > area
+    return contradicted & (speaks > speaks_not)[labels] & (near | whole[labels])
 
 
 def _look(shot: Shot) -> Look:

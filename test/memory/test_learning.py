@@ -91,7 +91,7 @@ def test_a_board_that_goes_and_comes_is_shown_as_it_was_seen_last(tmp_path: Path
     writer.close()
     size = journal.stat().st_size
     for where, turns in ((99, 1), (1.8, 2), (99, 3)):
-        memory, _ = learnt(tmp_path, lambda number, where=where: where)
+        memory, _ = learnt(tmp_path, ([float(where)] * len(DRIVE)).__getitem__)
         again, records = box_memory(), read_journal(journal, 'ab' * 32)
         again.change(Changes(records))
         for one in (memory, again):  # Also after a restart.
