@@ -7,6 +7,7 @@ Says in one line of JSON what it finds in the journal. Then it drives through th
 a post at X, Y, ROUNDS times, learns as LEARN says (beside, at once), and says how far it has come;
 0: it only tells whether the memory knows any image.
 """
+from collections.abc import Sequence
 import json
 import logging
 from pathlib import Path
@@ -26,7 +27,7 @@ import numpy as np
 HZ = 30.0  # of the camera
 
 
-def marks(records: list[Record]) -> list[int]:
+def marks(records: Sequence[Record]) -> list[int]:
     """Return what tells records of a journal from each other."""
     return [zlib.crc32(record.to_bytes()) for record in records]
 
