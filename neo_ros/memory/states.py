@@ -156,6 +156,12 @@ def _turned(votes: np.ndarray, things: np.ndarray, changes: Changes, limits: Sta
         best = max(range(len(states)), key=lambda index: (scores[index], index))
         if scores[best] > 0:
             turned[states[best]] = True
+    # What stands close together may be taken for one thing: what images say of a part itself
+    # keeps it hidden, or turns it alone.
+    own = votes.sum(0)
+    turned[(changes.hidden >= 0) & (own[:, STAYS] > limits.times * own[:, OTHER])] = False
+    for part in np.flatnonzero(own[:, OTHER] >= limits.least):
+        turned[part] |= _score(votes[:, [part]], limits) > 0
     return turned
 
 

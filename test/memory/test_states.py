@@ -9,7 +9,7 @@ from neo_ros.memory.changes import Changes
 from neo_ros.memory.contradiction import contradicted, contradiction
 from neo_ros.memory.patch import PARTS, Patch
 from neo_ros.memory.rendering import MemoryRenderer
-from neo_ros.memory.states import find_turn, parts_of, StateThresholds, Things
+from neo_ros.memory.states import _turned, find_turn, parts_of, StateThresholds, Things
 from neo_ros.memory.stereo import Shot
 from neo_ros.memory.turn import Turn
 import numpy as np
@@ -103,6 +103,26 @@ def test_only_what_was_learnt_last_goes_where_the_state_before_it_is_seen() -> N
     changes = Changes([*PATCHES, *later])
     turn = find_turn(shots(1.8, 2.8, LOOKS), changes, SOURCE, 0, 1)
     assert turn is not None and set(turn.parts // PARTS) == {3, 4}
+
+
+@pytest.mark.parametrize('hidden, expected', [(True, [0, 1]), (False, [0, 1, 2])])
+def test_what_is_said_of_a_part_itself_keeps_it_hidden(hidden: bool, expected: list[int]) -> None:
+    turn = Turn(np.arange(3, dtype=np.uint32) * PARTS, LATER, 1)
+    changes = Changes([*PATCHES, *([turn] if hidden else [])])
+    things = np.full(3 * PARTS, -1)
+    things[::PARTS] = 0  # All three are taken for one thing; of the third images say it stays.
+    votes = np.zeros((3, 3 * PARTS, 3), np.int32)
+    votes[:, ::PARTS] = [[200, 0, 0], [0, 0, 0], [5, 30, 0]]
+    assert np.flatnonzero(_turned(votes, things, changes, LIMITS)).tolist() == [
+        PARTS * number for number in expected]
+
+
+def test_a_part_may_turn_alone() -> None:
+    things = np.full(3 * PARTS, -1)
+    things[::PARTS] = 0
+    votes = np.zeros((3, 3 * PARTS, 3), np.int32)
+    votes[:, ::PARTS] = [[200, 10, 0], [0, 900, 0], [30, 0, 0]]
+    assert np.flatnonzero(_turned(votes, things, Changes(PATCHES), LIMITS)).tolist() == [0]
 
 
 def test_what_lies_apart_is_of_two_parts() -> None:
