@@ -48,6 +48,22 @@ def test_gaps_beside_the_camera_go_on_in_its_colours() -> None:
     assert error[rows, columns.start - 1].min() >= FusionThresholds.gap_error / 255
 
 
+def test_what_may_be_in_another_state_is_less_sure_until_it_is_seen() -> None:
+    two_states = np.zeros(RING.shape, np.float32)
+    two_states[:20, :20] = 1
+    weight = np.zeros(RING.shape, np.float32)
+    weight[:20, :10] = 1
+    guide = replace(guide_of(WIDE), seen_before=SeenBefore(
+        np.zeros((*RING.shape, 3), np.float32), weight))
+    (wide, error), (wide_before, before) = (fuse(NARROW, one, EXPANSION) for one in (
+        replace(guide, two_states=two_states), guide))
+    assert np.array_equal(wide, wide_before)
+    more = (error - before) * 255
+    assert more[:20, 10:20] == pytest.approx(FusionThresholds.two_states)
+    more[:20, 10:20] = 0
+    assert (more == 0).all()
+
+
 def test_small_gaps_are_filled_from_around_them() -> None:
     known = np.ones(RING.shape, bool)
     known[10:13, 60:64] = False
