@@ -2,14 +2,14 @@
 What a memory learns of a flat that changes from visit to visit, and what an update makes of it.
 
     python -m neo_ros.benchmark.lives RUN [--frames DIR] [--drive 130] [--visits 20] [--out FILE]
-                                      [--retrain 12]
+                                      [--retrain CONFIG]
 
 RUN is the folder of `neo train` on the demo flat. On each visit (see `flat/visits.py`) a robot
 drives through the flat. Other walks are widened by the memory as it was trained (none), by one
 that learnt on all drives so far (learn), and by the run that `neo update` brought up to date with
-the bags of all drives so far (update). With --retrain a fresh training on photos of the last visit
-is the fourth (retrained). Scores are of the ring in the frames that show something
-changed, with exact truth. Frames are kept in DIR.
+the bags of all drives so far (update). With --retrain a fresh training with CONFIG
+on photos of the last visit is the fourth (retrained). Scores are of the ring in the frames that
+show something changed, with exact truth. Frames are kept in DIR.
 """
 import argparse
 from collections.abc import Iterator
@@ -168,7 +168,7 @@ def as_bag(path: Path, walks: Walks, model: Path) -> None:
         FovExtrapolator.load(model, guided=False).expansion)
 
 
-def train_anew(visit: Visit, camera: Intrinsics, minutes: float, folder: Path) -> Path:
+def train_anew(visit: Visit, camera: Intrinsics, config: Path, folder: Path) -> Path:
     """Train on photos of the flat as a visit finds it, taken as for the run; return the model."""
     poses, scene = sample_training_poses(build_demo_flat(), RULES.photos, 0), folder / 'demo_flat'
     names = [scene / 'train' / f'{index:04d}.png' for index in range(len(poses))]
@@ -180,12 +180,12 @@ def train_anew(visit: Visit, camera: Intrinsics, minutes: float, folder: Path) -
     write_transforms(scene / 'transforms_train.json', PosedImages(
         camera, tuple(names), tuple(poses), (0,) * len(poses)))
     write_walkable(scene / 'walkable.json', build_demo_flat().walkable())
-    end(neo('train', scene, '--minutes', minutes, '--out', folder / 'run'))
+    end(neo('train', scene, '--config', config, '--out', folder / 'run'))
     return folder / 'run' / 'demo_flat.onnx'
 
 
 def measure(run: Path, frames: Path, visits: int, driven: int, out: Path,
-            retrain: float | None) -> None:
+            retrain: Path | None) -> None:
     """Go through the visits; write a row for each and each mode, all of them after each visit."""
     rows: list[dict[str, Any]] = []
     trained, = run.glob('*.onnx')
@@ -257,8 +257,8 @@ def main() -> None:
     parser.add_argument('--drive', type=int, default=130, help='frames of each drive')
     parser.add_argument('--visits', type=int, default=len(VISITS))
     parser.add_argument('--out', type=Path, default=Path('results/lives.json'))
-    parser.add_argument('--retrain', type=float, metavar='MINUTES',
-                        help='train anew on photos of the last visit, for so many minutes')
+    parser.add_argument('--retrain', type=Path, metavar='CONFIG',
+                        help='experiment file: train anew on photos of the last visit')
     given = parser.parse_args()
     measure(given.run, given.frames, given.visits, given.drive, given.out, given.retrain)
 
