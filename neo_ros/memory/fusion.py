@@ -126,7 +126,8 @@ def _slope(image: np.ndarray) -> np.ndarray:
     """Return how steep the grey of RGB uint8 (H, W, 3) is, levels a pixel, float32 (H, W)."""
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
     across, down = (cv2.Sobel(grey, cv2.CV_32F, *order, scale=1 / 8) for order in ((1, 0), (0, 1)))
-    return cv2.blur(cv2.magnitude(across, down), (3, 3))
+    # Not cv2.magnitude, whose last bits depend on where in memory its arguments lie.
+    return cv2.blur(np.sqrt(across * across + down * down), (3, 3))
 
 
 def _filled(image: np.ndarray, known: np.ndarray) -> np.ndarray:
