@@ -28,7 +28,8 @@ from neo_ros.runtime.model_card import Parity, write_model_card
 from neo_ros.runtime.scene_check import fit_scene_reference
 from neo_ros.scenes.upright import read_upright_scene
 from neo_ros.speed.model import count_flops
-from neo_ros.training.checkpoint import read_notes, train_with_checkpoints, write_notes
+from neo_ros.training.checkpoint import (
+    begin_as, read_notes, train_with_checkpoints, write_notes)
 from neo_ros.training.checks import check_training
 from neo_ros.training.folder import claim, drop_made_of_a_field, take_field
 from neo_ros.training.memory import memory_step, name_memory
@@ -150,11 +151,13 @@ def _take_geometry(run: TrainingRun, geometry: GivenGeometry, path: Path) -> Non
 
 
 def fit_outpainter_step(run: TrainingRun, field: RadianceField,
-                        held_out: np.ndarray | None = None, rank: int = 0) -> nn.Module:
+                        held_out: np.ndarray | None = None, rank: int = 0,
+                        earlier: Path | None = None) -> nn.Module:
     """
     Do steps 2 and 3: train the outpainter on views rendered where the robot can be.
 
     rank is the number of this process where several train together; each has its own stream.
+    earlier: the checkpoint of a network that this one begins as.
     """
     experiment, started = run.experiment, time.monotonic()
     stream = make_stream(run, field, experiment.seed + 1_000_000 * rank)
@@ -165,6 +168,8 @@ def fit_outpainter_step(run: TrainingRun, field: RadianceField,
         config = replace(config, minutes=share_network_minutes(run.out, from_first(spent), rank))
     trainer = OutpaintTrainer(run.network_expansion, experiment.network, config,
                               experiment.seed, held_out)
+    if earlier is not None:
+        begin_as(trainer, earlier)
     run.seconds += time.monotonic() - started  # A checkpoint's time takes its place, where one is.
     log = (TrainingLog(run.out / 'tensorboard')
            if experiment.outpaint.tensorboard and rank == 0 else None)

@@ -42,10 +42,10 @@ LAW: dict[str, set[str]] = {
     # What the pipeline is made of.
     'training': {'geometry', 'machine', 'pictures', 'scenes', 'field', 'outpaint', 'runtime',
                  'memory', 'baking', 'reports', 'evaluation', 'experiment', 'torch', 'cv2'},
-    # Reads bags, and changes what a training left.
+    # Reads bags, changes what a training left, and trains its network on with the pipeline.
     'updating': {'geometry', 'machine', 'pictures', 'scenes', 'field', 'memory', 'baking',
-                 'runtime', 'messages', 'bags', 'reports', 'training', 'experiment', 'numba',
-                 'scipy', 'cv2', 'pycolmap'},
+                 'runtime', 'messages', 'bags', 'reports', 'training', 'pipeline', 'experiment',
+                 'numba', 'scipy', 'cv2', 'pycolmap'},
     # Trains with the pipeline, which itself scores with `evaluation`.
     'benchmark': {'geometry', 'machine', 'pictures', 'scenes', 'captures', 'flat', 'field',
                   'outpaint', 'runtime', 'memory', 'baking', 'messages', 'reports', 'evaluation',

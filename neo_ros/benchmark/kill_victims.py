@@ -7,6 +7,7 @@ Says in one line of JSON what it finds in the journal. Then it drives through th
 a post at X, Y, ROUNDS times, learns as LEARN says (beside, at once), and says how far it has come;
 0: it only tells whether the memory knows any image.
 """
+from collections.abc import Sequence
 import json
 import logging
 from pathlib import Path
@@ -17,7 +18,7 @@ import zlib
 from neo_ros.benchmark.small_room import drive, look, WIDE
 from neo_ros.memory.journal import journal_path, read_journal
 from neo_ros.memory.learning import Learn, logger, LOOKED
-from neo_ros.memory.patch import Patch
+from neo_ros.memory.turn import Record
 from neo_ros.runtime import FovExtrapolator
 from neo_ros.runtime.fov_extrapolator import memory_path
 from neo_ros.runtime.model_card import read_model_card
@@ -26,9 +27,9 @@ import numpy as np
 HZ = 30.0  # of the camera
 
 
-def marks(patches: list[Patch]) -> list[int]:
+def marks(records: Sequence[Record]) -> list[int]:
     """Return what tells records of a journal from each other."""
-    return [zlib.crc32(patch.to_bytes()) for patch in patches]
+    return [zlib.crc32(record.to_bytes()) for record in records]
 
 
 def journal_of(model: Path) -> tuple[Path, str]:

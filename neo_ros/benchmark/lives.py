@@ -1,13 +1,15 @@
 """
 What a memory learns of a flat that changes from visit to visit, and what an update makes of it.
 
-    python -m neo_ros.benchmark.lives RUN [--frames DIR] [--drive 130] [--visits 10] [--out FILE]
+    python -m neo_ros.benchmark.lives RUN [--frames DIR] [--drive 130] [--visits 20] [--out FILE]
+                                      [--retrain CONFIG]
 
 RUN is the folder of `neo train` on the demo flat. On each visit (see `flat/visits.py`) a robot
 drives through the flat. Other walks are widened by the memory as it was trained (none), by one
 that learnt on all drives so far (learn), and by the run that `neo update` brought up to date with
-the bags of all drives so far (update). Scores are of the ring in the frames that show something
-changed, with exact truth. Frames are kept in DIR.
+the bags of all drives so far (update). With --retrain a fresh training with CONFIG
+on photos of the last visit is the fourth (retrained). Scores are of the ring in the frames that
+show something changed, with exact truth. Frames are kept in DIR.
 """
 import argparse
 from collections.abc import Iterator
@@ -19,10 +21,11 @@ import shutil
 import tempfile
 from typing import Any
 
+import cv2
 from neo_ros.bags import write_demo_bag
 from neo_ros.benchmark.killing import end, neo
 from neo_ros.evaluation.metrics import auroc, psnr
-from neo_ros.flat.demo_flat import build_demo_flat, walking_paths
+from neo_ros.flat.demo_flat import build_demo_flat, sample_training_poses, walking_paths
 from neo_ros.flat.visits import (
     CHAIRS, DOOR_PLACE, PLANT, somebody, Visit, visited_flat, VISITS, with_more)
 from neo_ros.geometry import CameraPose, Intrinsics
@@ -32,6 +35,9 @@ from neo_ros.machine.processes import map_in_processes
 from neo_ros.memory.contradiction import contradiction
 from neo_ros.messages.stamps import NS_PER_S
 from neo_ros.runtime import FovExtrapolator
+from neo_ros.scenes.posed_images import PosedImages
+from neo_ros.scenes.transforms_json import write_transforms
+from neo_ros.scenes.walkable import write_walkable
 import numpy as np
 
 
@@ -48,6 +54,7 @@ class LivesRules:
     right_metres: float = 0.1  # a pose is right if it is so near
     right_cosine: float = 0.999
     rate: float = 6.0          # images a second, in the bags of the drives
+    photos: int = 1000         # of a fresh training
 
 
 RULES = LivesRules()
@@ -62,9 +69,9 @@ class Walks:
     walk: np.ndarray
 
 
-def walks_of(visit: Visit, seed: int, count: int, camera: Intrinsics, folder: Path, name: str
-             ) -> Walks:
-    """Cast the frames of some walks on a visit, or read them where they are kept."""
+def walks_of(visit: Visit, seed: int, count: int, camera: Intrinsics, folder: Path, name: str,
+             most: int | None = None) -> Walks:
+    """Cast the frames of some walks on a visit, at most so many, or read them where they lie."""
     path = folder / f'{name}_{seed}_{count}_{camera.width}.npz'
     if not path.exists():
         paths = []
@@ -73,12 +80,13 @@ def walks_of(visit: Visit, seed: int, count: int, camera: Intrinsics, folder: Pa
             paths += [(number, pose) for pose in walk if np.linalg.norm(
                 off - pose.position[:2], axis=1).min() >= RULES.nearest]
         visited_flat(visit, folder)  # Its light is there for all processes.
+        paths = paths[:most]
         T = np.stack([pose.T_world_cam for _, pose in paths])
         folder.mkdir(parents=True, exist_ok=True)
         np.savez(path, T=T, walk=np.array([number for number, _ in paths]), images=np.stack(list(
             map_in_processes(partial(_cast, visit, folder, camera), list(enumerate(T)), 2))))
     with np.load(path) as data:
-        return Walks(data['images'], data['T'], data['walk'])
+        return Walks(*(data[part][:most] for part in ('images', 'T', 'walk')))
 
 
 def _cast(visit: Visit, folder: Path, camera: Intrinsics, frame: tuple[int, np.ndarray]
@@ -160,7 +168,24 @@ def as_bag(path: Path, walks: Walks, model: Path) -> None:
         FovExtrapolator.load(model, guided=False).expansion)
 
 
-def measure(run: Path, frames: Path, visits: int, driven: int, out: Path) -> None:
+def train_anew(visit: Visit, camera: Intrinsics, config: Path, folder: Path) -> Path:
+    """Train on photos of the flat as a visit finds it, taken as for the run; return the model."""
+    poses, scene = sample_training_poses(build_demo_flat(), RULES.photos, 0), folder / 'demo_flat'
+    names = [scene / 'train' / f'{index:04d}.png' for index in range(len(poses))]
+    (scene / 'train').mkdir(parents=True)
+    for name, image in zip(names, map_in_processes(
+            partial(_cast, visit, folder, camera),
+            list(enumerate(pose.T_world_cam for pose in poses)), 2)):
+        write_bytes(name, cv2.imencode('.png', image[..., ::-1])[1].tobytes())
+    write_transforms(scene / 'transforms_train.json', PosedImages(
+        camera, tuple(names), tuple(poses), (0,) * len(poses)))
+    write_walkable(scene / 'walkable.json', build_demo_flat().walkable())
+    end(neo('train', scene, '--config', config, '--out', folder / 'run'))
+    return folder / 'run' / 'demo_flat.onnx'
+
+
+def measure(run: Path, frames: Path, visits: int, driven: int, out: Path,
+            retrain: Path | None) -> None:
     """Go through the visits; write a row for each and each mode, all of them after each visit."""
     rows: list[dict[str, Any]] = []
     trained, = run.glob('*.onnx')
@@ -172,8 +197,8 @@ def measure(run: Path, frames: Path, visits: int, driven: int, out: Path) -> Non
         shutil.copy(trained.with_suffix('.memory'), folder)
         newest = run
         for number, visit in enumerate(VISITS[:visits]):
-            path = cast(visit, RULES.drive_seed + number, 20, name=f'drive_{number}')
-            path = Walks(path.images[:driven], path.T[:driven], path.walk[:driven])
+            path = cast(visit, RULES.drive_seed + number, 20, name=f'drive_{number}',
+                        most=driven)
             # Nobody is in the way, and the light is the same, where what changed is told apart.
             test = cast(replace(visit, people=False), RULES.test_seed, RULES.test_walks,
                         name=f'test_{number}')
@@ -186,8 +211,11 @@ def measure(run: Path, frames: Path, visits: int, driven: int, out: Path) -> Non
             minutes = end(neo('update', newest, bag, '--out', after)) / 60
             if after.exists():  # Where nothing has changed nothing is written.
                 newest = after
-            scored = {mode: score(model, test, before) for mode, model in (
-                ('none', trained), ('learn', learning), ('update', newest / trained.name))}
+            models = {'none': trained, 'learn': learning, 'update': newest / trained.name}
+            if retrain is not None and number == visits - 1:
+                models['retrained'] = train_anew(visit, expansion.source, retrain,
+                                                 Path(folder) / 'retrained')
+            scored = {mode: score(model, test, before) for mode, model in models.items()}
             for mode, (scores, shown) in scored.items():
                 if mode != 'none':
                     scores['contradiction_auroc'] = None  # What was learnt contradicts no more.
@@ -196,8 +224,7 @@ def measure(run: Path, frames: Path, visits: int, driven: int, out: Path) -> Non
                     'unchanged_before_psnr': scored['none'][0]['unchanged_ring_psnr'],
                     'false_change_share': false_changes(
                         test, before, scored['none'][1], shown, expansion.extrapolated_mask),
-                    'memory_mb': _megabytes((learning if mode == 'learn' else (
-                        newest if mode == 'update' else run) / trained.name).parent),
+                    'memory_mb': megabytes(models[mode].parent),
                     'update_minutes': minutes if mode == 'update' else None,
                     'light': visit.light, 'door': 'closed' if visit.closed else 'open',
                     'people': visit.people, 'commit': commit(), 'host': host()})
@@ -207,7 +234,7 @@ def measure(run: Path, frames: Path, visits: int, driven: int, out: Path) -> Non
             write_bytes(out, (json.dumps(rows, indent=1) + '\n').encode())
 
 
-def _megabytes(folder: Path) -> float:
+def megabytes(folder: Path) -> float:
     """Return the size of a memory and what was learnt beside it."""
     return sum(path.stat().st_size for path in folder.glob('*.memory*')) / 1e6
 
@@ -230,8 +257,10 @@ def main() -> None:
     parser.add_argument('--drive', type=int, default=130, help='frames of each drive')
     parser.add_argument('--visits', type=int, default=len(VISITS))
     parser.add_argument('--out', type=Path, default=Path('results/lives.json'))
+    parser.add_argument('--retrain', type=Path, metavar='CONFIG',
+                        help='experiment file: train anew on photos of the last visit')
     given = parser.parse_args()
-    measure(given.run, given.frames, given.visits, given.drive, given.out)
+    measure(given.run, given.frames, given.visits, given.drive, given.out, given.retrain)
 
 
 if __name__ == '__main__':

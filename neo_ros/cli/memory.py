@@ -17,12 +17,14 @@ def info(model: Model) -> None:
 
     from neo_ros.memory.journal import most_bytes, read_journal
     from neo_ros.memory.light_file import lights_path
+    from neo_ros.memory.patch import Patch
     import rich
     from rich.markup import escape
     from rich.table import Table
 
     memory_file, journal, sha256 = _places(model)
-    patches = read_journal(journal, sha256)
+    records = read_journal(journal, sha256)
+    patches = [one for one in records if isinstance(one, Patch)]
     size = journal.stat().st_size if journal.exists() else 0
     table = Table('scene memory', escape(str(memory_file)))
     table.add_row('its size', f'{memory_file.stat().st_size / 1e6:.2f} MB')
@@ -31,6 +33,7 @@ def info(model: Model) -> None:
         table.add_row('its size', f'{size / 1e6:.2f} MB, at most '
                       f'{most_bytes(memory_file.stat().st_size) / 1e6:.2f} MB')
         table.add_row('patches', f'{len(patches)}, of {len({one.batch for one in patches})} times')
+        table.add_row('shown in another state', f'{len(records) - len(patches)} times')
     for name, patch in zip(('first learnt', 'last learnt'), (*patches[:1], *patches[-1:])):
         seen = datetime.datetime.fromtimestamp(patch.stamp_ns / 1e9)
         table.add_row(name, f'{seen:%Y-%m-%d %H:%M:%S}')
@@ -69,7 +72,7 @@ def compact(model: Model) -> None:
         return
     size = journal.stat().st_size
     kept, before = compact_journal(journal, sha256, most_bytes(memory_file.stat().st_size))
-    rich.print(f'{escape(str(journal))}: {len(kept)} of {before} patches kept, '
+    rich.print(f'{escape(str(journal))}: {len(kept)} of {before} records kept, '
                f'{size / 1e6:.2f} MB are {journal.stat().st_size / 1e6:.2f} MB now')
 
 

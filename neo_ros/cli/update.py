@@ -24,6 +24,10 @@ def update(
         help='Fit the changed part of the field for so many minutes, for each bag; default: as '
              'many as it takes.',
         min=0.1)] = None,
+    network_minutes: Annotated[Optional[float], typer.Option(
+        help='Train the network on for so many minutes, with views of what is there now; '
+             'default: it stays.',
+        min=0.1)] = None,
 ) -> None:
     """
     Change a trained scene where bags show that it has changed, and nowhere else.
@@ -41,7 +45,7 @@ def update(
     from rich.markup import escape
 
     options = UpdateOptions(image_topic=image_topic, info_topic=info_topic, rectify=rectify,
-                            minutes=minutes)
+                            minutes=minutes, network_minutes=network_minutes)
     with stage_progress() as show:
         places = update_run(run, bags, out, options, scene,
                             None if config is None else read_experiment(config), show)

@@ -76,13 +76,16 @@ class Visit:
     people: bool = False
 
 
-# Day after day; on the last ones the chairs are back.
+# Day after day; from visit 4 to 9 the chairs are back, on 18 everything is.
 _FURNITURE: tuple[tuple[Change, ...], ...] = (
     (), CHAIRS, (*CHAIRS, *PICTURES), (*CHAIRS, *PICTURES, PLANT, RUG), (*PICTURES, PLANT, RUG))
 VISITS = (
     *map(Visit, _FURNITURE),
     Visit(_FURNITURE[4], people=True), Visit(_FURNITURE[4], 'evening'),
-    Visit(_FURNITURE[4], 'sun'), Visit(_FURNITURE[4], closed=True), Visit(_FURNITURE[4]))
+    Visit(_FURNITURE[4], 'sun'), Visit(_FURNITURE[4], closed=True), Visit(_FURNITURE[4]),
+    Visit(_FURNITURE[3]), Visit(_FURNITURE[3], people=True), Visit(_FURNITURE[3], 'evening'),
+    Visit(_FURNITURE[1]), Visit(_FURNITURE[1], closed=True), Visit(_FURNITURE[2]),
+    Visit(_FURNITURE[2], 'sun'), Visit((*CHAIRS, PLANT)), Visit(), Visit(_FURNITURE[3]))
 
 
 @lru_cache(maxsize=2)

@@ -1,35 +1,89 @@
 """What has changed since the memory was made, put into its keyframes as they are decoded."""
 from collections.abc import Sequence
-from functools import lru_cache
-from itertools import groupby
+from functools import cached_property, lru_cache
+from itertools import groupby, product
 
 import cv2
-from neo_ros.geometry import Band
+from neo_ros.geometry import Band, CameraPose, Intrinsics
 from neo_ros.memory.change_kernels import (
     BLOCK, bound_blocks, carve, draw_patch, SAME, Seen, Sphere, take_depths)
 from neo_ros.memory.kernels import Pinhole
 from neo_ros.memory.keyframe import code_of, depth_of
-from neo_ros.memory.patch import Patch
+from neo_ros.memory.patch import PARTS, Patch
+from neo_ros.memory.state_kernels import find_cells, keys_of
+from neo_ros.memory.turn import Record, Turn, turned_by
 import numpy as np
 
 # Of a patch every so many-th pixel is looked at, to tell whether others have replaced it; it is if
 # they have so large a share of these.
 SAMPLED, REPLACED = 7, 0.95
+# Metres: samples of what has changed lie as near in a view.
+CELL = 0.15
+# A view is looked at so wide, pixels, to find such things.
+WIDTH = 64
 
 
 class Changes:
     """
     Patches in the order in which they were seen; what is newer replaces what is older.
 
-    Never changed, so that several threads can decode: `with_more` makes others.
+    Turns among the records tell which parts of them are shown; what is shown again is as new as
+    its turn. hidden int64 (PARTS * patches,): for each part the number of the record that hid it,
+    -1: it is shown. Never changed, so that several threads can decode: `with_more` makes others.
     """
 
-    def __init__(self, patches: Sequence[Patch]) -> None:
-        self.patches = tuple(patches)
+    def __init__(self, records: Sequence[Record]) -> None:
+        self.records = tuple(records)
+        self.patches = tuple(one for one in records if isinstance(one, Patch))
+        self.hidden, self._again = turned_by(records, len(self.patches))
 
-    def with_more(self, patches: Sequence[Patch]) -> 'Changes':
+    def with_more(self, records: Sequence[Record]) -> 'Changes':
         """Return these and later ones."""
-        return Changes((*self.patches, *patches))
+        return Changes((*self.records, *records))
+
+    @cached_property
+    def cells(self) -> np.ndarray:
+        """Numbers of the cells, CELL metres, that show what has changed or was before: rising."""
+        shown = [samples.points[np.arange(len(hidden)), hidden.astype(int)][
+            ~hidden | (samples.depths[:, 1] > 0)] for samples, hidden in (
+            (patch.samples, parts[patch.samples.parts] >= 0) for patch, parts in zip(
+                self.patches, self.hidden.reshape(-1, PARTS)))]
+        # What lies at the border of a cell may be drawn in the next one.
+        around = np.array(list(product((-CELL / 4, CELL / 4), repeat=3)), np.float32)
+        return np.unique([cell_keys(np.concatenate(shown) + offset, CELL) for offset in around]
+                         if shown else np.empty(0, np.int64))
+
+    def shown_at(self, depth: np.ndarray, camera: Intrinsics, pose: CameraPose) -> np.ndarray:
+        """
+        Tell which pixels of a view show a thing that has more than one state.
+
+        depth float32 (H, W), metres, 0 = unknown. Returns float32 (H, W), 1 there, 0 elsewhere.
+        """
+        rays = _view_rays(camera)
+        small = cv2.resize(depth, rays.shape[1::-1], interpolation=cv2.INTER_NEAREST_EXACT)
+        found = np.empty(small.shape, np.float32)
+        T = pose.T_world_cam.astype(np.float32)
+        find_cells(small, rays, np.ascontiguousarray(T[:3, :3]), np.ascontiguousarray(T[:3, 3]),
+                   np.float32(CELL), self.cells, found)
+        return cv2.resize(found, depth.shape[::-1], interpolation=cv2.INTER_LINEAR)
+
+    @cached_property
+    def layers(self) -> list[tuple[tuple[int, int], Patch, np.ndarray]]:
+        """
+        What is shown, the oldest first: patches, and which of their parts, bool (PARTS,).
+
+        Before them what is the same for those that add to each other.
+        """
+        numbers = [number for number, one in enumerate(self.records) if isinstance(one, Patch)]
+        found = []
+        for number, patch, hidden, again in zip(
+                numbers, self.patches, self.hidden.reshape(-1, PARTS),
+                self._again.reshape(-1, PARTS)):
+            for turn in np.unique(again[hidden < 0]).tolist():
+                found.append((max(turn, number), (turn, patch.batch), patch,
+                              (hidden < 0) & (again == turn)))
+        found.sort(key=lambda layer: layer[0])
+        return [layer[1:] for layer in found]
 
     def put_into(self, position: np.ndarray, band: Band, reduced: int, texture: np.ndarray,
                  coded: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -50,8 +104,8 @@ class Changes:
                         np.float32(band.width), band.wraps)
         _spread(depth, finer, sphere.surface)
         blocks = np.empty((*(-(-size // BLOCK) for size in depth.shape), 4), np.float32)
-        for _, batch in groupby(self.patches, lambda patch: patch.batch):
-            seen = [_seen_from(patch, position) for patch in batch]
+        for _, batch in groupby(self.layers, lambda layer: layer[0]):
+            seen = [_seen_from(patch, parts, position) for _, patch, parts in batch]
             bound_blocks(rays, depth, blocks)
             if sum(carve(rays, depth, blocks, *one) for one in seen):
                 sphere.surface[np.repeat(np.repeat(depth == 0, finer, 0), finer, 1)] = 0
@@ -66,16 +120,20 @@ class Changes:
         return texture, code_of(depth)
 
 
-def without_replaced(patches: Sequence[Patch]) -> list[Patch]:
+def without_replaced(records: Sequence[Record]) -> list[Record]:
     """
     Leave out patches of which later visits have seen nearly all: they show what is there now.
 
-    What is left keeps its order.
+    What is left is in the order in which it was shown, and hidden parts stay.
     """
+    changes = Changes(records)
+    hidden = changes.hidden.reshape(-1, PARTS)
+    index_of = {patch: index for index, patch in enumerate(changes.patches)}
+    newest = {patch: place for place, (_, patch, _) in enumerate(changes.layers)}
     kept: list[Patch] = []
-    for index, patch in enumerate(patches):
-        depth = patch.pictures[1]
-        rows, columns = np.nonzero(depth > 0)
+    for patch, parts in zip(changes.patches, hidden):
+        _, depth, part = patch.pictures
+        rows, columns = np.nonzero((depth > 0) & (parts < 0)[part])
         rows, columns = rows[::SAMPLED], columns[::SAMPLED]
         camera = patch.camera
         local = np.stack([(columns + 0.5 - camera.cx) / camera.fx,
@@ -83,16 +141,21 @@ def without_replaced(patches: Sequence[Patch]) -> list[Patch]:
         local *= depth[rows, columns][:, None]
         points = local @ patch.pose.T_world_cam[:3, :3].T + patch.pose.position
         open_points = np.ones(len(points), bool)
-        for later in patches[index + 1:]:
+        for _, later, shown in changes.layers[newest.get(patch, 0) + 1:]:
             if later.batch != patch.batch and open_points.any():
-                open_points[open_points] = ~_reaches(later, points[open_points])
-        if open_points.mean() > 1 - REPLACED:
+                open_points[open_points] = ~_reaches(later, shown, points[open_points])
+        if (parts >= 0).any() or (len(points) and open_points.mean() > 1 - REPLACED):
             kept.append(patch)
-    return kept
+    kept.sort(key=lambda patch: newest.get(patch, -1))
+    # One turn for each that hides anything still: what it hid is shown again together.
+    turned = np.concatenate([hidden[index_of[patch]] for patch in kept] or [np.empty(0, int)])
+    return [*kept, *(
+        Turn(np.flatnonzero(turned == turn).astype(np.uint32), records[turn].stamp_ns,
+             records[turn].batch) for turn in np.unique(turned[turned >= 0]))]
 
 
-def _reaches(patch: Patch, points: np.ndarray) -> np.ndarray:
-    """Tell which world points (N, 3) a patch sees, or sees through."""
+def _reaches(patch: Patch, shown: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Tell which world points (N, 3) shown parts, bool (PARTS,), see, or see through."""
     local = (points - patch.pose.position) @ patch.pose.T_world_cam[:3, :3]
     ahead = local[:, 2] > 0
     pixels = np.full((len(points), 2), -1.0)
@@ -101,17 +164,27 @@ def _reaches(patch: Patch, points: np.ndarray) -> np.ndarray:
                                                        patch.camera.height)).all(1)
     found = np.zeros(len(points), bool)
     columns, rows = pixels[inside].astype(int).T
-    there = patch.pictures[1][rows, columns]
+    _, depth, parts = patch.pictures
+    there = depth[rows, columns] * shown[parts[rows, columns]]
     found[inside] = (there > 0) & (local[inside, 2] < there * (1 + SAME))
     return found
+
+
+def cell_keys(points: np.ndarray, cell: float) -> np.ndarray:
+    """Return the numbers of the cells that points float32 (N, 3) lie in, int64 (N,)."""
+    keys = np.empty(len(points), np.int64)
+    keys_of(points, np.float32(cell), keys)
+    return keys
 
 
 def _spread(depth: np.ndarray, finer: int, surface: np.ndarray) -> None:
     surface[:] = np.repeat(np.repeat(depth, finer, 0), finer, 1)
 
 
-def _seen_from(patch: Patch, position: np.ndarray) -> tuple[Seen, Pinhole]:
-    image, depth = patch.pictures
+def _seen_from(patch: Patch, shown: np.ndarray, position: np.ndarray) -> tuple[Seen, Pinhole]:
+    image, depth, parts = patch.pictures
+    if not shown.all():
+        depth = depth * shown[parts]
     T, camera = patch.pose.inverse(), patch.camera
     return (Seen(image, depth, np.ascontiguousarray(T[:3, :3], np.float32),
                  (T[:3, :3] @ position + T[:3, 3]).astype(np.float32)),
@@ -121,3 +194,8 @@ def _seen_from(patch: Patch, position: np.ndarray) -> tuple[Seen, Pinhole]:
 @lru_cache(maxsize=4)
 def _rays(band: Band, rows: int, columns: int) -> np.ndarray:
     return band.rays(rows, columns)
+
+
+@lru_cache(maxsize=4)
+def _view_rays(camera: Intrinsics) -> np.ndarray:
+    return camera.scaled(min(1.0, WIDTH / camera.width)).pixel_rays().astype(np.float32)

@@ -30,14 +30,21 @@ class DecodedKeyframes:
 
     def get(self, key: Key, decode: Callable[[], Keyframe]) -> Keyframe:
         """Return a keyframe; what is not there is decoded now. Raises what `decode` raises."""
-        kept = self._take(key) if key in self._kept else None
-        if kept is None:
-            kept = Future()
-            kept.set_result(decode())
-        found = kept.result()
-        self._sizes[key[0]] = found.depth.nbytes + found.texture.nbytes
-        self._keep(key, kept)
+        found = self._take(key).result() if key in self._kept else decode()
+        self.put(key, found)
         return found
+
+    @property
+    def last_used(self) -> list[Key]:
+        """The keys of those that are drawn now; any thread may ask, for a list is made at once."""
+        return list(self._kept)[-2 * LEAST_CACHED:]
+
+    def put(self, key: Key, keyframe: Keyframe) -> None:
+        """Keep what another thread has decoded."""
+        kept = Future[Keyframe]()
+        kept.set_result(keyframe)
+        self._sizes[key[0]] = keyframe.depth.nbytes + keyframe.texture.nbytes
+        self._keep(key, kept)
 
     def ahead(self, key: Key, decode: Callable[[], Keyframe]) -> None:
         """Let another thread decode a keyframe, if there is room beside those that are drawn."""

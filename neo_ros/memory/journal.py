@@ -13,17 +13,21 @@ from neo_ros.errors import ModelError
 from neo_ros.machine.files import see_to_disk, whole_file
 from neo_ros.machine.regular_file import open_model_file
 from neo_ros.memory.patch import BROKEN, Patch
+from neo_ros.memory.turn import Record, Turn
 
 logger = logging.getLogger(__name__)
 SUFFIX = '.journal'
-MAGIC = b'neo_ros journal 1\n'
+MAGIC = b'neo_ros journal 2\n'
 # Behind them the SHA-256 of the memory that it belongs to.
 HEADER_BYTES = len(MAGIC) + 32
 # Of a record: bytes of its content, and their CRC-32, which goes on from the record before: so
-# none can be taken out, or put elsewhere.
+# none can be taken out, or put elsewhere. Its first byte tells what it holds.
+PATCH, TURN = b'P', b'T'
 _RECORD = struct.Struct('<2I')
 # A journal grows no larger than this share of its memory, or so many bytes if that is more.
 SHARE, LEAST_BYTES, MOST_BYTES = 0.2, 1 << 20, 64 << 20
+# Turns may go on for so many bytes when it is full: a door is still shown as it was seen last.
+TURN_BYTES = 1 << 16
 # Of all its pictures together: a few kilobytes can hold very large ones.
 MOST_PIXELS = 1 << 25
 # Far above what the pictures of a patch take.
@@ -40,7 +44,7 @@ def most_bytes(memory_bytes: int) -> int:
     return min(max(int(SHARE * memory_bytes), LEAST_BYTES), MOST_BYTES)
 
 
-def read_journal(path: Path, memory_sha256: str) -> list[Patch]:
+def read_journal(path: Path, memory_sha256: str) -> list[Record]:
     """
     Return what a journal holds, up to the last whole record; nothing where there is none.
 
@@ -50,28 +54,28 @@ def read_journal(path: Path, memory_sha256: str) -> list[Patch]:
     if not path.exists() or _just_begun(path, memory_sha256):
         return []
     try:
-        patches, end, size = _read(path, memory_sha256)
+        records, end, size = _read(path, memory_sha256)
     except ModelError as error:
         logger.warning('%s; the memory works without it, neo memory forget deletes it', error)
         return []
     if end < size:
         logger.warning('%s: the last %d bytes are no whole record: they are left out', path,
                        size - end)
-    return patches
+    return records
 
 
-def write_journal(path: Path, memory_sha256: str, patches: Iterable[Patch]) -> None:
+def write_journal(path: Path, memory_sha256: str, records: Iterable[Record]) -> None:
     """Write a journal anew, whole or not at all; raises ModelError."""
     try:
         with whole_file(path) as partial:
-            partial.write_bytes(_framed(MAGIC + bytes.fromhex(memory_sha256), patches)[0])
+            partial.write_bytes(_framed(MAGIC + bytes.fromhex(memory_sha256), records)[0])
             see_to_disk(partial)  # Else a power cut could leave the name without the content.
         see_to_disk(path.parent)
     except OSError as error:
         raise _cannot_write(path, error) from error
 
 
-def compact_journal(path: Path, memory_sha256: str, most: int) -> tuple[list[Patch], int]:
+def compact_journal(path: Path, memory_sha256: str, most: int) -> tuple[list[Record], int]:
     """
     Take out what later patches have replaced; return what is left, and how many there were.
 
@@ -80,9 +84,9 @@ def compact_journal(path: Path, memory_sha256: str, most: int) -> tuple[list[Pat
     from neo_ros.memory.changes import without_replaced  # Its loops take a second to load.
     writer = JournalWriter(path, memory_sha256, most)
     try:
-        kept = without_replaced(writer.patches)
+        kept = without_replaced(writer.records)
         write_journal(path, memory_sha256, kept)
-        return kept, len(writer.patches)
+        return kept, len(writer.records)
     finally:
         writer.close()
 
@@ -117,7 +121,7 @@ class JournalWriter:
     """
 
     def __init__(self, path: Path, memory_sha256: str, most: int) -> None:
-        self.path, self._most = path, most
+        self.path, self._most, self._largest = path, most, most
         try:
             self._file = _open_alone(path)
         except BlockingIOError:
@@ -126,14 +130,14 @@ class JournalWriter:
             raise _cannot_write(path, error) from error
         try:
             header = MAGIC + bytes.fromhex(memory_sha256)
-            self.patches: list[Patch] = []
+            self.records: list[Record] = []
             if _just_begun(path, memory_sha256):
                 os.ftruncate(self._file, 0)
                 os.pwrite(self._file, header, 0)
                 self._end, self._check = HEADER_BYTES, zlib.crc32(header)
             else:
-                self.patches, self._end, _ = _read(path, memory_sha256)
-                self._check = _framed(header, self.patches)[1]
+                self.records, self._end, _ = _read(path, memory_sha256)
+                self._check = _framed(header, self.records)[1]
                 os.ftruncate(self._file, self._end)
         except OSError as error:
             os.close(self._file)
@@ -141,20 +145,21 @@ class JournalWriter:
         except ModelError as error:
             os.close(self._file)
             raise ModelError(f'{error}; neo memory forget deletes it') from None
-        self._pixels = sum(map(_pixels, self.patches))
+        self._pixels = sum(map(_pixels, self.records))
 
     @property
     def full(self) -> bool:
         """Whether nothing more is taken."""
         return self._end >= self._most
 
-    def append(self, patches: Iterable[Patch]) -> list[Patch]:
-        """Add patches as far as there is room, and see them to the disk; returns those added."""
+    def append(self, records: Iterable[Record]) -> list[Record]:
+        """Add records as far as there is room, and see them to the disk; returns those added."""
         added = []
-        for patch in patches:
-            content, check = _record(patch, self._check)
-            pixels = self._pixels + _pixels(patch)
-            if self._end + len(content) > self._most or pixels > MOST_PIXELS:
+        for record in records:
+            content, check = _record(record, self._check)
+            pixels = self._pixels + _pixels(record)
+            most = self._largest + TURN_BYTES if isinstance(record, Turn) else self._most
+            if self._end + len(content) > most or pixels > MOST_PIXELS:
                 self._most = self._end
                 logger.warning('%s: the journal is full (%d kB), nothing more is learnt; neo '
                                'memory compact makes room', self.path, self._end >> 10)
@@ -162,7 +167,7 @@ class JournalWriter:
             if os.pwrite(self._file, content, self._end) != len(content):
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             self._end, self._check, self._pixels = self._end + len(content), check, pixels
-            added.append(patch)
+            added.append(record)
         os.fsync(self._file)
         return added
 
@@ -199,22 +204,23 @@ def _just_begun(path: Path, memory_sha256: str) -> bool:
         return False
 
 
-def _read(path: Path, memory_sha256: str) -> tuple[list[Patch], int, int]:
-    """Return patches, the end of the last whole record, and the size; raises ModelError."""
+def _read(path: Path, memory_sha256: str) -> tuple[list[Record], int, int]:
+    """Return records, the end of the last whole record, and the size; raises ModelError."""
     with open_model_file(path, 'journal') as file:
         try:
             total = os.fstat(file.fileno()).st_size
-            content = file.read(min(total, MOST_BYTES))
+            content = file.read(min(total, MOST_BYTES + TURN_BYTES))
         except OSError as error:
             raise ModelError(f'{path}: cannot read the journal: {error.strerror}') from error
     header = MAGIC + bytes.fromhex(memory_sha256)
     if not content.startswith(MAGIC):
-        raise ModelError(f'{path}: expected a journal, got something else')
+        raise ModelError(f'{path}: expected a journal, got something else, or one of another '
+                         'version')
     if content[:HEADER_BYTES] != header:
         raise ModelError(f'{path}: expected the journal of the memory with sha256 '
                          f'{memory_sha256}, got one of another memory')
-    patches: list[Patch] = []
-    end, check, pixels = HEADER_BYTES, zlib.crc32(header), 0
+    records: list[Record] = []
+    end, check, pixels, patches = HEADER_BYTES, zlib.crc32(header), 0, 0
     while end + _RECORD.size <= len(content):
         size, expected = _RECORD.unpack_from(content, end)
         start = end + _RECORD.size
@@ -224,33 +230,44 @@ def _read(path: Path, memory_sha256: str) -> tuple[list[Patch], int, int]:
         if zlib.crc32(body, check) != expected:
             break
         try:
-            patch = Patch.from_bytes(body)
-            pixels += _pixels(patch)
+            record = _read_record(body, patches)
+            pixels += _pixels(record)
             if pixels > MOST_PIXELS:
                 break
-            patch.pictures  # Decoded once, and kept.
+            if isinstance(record, Patch):
+                record.pictures  # Decoded once, and kept.
+                patches += 1
         except BROKEN:
             break
-        patches.append(patch)
+        records.append(record)
         end, check = start + size, expected
-    return patches, end, total
+    return records, end, total
 
 
-def _pixels(patch: Patch) -> int:
-    return patch.camera.width * patch.camera.height
+def _read_record(body: bytes, patches: int) -> Record:
+    """Read what follows so many patches; raises one of BROKEN."""
+    if body[:1] == TURN:
+        return Turn.from_bytes(body[1:], patches)
+    if body[:1] != PATCH:
+        raise ValueError('record: of an unknown kind')
+    return Patch.from_bytes(body[1:])
 
 
-def _record(patch: Patch, check: int) -> tuple[bytes, int]:
-    body = patch.to_bytes()
+def _pixels(record: Record) -> int:
+    return record.camera.width * record.camera.height if isinstance(record, Patch) else 0
+
+
+def _record(record: Record, check: int) -> tuple[bytes, int]:
+    body = (PATCH if isinstance(record, Patch) else TURN) + record.to_bytes()
     check = zlib.crc32(body, check)
     return _RECORD.pack(len(body), check) + body, check
 
 
-def _framed(header: bytes, patches: Iterable[Patch]) -> tuple[bytes, int]:
+def _framed(header: bytes, records: Iterable[Record]) -> tuple[bytes, int]:
     """Return the bytes of a whole journal, and the checksum that goes on from it."""
     parts, check = [header], zlib.crc32(header)
-    for patch in patches:
-        content, check = _record(patch, check)
+    for record in records:
+        content, check = _record(record, check)
         parts.append(content)
     return b''.join(parts), check
 

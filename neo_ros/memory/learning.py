@@ -13,10 +13,14 @@ from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
 from neo_ros.memory.change_kernels import SAME
 from neo_ros.memory.changes import Changes
 from neo_ros.memory.contradiction import contradicted, contradiction, ContradictionThresholds
+from neo_ros.memory.decoded import Key
 from neo_ros.memory.journal import JournalWriter
+from neo_ros.memory.keyframe import Keyframe
 from neo_ros.memory.patch import Patch
 from neo_ros.memory.scene_light import log_ratio, steadiness, SURE
+from neo_ros.memory.states import find_turn, parts_of, StateThresholds
 from neo_ros.memory.stereo import confirm, find_depth, Shot, StereoThresholds
+from neo_ros.memory.turn import Record, Turn
 import numpy as np
 
 if TYPE_CHECKING:
@@ -24,7 +28,7 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger(__name__)
 # Said of images when they were looked at, and what they showed is on the disk.
-LOOKED = 'learning: %d patches of images up to the stamp %d'
+LOOKED = 'learning: %d records of images up to the stamp %d'
 # Beside the images, which does not hold them up, or at once, which gives the same every time.
 Learn = Literal['never', 'beside', 'at once']
 
@@ -50,13 +54,15 @@ class LearningThresholds:
     pause_ns: int = 600 * 10 ** 9
     contradiction: ContradictionThresholds = ContradictionThresholds()
     stereo: StereoThresholds = StereoThresholds()
+    states: StateThresholds = StateThresholds()
 
 
 class Learnt(NamedTuple):
-    """Patches that were found, and the changes of the memory with them."""
+    """What was found, the changes of the memory with it, and keyframes that show these."""
 
-    patches: list[Patch]
+    records: list[Record]
     changes: Changes
+    drawn: dict[Key, Keyframe]
 
 
 class Learner:
@@ -86,6 +92,7 @@ class Learner:
         self._new = 0
         self._changes = memory.changes or Changes(())
         self._batch = 1 + max((patch.batch for patch in self._changes.patches), default=-1)
+        self._begun = self._batch  # The first one of this visit.
         self._pending: Future[Learnt] | None = None
 
     def see(self, image: np.ndarray, shown: np.ndarray, depth: np.ndarray, pose: CameraPose,
@@ -163,13 +170,18 @@ class Learner:
             # On Linux a thread has a priority of its own.
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 19)
         try:
+            turn = find_turn(shots[-new:], changes, self._camera, batch, self._begun,
+                             self.thresholds.states)
             patches = find_patches(shots, new, self._camera, self._rays, batch, self._depths,
                                    self.thresholds)
             if self._journal is None:
                 self._journal = self._open_journal()
-            patches = self._journal.append(patches)
-            logger.debug(LOOKED, len(patches), shots[-1].stamp_ns)
-            pending.set_result(Learnt(patches, changes.with_more(patches)))
+            records = self._journal.append([*([] if turn is None else [turn]), *patches])
+            logger.debug(LOOKED, len(records), shots[-1].stamp_ns)
+            changes = changes.with_more(records)
+            changes.cells  # Found here: who draws does not wait for it, nor for keyframes.
+            drawn = self._memory.drawn_with(changes) if self._beside and records else {}
+            pending.set_result(Learnt(records, changes, drawn))
         except Exception as error:
             pending.set_exception(error)
         if self._closed.is_set() and self._journal is not None:
@@ -185,9 +197,12 @@ class Learner:
         except Exception as error:  # A full disk must not end the camera.
             logger.warning('learning: %s: %s', type(error).__name__, error)
             return
-        if learnt.patches:
+        if learnt.records:
             self._changes = learnt.changes
-            self._memory.change(learnt.changes)
+            self._memory.change(learnt.changes, learnt.drawn)
+        if any(isinstance(record, Turn) for record in learnt.records):
+            # What waits was compared with what is shown no more.
+            self._shots, self._new = self._shots[:len(self._shots) - self._new], 0
 
 
 def find_patches(shots: Sequence[Shot], new: int, camera: Intrinsics, rays: np.ndarray,
@@ -216,11 +231,25 @@ def find_patches(shots: Sequence[Shot], new: int, camera: Intrinsics, rays: np.n
         top, left = int(rows[0]), int(columns[0])
         height, width = int(rows[-1]) + 1 - top, int(columns[-1]) + 1 - left
         part = (slice(top, top + height), slice(left, left + width))
+        shot = shots[index]
+        image, shown = (np.clip(one[part] + 0.5, 0, 255).astype(np.uint8)
+                        for one in (shot.image, shot.shown))
         patches.append(Patch.of(
-            shots[index].pose, camera.cropped(left, top, width, height),
-            np.clip(shots[index].image[part] + 0.5, 0, 255).astype(np.uint8), depth[part],
-            shots[index].stamp_ns, batch))
+            shot.pose, camera.cropped(left, top, width, height), image, depth[part],
+            shot.stamp_ns, batch, (shown, shot.depth[part]),
+            _parts(shot, depth, rays, thresholds)[part]))
     return patches
+
+
+def _parts(shot: Shot, depth: np.ndarray, rays: np.ndarray, thresholds: LearningThresholds
+           ) -> np.ndarray:
+    """Tell what belongs together of what came or left, seen at depth (h, w): uint8 (h, w)."""
+    nearer = np.where(shot.depth > 0, np.minimum(depth, shot.depth), depth)
+    where, T = depth > 0, shot.pose.T_world_cam
+    points = (rays[where] * nearer[where][:, None]) @ T[:3, :3].T + T[:3, 3]
+    parts = np.zeros(depth.shape, np.uint8)
+    parts[where] = parts_of(points, thresholds.least_pixels, thresholds.states)
+    return parts
 
 
 def _lit_otherwise(shot: Shot, depth: np.ndarray) -> np.ndarray:

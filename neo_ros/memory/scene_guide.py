@@ -135,13 +135,16 @@ class SceneGuide:
         seen_before = self._recent.bring(solid, best.pose, gain)
         self._recent.keep(image.pixels, view.image, solid, best.pose, gain)
         light = None if view.light is None else view.light[self.expansion.observed]
+        changes = self._memory.changes
         # Another light would be learnt as a change.
         if self.learner is not None and self.light.as_in_photos:
             self.learner.see(image.pixels, view.image, solid, best.pose, gain, best.agreement)
         return Guide(view.image, known, view.stretched, best.pose, best.agreement, seen_before,
                      best.found, len(best.location.points) if best.location else 0, view.depth,
                      partial(self._covariance, best, image.photo[0]), self.expansion.observed,
-                     partial(self._panorama, best.pose, gain), light)
+                     partial(self._panorama, best.pose, gain), light,
+                     None if changes is None else changes.shown_at(
+                         view.depth, self.expansion.target, best.pose))
 
     def _decode_ahead(self, pose: CameraPose) -> None:
         """Have decoded what will be drawn if the camera moves on as it does."""

@@ -14,7 +14,7 @@ from neo_ros.geometry import Band
 from neo_ros.geometry.camera_pose import check_transform
 from neo_ros.machine.files import whole_file
 from neo_ros.memory.changes import Changes
-from neo_ros.memory.decoded import DecodedKeyframes
+from neo_ros.memory.decoded import DecodedKeyframes, Key
 from neo_ros.memory.keyframe import (
     compress, decode_image, depth_of, FINER, Keyframe, on_own_pages, REDUCED)
 from neo_ros.memory.landmarks import Landmarks, MOST_LANDMARKS
@@ -68,18 +68,31 @@ class SceneMemory:
         so it takes little memory, and has no detail that would flicker there.
         """
         reduced = self._reduction(focal)
-        return self._decoded.get((reduced, index), lambda: self._decode(index, reduced))
+        return self._decoded.get(
+            (reduced, index), lambda: self._decode(index, reduced, self.changes))
 
     def decode_ahead(self, indices: Iterable[int], focal: float) -> None:
         """Let another thread decode keyframes that a view of this focal length will show soon."""
         reduced = self._reduction(focal)
         for index in indices:
-            self._decoded.ahead((reduced, index), partial(self._decode, index, reduced))
+            self._decoded.ahead(
+                (reduced, index), partial(self._decode, index, reduced, self.changes))
 
-    def change(self, changes: Changes | None) -> None:
-        """Show what has changed since the memory was made; only the thread that draws may."""
+    def change(self, changes: Changes | None, drawn: Mapping[Key, Keyframe] = {}) -> None:
+        """
+        Show what has changed since the memory was made; only the thread that draws may.
+
+        drawn: keyframes of `drawn_with`, for these changes.
+        """
         self.changes, self.version = changes, self.version + 1
         self._decoded = DecodedKeyframes()
+        for key, keyframe in drawn.items():
+            self._decoded.put(key, keyframe)
+
+    def drawn_with(self, changes: Changes) -> dict[Key, Keyframe]:
+        """Decode what is drawn now as it will be with these changes; any thread may do so."""
+        return {(reduced, index): self._decode(index, reduced, changes)
+                for reduced, index in self._decoded.last_used}
 
     def pictures(self, index: int, reduced: int) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -87,12 +100,13 @@ class SceneMemory:
 
         Raises ModelError for what is damaged.
         """
-        if self.changes is not None:
-            return self.changes.put_into(self.positions[index], self.band, reduced,
-                                         *self._pictures(index, 1))
-        return self._pictures(index, reduced)
+        return self._pictures(index, reduced, self.changes)
 
-    def _pictures(self, index: int, reduced: int) -> tuple[np.ndarray, np.ndarray]:
+    def _pictures(self, index: int, reduced: int, changes: Changes | None
+                  ) -> tuple[np.ndarray, np.ndarray]:
+        if changes is not None:
+            return changes.put_into(self.positions[index], self.band, reduced,
+                                    *self._pictures(index, 1, None))
         texture = decode_image(self._textures[index], REDUCED[reduced])
         coded = decode_image(self._depths[index], cv2.IMREAD_UNCHANGED)
         if texture is None or coded is None or coded.dtype != np.uint16 or coded.ndim != 2:
@@ -102,7 +116,7 @@ class SceneMemory:
     def each(self) -> Iterator[Keyframe]:
         """Yield all keyframes, decoded now and not kept; any thread may do so."""
         for index in range(len(self.positions)):
-            yield self._decode(index, 1)
+            yield self._decode(index, 1, self.changes)
 
     def _reduction(self, focal: float) -> int:
         if not math.isfinite(focal):
@@ -118,8 +132,8 @@ class SceneMemory:
         return (compressed_image_size(self._textures[0], MOST_TEXTURE)[1],
                 int.from_bytes(self._depths[0][20:24], 'big'))
 
-    def _decode(self, index: int, reduced: int) -> Keyframe:
-        texture, coded = self.pictures(index, reduced)
+    def _decode(self, index: int, reduced: int, changes: Changes | None) -> Keyframe:
+        texture, coded = self._pictures(index, reduced, changes)
         if not _is_finer(texture.shape, coded.shape):
             raise _damaged(index)
         # The compiled loops trust that all are of the same size.

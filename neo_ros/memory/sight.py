@@ -161,7 +161,8 @@ class Guide:
     found: what the pose comes from; landmarks: how many of them were matched with this image,
     which are looked for now and then. observed: rows and columns of the image in the wide view.
     light: float32 (h, w, 3), what the light of now multiplies the memory's colours with in the
-    image; None while it is the light of the training photos.
+    image; None while it is the light of the training photos. two_states: float32 (H, W), 1 where
+    a thing is shown that has more than one state, 0 elsewhere; None: nothing was learnt.
     """
 
     image: np.ndarray
@@ -177,6 +178,7 @@ class Guide:
     observed: tuple[slice, slice] = (slice(0, 0), slice(0, 0))
     draw_panorama: 'Callable[[np.ndarray, int], Panorama] | None' = None
     light: np.ndarray | None = None
+    two_states: np.ndarray | None = None
 
     @cached_property
     def covariance(self) -> np.ndarray:

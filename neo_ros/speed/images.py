@@ -3,7 +3,7 @@ import math
 from pathlib import Path
 
 import cv2
-from neo_ros.flat.demo_flat import build_demo_flat, walking_paths
+from neo_ros.flat.demo_flat import build_demo_flat, DemoFlat, walking_paths
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
 from neo_ros.runtime import read_model_card
 import numpy as np
@@ -33,13 +33,15 @@ def camera_images(model: Path, frames: int) -> np.ndarray:
     return np.stack([cast_view(view, pose)[0] for pose in walk_at_30_hz(frames)])
 
 
-def cast_view(camera: Intrinsics, pose: CameraPose) -> tuple[np.ndarray, np.ndarray]:
+def cast_view(camera: Intrinsics, pose: CameraPose, flat: DemoFlat | None = None
+              ) -> tuple[np.ndarray, np.ndarray]:
     """
     Look at the demo flat: image uint8 RGB (h, w, 3), depth float32 (h, w), as `DemoFlat.render`.
 
-    Of a large camera only so many rays are cast as its time is worth.
+    Of a large camera only so many rays are cast as its time is worth. flat: another one.
     """
-    image, depth = build_demo_flat().render(camera.scaled(min(1.0, CAST / camera.fx)), pose)
+    fewer = camera.scaled(min(1.0, CAST / camera.fx))
+    image, depth = (flat or build_demo_flat()).render(fewer, pose)
     size = (camera.width, camera.height)
     return (cv2.resize(image, size, interpolation=cv2.INTER_LINEAR),
             cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST))

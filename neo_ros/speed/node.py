@@ -10,12 +10,14 @@ import tempfile
 from typing import Any
 
 from neo_ros.errors import NeoError
+from neo_ros.flat.demo_flat import build_demo_flat
+from neo_ros.flat.visits import CHAIRS, changed_flat
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.machine.host import Machine
 from neo_ros.machine.processes import end_process
 from neo_ros.machine.ros_domain import own_domain
 from neo_ros.runtime import read_model_card
-from neo_ros.speed.images import camera_images, PAPER_VIEW, walk_at_30_hz
+from neo_ros.speed.images import camera_images, cast_view, PAPER_VIEW, walk_at_30_hz
 from neo_ros.speed.model import count_flops, write_stand_in_model
 from neo_ros.speed.record import Effort, Record, Work
 from neo_ros.speed.runtime import size_name
@@ -56,10 +58,25 @@ def measure_node(model: Path, machine: Machine, effort: Effort) -> Iterator[Reco
             model = write_guided_stand_in(Path(folder), view, walk_at_30_hz(effort.frames))
             images = camera_images(model, effort.frames)
             record = measure_graph(model, machine, effort, images)
-            outputs = list(measure_outputs(model, images)) if view is PAPER_VIEW else []
+            more: list[Record] = []
+            if view is PAPER_VIEW:
+                more = [*measure_outputs(model, images),
+                        *measure_learning(model, machine, effort)]
         record.name = f'{size_name(view)}, 30 Hz, guided'
         yield record
-        yield from outputs
+        yield from more
+
+
+def measure_learning(model: Path, machine: Machine, effort: Effort) -> Iterator[Record]:
+    """Measure the node in a flat whose chairs were moved, without and with `learn`."""
+    view = read_model_card(model).expansion
+    flat = changed_flat(build_demo_flat(), CHAIRS)
+    images = np.stack([cast_view(view.source, pose, flat)[0]
+                       for pose in walk_at_30_hz(effort.frames)])
+    for name, learn in (('chairs moved', False), ('chairs moved, learn', True)):
+        record = measure_graph(model, machine, effort, images, learn)
+        record.name = f'{size_name(view)}, 30 Hz, guided, {name}'
+        yield record
 
 
 def measure_outputs(model: Path, images: np.ndarray) -> Iterator[Record]:
@@ -82,17 +99,17 @@ def measure_outputs(model: Path, images: np.ndarray) -> Iterator[Record]:
 
 
 def measure_graph(model: Path, machine: Machine, effort: Effort,
-                  images: np.ndarray | None = None) -> Record:
+                  images: np.ndarray | None = None, learn: bool = False) -> Record:
     """
     Send images to the node, in a ROS domain of its own; latency is from stamp to receipt.
 
-    images: uint8 RGB (N, h, w, 3); those of `camera_images` by default.
+    images: uint8 RGB (N, h, w, 3); those of `camera_images` by default. learn: as the parameter.
     The consumer subscribes to all four outputs. Raises NeoError where nothing comes back.
     """
     view = read_model_card(model).expansion
     if images is None:
         images = camera_images(model, effort.frames)
-    result = run_graph(model, images, effort.graph_s)
+    result = run_graph(model, images, effort.graph_s, learn=learn)
     stamps, times = np.array(result['arrivals']).reshape(-1, 2).T
     if len(times) < 2:
         raise NeoError(f'node: expected {result["sent"]} wide images, got {len(times)}')
@@ -119,7 +136,8 @@ def measure_graph(model: Path, machine: Machine, effort: Effort,
 
 
 def run_graph(model: Path, images: np.ndarray, seconds: float,
-              rate: float = RATE_HZ, everything: bool = False) -> dict[str, Any]:
+              rate: float = RATE_HZ, everything: bool = False, learn: bool = False
+              ) -> dict[str, Any]:
     """
     Run node and camera probe for a while; return what the probe prints.
 
@@ -130,7 +148,8 @@ def run_graph(model: Path, images: np.ndarray, seconds: float,
         np.save(Path(folder) / 'images.npy', images)
         node = subprocess.Popen(
             [sys.executable, '-m', 'neo_ros.node.main', '--ros-args',
-             '-p', f'model:={model.resolve()}'], env=environment, stdout=log, stderr=log)
+             '-p', f'model:={model.resolve()}', '-p', f'learn:={str(learn).lower()}'],
+            env=environment, stdout=log, stderr=log)
         try:
             probe = subprocess.run(
                 [sys.executable, '-m', 'neo_ros.node.camera_probe',

@@ -8,6 +8,7 @@ from typing import Any
 
 from neo_ros.errors import NeoError, SceneError
 from neo_ros.machine.files import whole_file, write_bytes
+from neo_ros.outpaint.fitting import OutpaintTrainer
 from neo_ros.training.run import TrainingRun
 import numpy as np
 import torch
@@ -91,6 +92,14 @@ def train_with_checkpoints(run: TrainingRun, trainer: Any, checkpoint: Path, sta
             saved = time.monotonic()
     if fresh and writes:
         save()
+
+
+def begin_as(trainer: OutpaintTrainer, checkpoint: Path) -> None:
+    """Give a new trainer the network of a training that had ended, or was broken off."""
+    state = read_checkpoint(checkpoint)
+    with checkpoint_errors(checkpoint):
+        for network in (trainer.network, trainer.averaged):
+            network.load_state_dict(state['trainer']['averaged'])
 
 
 def write_notes(path: Path, seconds: float, log: list[list[float]]) -> None:

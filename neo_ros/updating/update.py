@@ -31,6 +31,7 @@ from neo_ros.updating.more_photos import write_more_photos
 from neo_ros.updating.new_keyframes import joined_floor, new_floor, new_positions, with_place
 from neo_ros.updating.placing import place_lost
 from neo_ros.updating.refit import agreeing, refit
+from neo_ros.updating.tuned_network import CHECKPOINT, tune_network
 from neo_ros.updating.update_report import update_sections
 from neo_ros.updating.update_run import UpdateRun
 import numpy as np
@@ -38,12 +39,13 @@ import numpy as np
 
 @dataclass(frozen=True, kw_only=True)
 class UpdateOptions:
-    """What a user may say; topics as of a replay, minutes for the fit of the field."""
+    """What a user may say; topics as of a replay, minutes for the fits of field and network."""
 
     image_topic: str | None = None
     info_topic: str | None = None
     rectify: bool = False
     minutes: float | None = None
+    network_minutes: float | None = None
 
 
 def update(run: Path, bags: Sequence[Path], out: Path, options: UpdateOptions = UpdateOptions(),
@@ -70,13 +72,18 @@ def _update(run: Path, bags: Sequence[Path], out: Path, options: UpdateOptions,
             work: Path) -> list[int]:
     newest, sections, found = run, list[Section](), list[int]()
     for index, bag in enumerate(bags):
-        current = UpdateRun.find(newest, scene if newest == run else None, experiment)
+        current = UpdateRun.find(newest, scene if newest == run else None, experiment,
+                                 options.network_minutes is not None)
         folder = make_output_folder(work / str(index))
         told = update_once(current, bag, folder, options, progress)
         found.append(0 if told is None else told[0])
         if told is not None:
             newest, sections = folder, sections + told[1]
     if newest != run:
+        if options.network_minutes is not None:
+            updated = UpdateRun.find(newest, None, experiment)
+            tune_network(newest, updated.scene, updated.experiment, options.network_minutes,
+                         progress)
         write_report(newest / 'report.html', f'What has changed in {scene_folder(newest).name}',
                      sections)
         # Else a power cut could leave the folder, and files without their content.
@@ -133,7 +140,7 @@ def update_once(run: UpdateRun, bag: Path, out: Path, options: UpdateOptions,
             at=f'{datetime.now(timezone.utc):%Y-%m-%d %H:%M:%S}'))))
     write_more_photos(out / run.scene.name, scene, chosen, photos)
     note_update(out, run.folder, read_upright_scene(out / run.scene.name))
-    for name in (PLAN_FILE, 'field.json'):
+    for name in (PLAN_FILE, 'field.json', CHECKPOINT):
         if (run.folder / name).exists():
             share_file(run.folder / name, out / name)
     return len(space.places), update_sections(

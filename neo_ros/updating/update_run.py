@@ -17,6 +17,7 @@ from neo_ros.scenes.upright import read_upright_scene
 from neo_ros.training.folder import check_run, scene_folder
 from neo_ros.training.time_plan import PLAN_FILE, read_plan
 from neo_ros.updating.driven_photos import Drive
+from neo_ros.updating.tuned_network import CHECKPOINT
 import numpy as np
 
 
@@ -32,8 +33,13 @@ class UpdateRun:
     memory: Path
 
     @classmethod
-    def find(cls, folder: Path, scene: Path | None, experiment: Experiment | None) -> 'UpdateRun':
-        """Raise NeoError for a folder that is no finished run with a memory and a fitted field."""
+    def find(cls, folder: Path, scene: Path | None, experiment: Experiment | None,
+             tuned: bool = False) -> 'UpdateRun':
+        """
+        Raise NeoError for a folder that is no finished run with a memory and a fitted field.
+
+        tuned: its network is to be trained on.
+        """
         if experiment is None:
             planned = (folder / PLAN_FILE).exists()
             experiment = read_plan(folder).experiment if planned else Experiment()
@@ -42,6 +48,9 @@ class UpdateRun:
         if not (folder / 'field.npz').exists():
             raise SceneError(f'{folder}: expected a finished run with its field.npz, there is '
                              'none; train it to the end, or anew')
+        if tuned and not (folder / CHECKPOINT).exists():
+            raise SceneError(f'{folder}: expected {CHECKPOINT} to train its network on, there is '
+                             'none; leave out --network-minutes, or train it anew')
         if MeshField.load(folder / 'field.npz') is not None:
             raise SceneError(f'{folder}: expected a field that was fitted to photos, got a mesh '
                              'or splats, which cannot be changed in part')

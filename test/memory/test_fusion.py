@@ -48,6 +48,22 @@ def test_gaps_beside_the_camera_go_on_in_its_colours() -> None:
     assert error[rows, columns.start - 1].min() >= FusionThresholds.gap_error / 255
 
 
+def test_what_may_be_in_another_state_is_less_sure_until_it_is_seen() -> None:
+    two_states = np.zeros(RING.shape, np.float32)
+    two_states[:20, :20] = 1
+    weight = np.zeros(RING.shape, np.float32)
+    weight[:20, :10] = 1
+    guide = replace(guide_of(WIDE), seen_before=SeenBefore(
+        np.zeros((*RING.shape, 3), np.float32), weight))
+    (wide, error), (wide_before, before) = (fuse(NARROW, one, EXPANSION) for one in (
+        replace(guide, two_states=two_states), guide))
+    assert np.array_equal(wide, wide_before)
+    more = (error - before) * 255
+    assert more[:20, 10:20] == pytest.approx(FusionThresholds.two_states)
+    more[:20, 10:20] = 0
+    assert (more == 0).all()
+
+
 def test_small_gaps_are_filled_from_around_them() -> None:
     known = np.ones(RING.shape, bool)
     known[10:13, 60:64] = False
@@ -108,3 +124,36 @@ def test_what_was_just_seen_corrects_the_guide_and_its_error() -> None:
     assert error[12:20, 12:20] * 255 == pytest.approx(
         FusionThresholds.seen_before * 20 + FusionThresholds.least_error)
     assert error[40, 10] * 255 == pytest.approx(FusionThresholds.least_error)
+
+
+def steps(aside: int) -> np.ndarray:
+    """Return a picture of an edge that leans, float (H, W), aside by so many pixels."""
+    rows, columns = np.indices(RING.shape)
+    return np.where(columns - rows / 3 > 4 + aside, 200.0, 50.0)
+
+
+@pytest.mark.parametrize(('told', 'smoothed'), [
+    ('leap', True), ('unknown', True), ('stretched', True), ('slant', False),
+    ('nothing', False)])
+def test_edges_of_depth_are_smoothed_and_nothing_else(told: str, smoothed: bool) -> None:
+    picture = np.repeat(steps(0)[..., None], 3, axis=2)
+    edge = picture[..., 0] > 100
+    depth = {'leap': np.where(edge, 1, 1.2), 'unknown': np.where(edge, 1, 0),
+             'slant': np.where(edge, 1, 1.05)}.get(told)
+    guide = replace(guide_of(picture), remembered_depth=(
+        None if depth is None else depth.astype(np.float32)),
+        stretched=edge & (told == 'stretched'))
+    wide, error = fuse(EXPANSION.crop(picture).astype(np.uint8), guide, EXPANSION)
+    found = wide[..., 0].astype(float)
+    beside = RING & (np.abs(steps(1) - steps(-1)) > 0)
+    assert (np.abs(found - picture[..., 0])[beside].mean() > 10) == smoothed
+    assert np.abs(found - picture[..., 0])[RING & ~beside].max() <= 5
+    # The camera's pixels are as they were, and what is smoothed is not surer for that.
+    assert np.array_equal(EXPANSION.crop(wide), EXPANSION.crop(picture).astype(np.uint8))
+    plain = fuse(EXPANSION.crop(picture).astype(np.uint8), replace(
+        guide, remembered_depth=None), EXPANSION)[1]
+    assert np.array_equal(error, plain)
+    # An edge that lies a pixel aside costs less.
+    truth = steps(1)[RING]
+    off, off_before = (np.mean((one[RING] - truth) ** 2) for one in (found, picture[..., 0]))
+    assert (off < 0.8 * off_before) == smoothed

@@ -7,9 +7,12 @@ import zlib
 
 from neo_ros.errors import ModelError
 from neo_ros.geometry import Band, CameraPose, Intrinsics
-from neo_ros.memory.changes import Changes
-from neo_ros.memory.journal import HEADER_BYTES, JournalWriter, MAGIC, read_journal
-from neo_ros.memory.patch import Patch
+from neo_ros.memory.changes import Changes, without_replaced
+from neo_ros.memory.journal import (
+    HEADER_BYTES, JournalWriter, MAGIC, PATCH, read_journal, TURN)
+from neo_ros.memory.patch import PARTS, Patch
+from neo_ros.memory.states import Things
+from neo_ros.memory.turn import Record, Turn
 import numpy as np
 import pytest
 
@@ -25,16 +28,18 @@ def small_patch(number: int) -> Patch:
     image = np.full((12, 16, 3), 30 * number + 40, np.uint8)
     depth = np.where(random.random((12, 16)) < 0.8, 2.0 + number, 0).astype(np.float32)
     return Patch.of(CameraPose.from_planar(number, 1, 1.5, 0.3), CAMERA, image, depth, number,
-                    number)
+                    number, (255 - image, depth + 1), np.full((12, 16), number, np.uint8))
 
 
 BODIES = [small_patch(number).to_bytes() for number in range(3)]
+TURNED = Turn(np.array([1, PARTS + 1, 2 * PARTS + 2], np.uint32), 5, 5).to_bytes()
 
 
-def framed(bodies: list[bytes]) -> bytes:
-    """Return a journal with right lengths and checksums around any bodies."""
+def framed(bodies: list[bytes], kinds: bytes = PATCH) -> bytes:
+    """Return a journal with right lengths and checksums around any bodies of these kinds."""
     content, check = HEADER, zlib.crc32(HEADER)
-    for body in bodies:
+    for number, body in enumerate(bodies):
+        body = kinds[number % len(kinds):][:1] + body
         check = zlib.crc32(body, check)
         content += struct.pack('<2I', len(body), check) + body
     return content
@@ -78,6 +83,12 @@ def of_a_record(random: np.random.Generator) -> bytes:
     return framed(bodies)
 
 
+def of_a_turn(random: np.random.Generator) -> bytes:
+    """Break what is turned, and when."""
+    turns = [TURNED if random.integers(2) else broken(TURNED, random) for _ in range(2)]
+    return framed([*BODIES, *turns], 3 * PATCH + 2 * TURN)
+
+
 def of_numbers(random: np.random.Generator) -> bytes:
     """Put numbers into a record that are legal, but senseless."""
     body = bytearray(BODIES[0])
@@ -87,13 +98,13 @@ def of_numbers(random: np.random.Generator) -> bytes:
     return framed([bytes(body), BODIES[1]])
 
 
-def read_whole(path: Path) -> list[Patch]:
+def read_whole(path: Path) -> list[Record]:
     path.write_bytes(WHOLE)
     return read_journal(path, MEMORY)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('make', [of_the_file, of_a_record, of_numbers])
+@pytest.mark.parametrize('make', [of_the_file, of_a_record, of_a_turn, of_numbers])
 def test_no_broken_journal_raises_hangs_or_fills_the_memory(
         tmp_path: Path, make: Callable[[np.random.Generator], bytes]) -> None:
     path, random = tmp_path / 'a.journal', np.random.default_rng(0)
@@ -117,16 +128,22 @@ def test_no_broken_journal_raises_hangs_or_fills_the_memory(
     assert read > COUNT // 10
 
 
-def shown(patches: list[Patch]) -> None:
+def shown(records: list[Record]) -> None:
     """Put what was read into a keyframe: the compiled loops trust it."""
     texture = np.full((64, 128, 3), 90, np.uint8)
     coded = np.full((32, 64), 300, np.uint16)
-    changed, depth = Changes(patches).put_into(
-        np.zeros(3), Band(1.0, -1.0), 1, texture, coded)
+    changes = Changes(records)
+    changed, depth = changes.put_into(np.zeros(3), Band(1.0, -1.0), 1, texture, coded)
     assert changed.shape == texture.shape and depth.shape == coded.shape
+    if changes.patches:
+        assert len(Things(changes.patches).of) == len(changes.hidden)
+    assert changes.shown_at(np.full((12, 16), 2, np.float32), CAMERA, CameraPose(
+        np.eye(4))).shape == (12, 16)
+    again = without_replaced(records)
+    assert not changes.patches or Changes(again).hidden.shape <= changes.hidden.shape
 
 
-def taken_by_a_writer(path: Path, content: bytes, found: list[Patch]) -> None:
+def taken_by_a_writer(path: Path, content: bytes, found: list[Record]) -> None:
     """Write behind what was read; where the file is refused, it is left as it is."""
     try:
         writer = JournalWriter(path, MEMORY, 1 << 20)
@@ -134,7 +151,7 @@ def taken_by_a_writer(path: Path, content: bytes, found: list[Patch]) -> None:
         assert not content.startswith(HEADER) and path.read_bytes() == content, error
         return
     try:
-        assert len(writer.patches) == len(found)
+        assert len(writer.records) == len(found)
         writer.append([small_patch(7)])
     finally:
         writer.close()
@@ -191,3 +208,40 @@ def test_one_that_was_only_begun_is_empty(tmp_path: Path, size: int,
     writer.append([small_patch(1)])
     writer.close()
     assert len(read_journal(path, MEMORY)) == 1
+
+
+@pytest.mark.parametrize('kinds, body', [
+    (PATCH + TURN, TURNED), (PATCH + TURN, TURNED[:12]), (PATCH + TURN, TURNED[:11]),
+    (PATCH + TURN, TURNED[:-1]), (PATCH + TURN, TURNED[:12] + TURNED[12:16] * 2),
+    (PATCH + TURN, TURNED[:8] + b'\xff\xff\xff\xff' + TURNED[12:16]),
+    (PATCH + b'X', TURNED[:16])],
+    ids=['not there', 'none', 'short', 'cut', 'twice', 'batch', 'another kind'])
+def test_a_turn_of_what_is_not_there_ends_it(tmp_path: Path, kinds: bytes, body: bytes) -> None:
+    path = tmp_path / 'a.journal'
+    path.write_bytes(framed([BODIES[0], TURNED[:16]], PATCH + TURN))
+    assert len(read_journal(path, MEMORY)) == 2
+    path.write_bytes(framed([BODIES[0], body], kinds))
+    assert len(read_journal(path, MEMORY)) == 1
+
+
+def test_a_turn_before_all_patches_ends_it(tmp_path: Path) -> None:
+    path = tmp_path / 'a.journal'
+    path.write_bytes(framed([TURNED, BODIES[0]], TURN + PATCH))
+    assert read_journal(path, MEMORY) == []
+
+
+@pytest.mark.parametrize('more', [b'12345', b'1'])
+def test_what_was_before_has_to_fit(tmp_path: Path, more: bytes) -> None:
+    path = tmp_path / 'a.journal'
+    size = len(small_patch(0).before) + len(more)
+    body = BODIES[0][:144 + 8] + struct.pack('<I', size) + BODIES[0][144 + 12:] + more
+    path.write_bytes(framed([body]))
+    assert read_journal(path, MEMORY) == []
+
+
+def test_a_journal_of_another_version_is_left_aside(tmp_path: Path,
+                                                    caplog: pytest.LogCaptureFixture) -> None:
+    path = tmp_path / 'a.journal'
+    path.write_bytes(WHOLE.replace(b'journal 2', b'journal 1'))
+    assert read_journal(path, MEMORY) == []
+    assert 'another version' in caplog.text and 'neo memory forget' in caplog.text

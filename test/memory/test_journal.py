@@ -1,4 +1,5 @@
 """The journal of a memory: whole records only, of this memory alone, whatever the file holds."""
+from collections.abc import Sequence
 from pathlib import Path
 import struct
 import zlib
@@ -7,10 +8,12 @@ from hypothesis import given, settings, strategies as st
 from neo_ros.errors import ModelError
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.memory import journal
+from neo_ros.memory.changes import Changes
 from neo_ros.memory.journal import (
-    compact_journal, delete_learnt, HEADER_BYTES, JournalWriter, MAGIC, most_bytes, read_journal,
-    write_journal)
-from neo_ros.memory.patch import Patch
+    compact_journal, delete_learnt, HEADER_BYTES, JournalWriter, MAGIC, most_bytes, PATCH,
+    read_journal, write_journal)
+from neo_ros.memory.patch import PARTS, Patch
+from neo_ros.memory.turn import Record, Turn
 import numpy as np
 import pytest
 
@@ -29,11 +32,11 @@ def patch(number: int, batch: int = 0) -> Patch:
 PATCHES = [patch(number) for number in range(4)]
 
 
-def written(path: Path, patches: list[Patch]) -> list[Patch]:
+def written(path: Path, records: Sequence[Record]) -> list[Record]:
     writer = JournalWriter(path, MEMORY, 1 << 20)
     try:
-        assert writer.append(patches) == patches
-        return writer.patches
+        assert writer.append(records) == records
+        return writer.records
     finally:
         writer.close()
 
@@ -49,11 +52,13 @@ def test_what_is_appended_is_read_again(tmp_path: Path) -> None:
     assert [one.stamp_ns for one in written(path, PATCHES[2:])] == [0, 1]
     found = read_journal(path, MEMORY)
     assert [one.stamp_ns for one in found] == [0, 1, 2, 3]
-    image, depth = found[3].pictures
+    last = found[3]
+    assert isinstance(last, Patch)
+    image, depth, _ = last.pictures
     assert np.abs(image.astype(int) - PATCHES[3].pictures[0]).max() < 3
     np.testing.assert_allclose(depth[depth > 0], 5.0, rtol=0.02)
-    assert found[3].camera == CAMERA
-    np.testing.assert_array_equal(found[3].pose.T_world_cam, PATCHES[3].pose.T_world_cam)
+    assert last.camera == CAMERA
+    np.testing.assert_array_equal(last.pose.T_world_cam, PATCHES[3].pose.T_world_cam)
 
 
 @settings(max_examples=40, deadline=None)
@@ -97,7 +102,7 @@ def test_a_record_that_was_put_elsewhere_ends_it(tmp_path: Path) -> None:
 
 def hostile(tmp_path: Path, body: bytes) -> Path:
     """Write a journal with right checksums around any content."""
-    header = MAGIC + bytes.fromhex(MEMORY)
+    header, body = MAGIC + bytes.fromhex(MEMORY), PATCH + body
     path = tmp_path / 'h.journal'
     path.write_bytes(header + struct.pack(
         '<2I', len(body), zlib.crc32(body, zlib.crc32(header))) + body)
@@ -136,13 +141,62 @@ def test_another_memorys_is_left_aside(tmp_path: Path, caplog: pytest.LogCapture
 
 def test_it_is_bounded(tmp_path: Path) -> None:
     path = tmp_path / 'a.journal'
-    size = len(PATCHES[0].to_bytes()) + 8
+    size = len(PATCHES[0].to_bytes()) + 9
     writer = JournalWriter(path, MEMORY, HEADER_BYTES + int(2.5 * size))
     assert writer.append(PATCHES) == PATCHES[:2] and writer.full
     assert writer.append(PATCHES) == []
     writer.close()
     assert stamps(path) == [0, 1]
     assert most_bytes(14 << 20) == int(0.2 * (14 << 20)) and most_bytes(1 << 40) == 64 << 20
+
+
+def turn(*parts: int, stamp_ns: int = 50) -> Turn:
+    return Turn(np.array(parts, np.uint32), stamp_ns, 9)
+
+
+def test_turns_are_read_again(tmp_path: Path) -> None:
+    path = tmp_path / 'a.journal'
+    written(path, [*PATCHES[:2], turn(0, PARTS), PATCHES[2], turn(PARTS, 2 * PARTS + 1)])
+    found = read_journal(path, MEMORY)
+    assert [type(one) for one in found] == [Patch, Patch, Turn, Patch, Turn]
+    hidden = Changes(found).hidden
+    # The second patch is shown again.
+    assert np.flatnonzero(hidden >= 0).tolist() == [0, 2 * PARTS + 1]
+    assert hidden[0] == 2 and hidden[2 * PARTS + 1] == 4
+
+
+def test_a_full_journal_still_takes_turns_but_not_for_ever(tmp_path: Path) -> None:
+    path = tmp_path / 'a.journal'
+    writer = JournalWriter(path, MEMORY, HEADER_BYTES + 10)
+    assert writer.append(PATCHES[:1]) == []
+    writer.close()
+    written(path, PATCHES[:1])
+    writer = JournalWriter(path, MEMORY, path.stat().st_size)
+    turns = [turn(0, stamp_ns=number) for number in range(5000)]
+    taken = writer.append(turns)
+    assert 1000 < len(taken) < 5000
+    assert writer.append(PATCHES[1:2]) == [] == writer.append(turns)
+    writer.close()
+    assert len(read_journal(path, MEMORY)) == 1 + len(taken)
+
+
+def test_what_is_hidden_stays_in_a_compact_journal(tmp_path: Path) -> None:
+    path = tmp_path / 'a.journal'
+    # The second one sees what the first saw; of the third a part is hidden.
+    first, again = patch(0, 0), patch(0, 1)
+    written(path, [first, again, PATCHES[1], turn(2 * PARTS)])
+    kept, before = compact_journal(path, MEMORY, 1 << 20)
+    assert before == 4 and len(kept) == 3
+    changes = Changes(read_journal(path, MEMORY))
+    assert np.flatnonzero(changes.hidden >= 0).tolist() == [PARTS]
+    assert changes.patches[1].stamp_ns == 1
+    # What is hidden replaces nothing, and is not replaced.
+    path.unlink()
+    written(path, [first, again, turn(PARTS)])
+    assert len(compact_journal(path, MEMORY, 1 << 20)[0]) == 3
+    path.unlink()
+    written(path, [first, again, turn(0)])
+    assert len(compact_journal(path, MEMORY, 1 << 20)[0]) == 3
 
 
 def test_one_process_learns_at_a_time(tmp_path: Path) -> None:
@@ -173,7 +227,7 @@ def test_a_journal_takes_no_more_pictures_than_are_read_again(
     assert stamps(path) == [0, 1]
 
 
-def written_as_far_as_it_goes(path: Path, patches: list[Patch]) -> list[Patch]:
+def written_as_far_as_it_goes(path: Path, patches: list[Patch]) -> list[Record]:
     writer = JournalWriter(path, MEMORY, 1 << 20)
     try:
         return writer.append(patches)

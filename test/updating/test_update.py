@@ -14,7 +14,8 @@ from neo_ros.geometry import CameraPose
 from neo_ros.memory.rendering import MemoryRenderer
 from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.pipeline import train
-from neo_ros.runtime import read_model_card
+from neo_ros.runtime import FovExtrapolator, read_model_card
+from neo_ros.training.checkpoint import read_checkpoint
 from neo_ros.updating import update as update_module
 from neo_ros.updating.update import update, UpdateOptions
 import numpy as np
@@ -111,12 +112,24 @@ def test_the_card_tells_where_it_comes_from(base: Path) -> None:
 
 def test_an_updated_run_can_be_updated_again(base: Path, tmp_path: Path) -> None:
     found, = update(base / 'new', [base / 'same'], tmp_path / 'back', experiment=ROOM,
-                    options=UpdateOptions(minutes=0.2))
+                    options=UpdateOptions(minutes=0.2, network_minutes=0.1))
     assert found > 0  # The post stands where it was first.
     updates = read_model_card(tmp_path / 'back' / 'room.onnx').updates
     before = read_model_card(base / 'new' / 'room.onnx').memory
     assert [one.bag for one in updates] == ['moved', 'same']
     assert before is not None and updates[1].memory == before.sha256
+    # Its network was trained on, and is guided by the memory of now.
+    networks = [read_checkpoint(base / name / 'outpainter.ckpt') for name in ('run', 'new')]
+    networks.append(read_checkpoint(tmp_path / 'back' / 'outpainter.ckpt'))
+    run, new, back = (one['trainer']['averaged'] for one in networks)
+    for name, weights in run.items():
+        assert new[name].equal(weights)
+    moved = sum(float((back[name] - weights).norm()) for name, weights in run.items())
+    assert 0 < moved < 0.5 * sum(float(weights.norm()) for weights in run.values())
+    assert networks[2]['trainer']['seconds'] < 30
+    after = read_model_card(tmp_path / 'back' / 'room.onnx')
+    assert after.trained_seconds > read_model_card(base / 'new' / 'room.onnx').trained_seconds
+    assert memory_of(tmp_path / 'back') and FovExtrapolator.load(tmp_path / 'back' / 'room.onnx')
 
 
 def test_where_nothing_changed_nothing_is_written(base: Path, tmp_path: Path) -> None:

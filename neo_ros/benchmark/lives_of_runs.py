@@ -1,0 +1,83 @@
+"""
+What a memory learns, or an update finds, on real runs that are visits of one another.
+
+    python -m neo_ros.benchmark.lives_of_runs RUN SCENE [--config CONFIG] [--out FILE]
+
+RUN is the folder of `neo train` (with CONFIG), SCENE has test frames in several runs, each wider
+than the camera's view. On each visit the camera goes through one run and learns, and `neo update`
+takes its bag; all other runs are scored. Nobody knows what has changed between them, so all of the
+ring is scored, and false changes are what was shown right before and is not any more. The rows are
+added to those in FILE.
+"""
+import argparse
+import json
+from pathlib import Path
+import shutil
+import tempfile
+from typing import Any
+
+from neo_ros.benchmark.killing import end, neo
+from neo_ros.benchmark.lives import as_bag, drive, false_changes, megabytes, score, Walks
+from neo_ros.evaluation.evaluate import TruthFrames
+from neo_ros.machine.files import write_bytes
+from neo_ros.machine.host import commit, host
+from neo_ros.runtime import FovExtrapolator
+from neo_ros.scenes.upright import read_upright_scene
+import numpy as np
+
+
+def measure(run: Path, scene: Path, config: Path | None) -> list[dict[str, Any]]:
+    """Return a row for each run of the test frames and each mode; see the module."""
+    trained, = run.glob('*.onnx')
+    expansion = FovExtrapolator.load(trained, guided=False).expansion
+    test = read_upright_scene(scene).test
+    truth = TruthFrames(test, expansion)
+    walks = Walks(np.stack([wide for _, wide in truth]), truth.images.T_world_cam,
+                  np.array(truth.images.path_ids))
+    rows = []
+    for visit in np.unique(walks.walk):
+        path, others = (Walks(walks.images[chosen], walks.T[chosen], walks.walk[chosen])
+                        for chosen in (walks.walk == visit, walks.walk != visit))
+        with tempfile.TemporaryDirectory() as work:
+            models = {'none': trained, 'learn': Path(work) / trained.name}
+            for file in (trained, trained.with_suffix('.memory')):
+                shutil.copy(file, work)
+            drive(models['learn'], path)
+            bag, after = Path(work) / 'bag', Path(work) / 'update'
+            as_bag(bag, path, trained)
+            minutes = end(neo('update', run, bag, '--out', after, '--scene', scene,
+                              *(() if config is None else ('--config', config)))) / 60
+            # Where nothing has changed nothing is written.
+            models['update'] = after / trained.name if after.exists() else trained
+            scored = {mode: score(model, others, others) for mode, model in models.items()}
+            rows += [{
+                'scene': scene.name, 'visit': int(visit), 'mode': mode, **scores,
+                'unchanged_before_psnr': scored['none'][0]['unchanged_ring_psnr'],
+                'false_change_share': false_changes(
+                    others, others, scored['none'][1], shown, expansion.extrapolated_mask),
+                'memory_mb': megabytes(models[mode].parent),
+                'update_minutes': minutes if mode == 'update' else None,
+                'light': None, 'door': None, 'people': None, 'commit': commit(), 'host': host()}
+                for mode, (scores, shown) in scored.items()]
+        for row in rows[-len(models):]:
+            print(json.dumps(row), flush=True)
+    return rows
+
+
+def main() -> None:
+    """Measure, and add the rows."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument('run', type=Path)
+    parser.add_argument('scene', type=Path)
+    parser.add_argument('--config', type=Path)
+    parser.add_argument('--out', type=Path, default=Path('results/lives.json'))
+    given = parser.parse_args()
+    rows = measure(given.run, given.scene, given.config)
+    kept = json.loads(given.out.read_text()) if given.out.exists() else []
+    kept = [row for row in kept if row['scene'] != given.scene.name]
+    write_bytes(given.out, (json.dumps(kept + rows, indent=1) + '\n').encode())
+
+
+if __name__ == '__main__':
+    main()

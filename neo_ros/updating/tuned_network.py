@@ -1,0 +1,38 @@
+"""The network of an updated run, trained on with views of what is there now."""
+from dataclasses import replace
+from pathlib import Path
+
+from neo_ros.experiment import Experiment
+from neo_ros.field.device import chosen_device, read_field
+from neo_ros.machine.progress import StageProgress
+from neo_ros.pipeline import export_step, fit_outpainter_step
+from neo_ros.runtime.model_card import read_model_card, write_model_card
+from neo_ros.scenes.scene import Scene
+from neo_ros.training.memory import name_memory
+from neo_ros.training.run import TrainingRun
+from neo_ros.training.views import held_out_views, held_out_wide_views
+
+CHECKPOINT = 'outpainter.ckpt'
+
+
+def tune_network(folder: Path, scene: Scene, experiment: Experiment, minutes: float,
+                 progress: StageProgress) -> None:
+    """
+    Train the network of a run, updated in `folder`, for some minutes and export it anew.
+
+    It begins as the network of before. Memory and lineage stay.
+    """
+    run = TrainingRun(scene, replace(experiment, outpaint=replace(
+        experiment.outpaint, minutes=minutes)), folder, progress)
+    field = read_field(folder / 'field.npz', chosen_device(experiment.field.device))
+    earlier = folder / f'earlier_{CHECKPOINT}'
+    (folder / CHECKPOINT).rename(earlier)
+    before, held_out = read_model_card(run.model_path), held_out_views(run, field)
+    network = fit_outpainter_step(run, field, held_out, earlier=earlier)
+    earlier.unlink()
+    run.seconds += before.trained_seconds
+    export_step(run, network, held_out if experiment.network.shrink == 1
+                else held_out_wide_views(run, field))
+    name_memory(run)
+    write_model_card(run.model_path, replace(
+        read_model_card(run.model_path), updates=before.updates))

@@ -1,0 +1,22 @@
+"""A board that stands in the box room, and a drive past it."""
+from box_room import planar, view
+from neo_ros.geometry import CameraPose, Intrinsics
+import numpy as np
+
+WALL = 3.6  # metres along x, where a board stands that the memory does not know
+DRIVE = [planar(1.5 + 0.02 * step, 1.2 + 0.04 * step, 8) for step in range(20)]
+
+
+def with_board(pose: CameraPose, camera: Intrinsics, middle: float = 1.8
+               ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return image, depth, and where the board is: bool (H, W)."""
+    image, depth = view(pose, camera)
+    image, rays = image.copy(), camera.pixel_rays() @ pose.T_world_cam[:3, :3].T
+    with np.errstate(divide='ignore'):
+        z = (WALL - pose.position[0]) / rays[..., 0]
+    point = pose.position + rays * z[..., None]
+    board = ((z > 0) & (z < depth) & (np.abs(point[..., 1] - middle) < 0.5)
+             & (np.abs(point[..., 2] - 1.3) < 0.5))
+    pattern = 128 + 110 * np.sign(np.sin(17 * point[..., 1]) * np.sin(15 * point[..., 2] + 1))
+    image[board] = np.stack([pattern, 255 - pattern, np.full_like(pattern, 40)], -1)[board]
+    return image, np.where(board, z, depth).astype(np.float32), board
