@@ -18,6 +18,7 @@ from typing import Any
 
 from neo_ros.benchmark.killing import end, neo
 from neo_ros.benchmark.lives import as_bag, drive, false_changes, megabytes, score, Walks
+from neo_ros.errors import SceneError
 from neo_ros.evaluation.evaluate import TruthFrames
 from neo_ros.machine.files import write_bytes
 from neo_ros.machine.host import commit, host
@@ -34,8 +35,11 @@ def measure(run: Path, scene: Path, config: Path | None) -> list[dict[str, Any]]
     truth = TruthFrames(test, expansion)
     walks = Walks(np.stack([wide for _, wide in truth]), truth.images.T_world_cam,
                   np.array(truth.images.path_ids))
+    runs = np.unique(walks.walk)
+    if len(runs) < 2:
+        raise SceneError(f'{scene}: expected test frames of two runs or more (path_id), got one')
     rows = []
-    for visit in np.unique(walks.walk):
+    for visit in runs:
         path, others = (Walks(walks.images[chosen], walks.T[chosen], walks.walk[chosen])
                         for chosen in (walks.walk == visit, walks.walk != visit))
         with tempfile.TemporaryDirectory() as work:

@@ -137,7 +137,8 @@ REAL = (
     Column('aligned', 'aligned_held_out_psnr', DB),
     Column('minutes of the processor', 'cpu_minutes', '{:.1f}'))
 LIVES = (
-    Column('visit', 'visit'), Column('light', 'light'), Column('door', 'door'),
+    Column('scene', 'scene'), Column('visit', 'visit'), Column('light', 'light'),
+    Column('door', 'door'),
     Column('memory', 'mode'),
     Column('ring that changed, dB', 'changed_ring_psnr', DB),
     Column('ring that did not, dB', 'unchanged_ring_psnr', DB),
