@@ -3,12 +3,14 @@ A sparse model of the scene: points that several photos see, triangulated from t
 
 This is B3's map (the paper uses hloc's): pycolmap triangulates the matches of RootSIFT features.
 """
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 import shutil
 from typing import Any, NamedTuple
 from zipfile import BadZipFile
 
+from neo_ros.baking.feature_database import of_known_poses, points_of, write_database
 from neo_ros.baking.photo_bank import PhotoBank
 from neo_ros.errors import SceneError
 from neo_ros.geometry import Intrinsics
@@ -109,17 +111,13 @@ def _triangulate(bank: PhotoBank, folder: Path,
     folder.mkdir(parents=True)
     camera = bank.photos.intrinsics.scaled(bank.scale)
     database = folder / 'database.db'
-    known = _write_database(bank, camera, database, progress, rules)
+    known = write_database(database, camera, bank.features,
+                           np.linalg.inv(bank.photos.T_world_cam),
+                           _verified(bank, camera, progress, rules))
     options = pycolmap.IncrementalPipelineOptions()
     options.random_seed = 0
     model = pycolmap.triangulate_points(known, database, folder, folder, options=options)
-    ids = {point_id: index for index, point_id in enumerate(model.points3D)}
-    points = np.array([point.xyz for point in model.points3D.values()]).reshape(-1, 3)
-    starts = np.cumsum([0, *(len(one.points) for one in bank.features)])
-    flat = np.full(starts[-1], -1, np.int64)
-    for point_id, point in model.points3D.items():
-        for element in point.track.elements:
-            flat[starts[element.image_id - 1] + element.point2D_idx] = ids[point_id]
+    points, flat = points_of(model, bank.features)
     database.unlink()
     if not len(points):
         raise SceneError(f'{folder}: no point could be triangulated from the photos; '
@@ -127,41 +125,18 @@ def _triangulate(bank: PhotoBank, folder: Path,
     return points, flat
 
 
-def _write_database(bank: PhotoBank, camera: Intrinsics, path: Path, progress: Progress,
-                    rules: MatchRules) -> Any:
-    """Fill a database with keypoints and verified matches; returns the posed reconstruction."""
-    import pycolmap
-    lens = pycolmap.Camera(model='PINHOLE', width=camera.width, height=camera.height,
-                           params=[camera.fx, camera.fy, camera.cx, camera.cy], camera_id=1)
-    known = pycolmap.Reconstruction()
-    known.add_camera_with_trivial_rig(lens)
+def _verified(bank: PhotoBank, camera: Intrinsics, progress: Progress, rules: MatchRules
+              ) -> Iterator[tuple[int, int, Any]]:
+    """Yield pairs of photos, and the matches that their poses allow."""
     T_world_cam = bank.photos.T_world_cam
     T_cam_world = np.linalg.inv(T_world_cam)
     pairs = choose_pairs(bank, rules)
-    with pycolmap.Database.open(path) as database:
-        database.write_camera(lens, use_camera_id=True)
-        for rig in known.rigs.values():
-            database.write_rig(rig, use_rig_id=True)
-        for index, features in enumerate(bank.features):
-            image = pycolmap.Image(name=f'{index:06d}', keypoints=features.points.astype(float),
-                                   camera_id=1, image_id=index + 1)
-            known.add_image_with_trivial_frame(image, pycolmap.Rigid3d(T_cam_world[index, :3]))
-            frame = known.image(index + 1).frame
-            assert frame is not None
-            database.write_frame(frame, use_frame_id=True)
-            database.write_image(known.image(index + 1), use_image_id=True)
-            database.write_keypoints(index + 1, features.points)
-        for done, (i, j) in enumerate(pairs):
-            a, b = bank.features[i], bank.features[j]
-            matches = match_features(a.descriptors, b.descriptors, rules.ratio)
-            off = epipolar_distance(camera, T_cam_world[j] @ T_world_cam[i],
-                                    a.points[matches[:, 0]], b.points[matches[:, 1]])
-            kept = matches[off < rules.epipolar_pixels].astype(np.uint32)
-            if len(kept) >= 5:
-                geometry = pycolmap.TwoViewGeometry()
-                geometry.config = pycolmap.TwoViewGeometryConfiguration.CALIBRATED
-                geometry.inlier_matches = kept
-                database.write_matches(i + 1, j + 1, kept)
-                database.write_two_view_geometry(i + 1, j + 1, geometry)
-            progress(done + 1, len(pairs))
-    return known
+    for done, (i, j) in enumerate(pairs, 1):
+        a, b = bank.features[i], bank.features[j]
+        matches = match_features(a.descriptors, b.descriptors, rules.ratio)
+        off = epipolar_distance(camera, T_cam_world[j] @ T_world_cam[i],
+                                a.points[matches[:, 0]], b.points[matches[:, 1]])
+        kept = matches[off < rules.epipolar_pixels]
+        if len(kept) >= 5:
+            yield i, j, of_known_poses(kept)
+        progress(done, len(pairs))

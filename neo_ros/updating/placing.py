@@ -4,13 +4,15 @@ Poses for images that the memory does not know: structure from motion that begin
 Photos of the same drive whose poses the memory gave hold the world in place: its frame, its
 scale. What they show is triangulated; images that show it, too, are placed; and so on (pycolmap).
 """
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 import tempfile
 from typing import Any
 
+from neo_ros.baking.feature_database import (
+    of_known_poses, pinhole_lens, points_of, write_database)
 from neo_ros.baking.photo_bank import likeness_of
 from neo_ros.baking.sparse_model import epipolar_distance
 from neo_ros.geometry import CameraPose, Intrinsics
@@ -117,8 +119,10 @@ def _map(features: Sequence[Features], poses: Sequence[CameraPose],
     """Return a model of all that can be placed; the first have these poses, and keep them."""
     import pycolmap
     pycolmap.logging.minloglevel = int(pycolmap.logging.FATAL)
-    known = _write_database(features, poses, pairs, camera, folder / 'database.db', progress,
-                            rules)
+    known = write_database(
+        folder / 'database.db', camera, features,
+        np.array([pose.inverse() for pose in poses]).reshape(-1, 4, 4),
+        _verified(features, poses, pairs, camera, progress, rules))
     options = pycolmap.IncrementalPipelineOptions()
     options.random_seed, options.num_threads = 0, 1  # Threads would add in another order.
     options.fix_existing_frames, options.multiple_models = True, False
@@ -146,66 +150,38 @@ def _map(features: Sequence[Features], poses: Sequence[CameraPose],
     return max(models.values(), key=lambda found: found.num_reg_images(), default=None)
 
 
-def _write_database(features: Sequence[Features], poses: Sequence[CameraPose],
-                    pairs: Sequence[tuple[int, int]], camera: Intrinsics, path: Path,
-                    progress: Progress, rules: PlacingRules) -> Any:
-    """Fill a database with keypoints and verified matches; returns the images with poses."""
+def _verified(features: Sequence[Features], poses: Sequence[CameraPose],
+              pairs: Sequence[tuple[int, int]], camera: Intrinsics, progress: Progress,
+              rules: PlacingRules) -> Iterator[tuple[int, int, Any]]:
+    """Yield pairs of images, and the matches that two views allow: by their poses, if known."""
     import pycolmap
-    lens = pycolmap.Camera(model='PINHOLE', width=camera.width, height=camera.height,
-                           params=[camera.fx, camera.fy, camera.cx, camera.cy], camera_id=1,
-                           has_prior_focal_length=True)
-    known, everything = pycolmap.Reconstruction(), pycolmap.Reconstruction()
-    for one in (known, everything):
-        one.add_camera_with_trivial_rig(lens)
-    with pycolmap.Database.open(path) as database:
-        database.write_camera(lens, use_camera_id=True)
-        for rig in known.rigs.values():
-            database.write_rig(rig, use_rig_id=True)
-        for index, found in enumerate(features):
-            def image() -> Any:
-                return pycolmap.Image(name=f'{index:06d}', keypoints=found.points.astype(float),
-                                      camera_id=1, image_id=index + 1)
-
-            if index < len(poses):
-                known.add_image_with_trivial_frame(
-                    image(), pycolmap.Rigid3d(poses[index].inverse()[:3]))
-            everything.add_image_with_trivial_frame(image())
-            written = everything.image(index + 1)
-            assert written.frame is not None
-            database.write_frame(written.frame, use_frame_id=True)
-            database.write_image(written, use_image_id=True)
-            database.write_keypoints(index + 1, found.points)
-        for done, (i, j) in enumerate(pairs, 1):
-            a, b = features[i], features[j]
-            matches = match_features(a.descriptors, b.descriptors, rules.ratio)
-            if len(matches) >= rules.least_matches:
-                geometry = _verified(lens, camera, a.points, b.points, matches, rules, *(
-                    poses[one] if one < len(poses) else None for one in (i, j)))
-                if len(geometry.inlier_matches) >= rules.least_matches:
-                    database.write_matches(i + 1, j + 1, matches.astype(np.uint32))
-                    database.write_two_view_geometry(i + 1, j + 1, geometry)
-            progress(done, len(pairs) + 1)
-    return known
+    lens, options = pinhole_lens(camera), pycolmap.TwoViewGeometryOptions()
+    options.ransac.max_error, options.ransac.random_seed = rules.most_pixels, 0
+    options.min_num_inliers = rules.least_matches
+    for done, (i, j) in enumerate(pairs, 1):
+        a, b = features[i], features[j]
+        matches = match_features(a.descriptors, b.descriptors, rules.ratio)
+        if len(matches) >= rules.least_matches:
+            if max(i, j) < len(poses):
+                geometry = of_known_poses(_allowed(matches, a, b, poses[i], poses[j], camera,
+                                                   rules))
+            else:
+                geometry = pycolmap.estimate_calibrated_two_view_geometry(
+                    lens, a.points.astype(float), lens, b.points.astype(float),
+                    matches.astype(np.uint32), options)
+            if len(geometry.inlier_matches) >= rules.least_matches:
+                yield i, j, geometry
+        progress(done, len(pairs) + 1)
 
 
-def _verified(lens: Any, camera: Intrinsics, a: np.ndarray, b: np.ndarray, matches: np.ndarray,
-              rules: PlacingRules, pose_a: CameraPose | None, pose_b: CameraPose | None) -> Any:
-    """Return the matches that two views allow, by their poses where both are known."""
-    import pycolmap
-    if pose_a is None or pose_b is None:
-        options = pycolmap.TwoViewGeometryOptions()
-        options.ransac.max_error, options.ransac.random_seed = rules.most_pixels, 0
-        options.min_num_inliers = rules.least_matches
-        return pycolmap.estimate_calibrated_two_view_geometry(
-            lens, a.astype(float), lens, b.astype(float), matches.astype(np.uint32), options)
-    geometry = pycolmap.TwoViewGeometry()
-    geometry.config = pycolmap.TwoViewGeometryConfiguration.CALIBRATED
-    off = epipolar_distance(camera, pose_b.inverse() @ pose_a.T_world_cam, a[matches[:, 0]],
-                            b[matches[:, 1]])
-    # Two from one place have no epipolar line.
-    apart = np.linalg.norm(pose_a.position - pose_b.position) > 1e-3
-    geometry.inlier_matches = matches[(off < rules.most_pixels) & apart].astype(np.uint32)
-    return geometry
+def _allowed(matches: np.ndarray, a: Features, b: Features, pose_a: CameraPose,
+             pose_b: CameraPose, camera: Intrinsics, rules: PlacingRules) -> np.ndarray:
+    """Return the matches (M, 2) that known poses allow."""
+    if np.linalg.norm(pose_a.position - pose_b.position) <= 1e-3:
+        return matches[:0]  # Two from one place have no epipolar line.
+    off = epipolar_distance(camera, pose_b.inverse() @ pose_a.T_world_cam,
+                            a.points[matches[:, 0]], b.points[matches[:, 1]])
+    return matches[off < rules.most_pixels]
 
 
 def _well_tied(near: Sequence[int], shots: Sequence[LostImage], model: Any,
@@ -236,16 +212,5 @@ def _well_tied(near: Sequence[int], shots: Sequence[LostImage], model: Any,
     tied = [(shot, pose) for shot, pose, enough in list(zip(shots, poses, many))[len(near):]
             if enough and pose is not None]
     return Placed([shot for shot, _ in tied], [pose for _, pose in tied], beside,
-                  _landmarks(model, features))
-
-
-def _landmarks(model: Any, features: Sequence[Features]) -> Landmarks | None:
-    starts = np.cumsum([0, *(len(one.points) for one in features)])
-    point_of = np.full(starts[-1], -1, np.int64)
-    points = np.zeros((len(model.points3D), 3))
-    for index, point in enumerate(model.points3D.values()):
-        points[index] = point.xyz
-        for element in point.track.elements:
-            point_of[starts[element.image_id - 1] + element.point2D_idx] = index
-    return Landmarks.from_observations(points, point_of, np.concatenate(
-        [one.descriptors for one in features]))
+                  Landmarks.from_observations(*points_of(model, features), np.concatenate(
+                      [one.descriptors for one in features])))
