@@ -38,7 +38,7 @@ from neo_ros.training.run import TrainingRun
 from neo_ros.training.time_plan import (
     plan_training, read_plan, share_network_minutes, TimeLeft)
 from neo_ros.training.views import (
-    held_out_views, held_out_wide_views, make_stream, note_poses, real_frames, real_usable)
+    calibration_views, held_out_views, make_stream, note_poses, real_frames, real_usable)
 import numpy as np
 from torch import nn
 
@@ -88,9 +88,7 @@ def train(scene_folder: Path, experiment: Experiment, out: Path,
         network = fit_outpainter_step(run, field, held_out, rank)
     if rank > 0:
         return run
-    # The network's size may be the camera's.
-    export_step(run, network, held_out if experiment.network.shrink == 1
-                else held_out_wide_views(run, field))
+    export_step(run, network, calibration_views(run, field, held_out))
     if plan is None:  # Where it cannot be made, the model is there and works alone.
         memory_step(run, field)
     name_memory(run)

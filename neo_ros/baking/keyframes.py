@@ -242,8 +242,16 @@ def keyframe_positions(sampler: PoseSampler, photos: Photos, distance: float) ->
                                   np.full(len(sampler.positions_xy), sampler.height[0])])
     else:
         places = photos.T_world_cam[:, :3, 3]
-    chosen = [int(np.linalg.norm(places - places.mean(0), axis=1).argmin())]
-    away = np.linalg.norm(places - places[chosen[0]], axis=1)
+    first = int(np.linalg.norm(places - places.mean(0), axis=1).argmin())
+    return np.concatenate([places[[first]], spread(places, places[[first]], distance)])
+
+
+def spread(places: np.ndarray, there: np.ndarray, distance: float) -> np.ndarray:
+    """Choose of places (N, 3), so that each has one, or one of those there, within `distance`."""
+    away = np.full(len(places), np.inf)
+    for one in there:
+        away = np.minimum(away, np.linalg.norm(places - one, axis=1))
+    chosen = []
     while away.max() > distance:
         chosen.append(int(away.argmax()))
         away = np.minimum(away, np.linalg.norm(places - places[chosen[-1]], axis=1))

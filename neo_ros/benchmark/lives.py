@@ -72,7 +72,7 @@ class Walks:
 def walks_of(visit: Visit, seed: int, count: int, camera: Intrinsics, folder: Path, name: str,
              most: int | None = None) -> Walks:
     """Cast the frames of some walks on a visit, at most so many, or read them where they lie."""
-    path = folder / f'{name}_{seed}_{count}_{camera.width}.npz'
+    path = folder / f'{name}_{seed}_{count}_{most}_{camera.width}.npz'
     if not path.exists():
         paths = []
         off = np.array([*(one.goal for one in (*CHAIRS, PLANT)), DOOR_PLACE])
@@ -86,7 +86,7 @@ def walks_of(visit: Visit, seed: int, count: int, camera: Intrinsics, folder: Pa
         np.savez(path, T=T, walk=np.array([number for number, _ in paths]), images=np.stack(list(
             map_in_processes(partial(_cast, visit, folder, camera), list(enumerate(T)), 2))))
     with np.load(path) as data:
-        return Walks(*(data[part][:most] for part in ('images', 'T', 'walk')))
+        return Walks(data['images'], data['T'], data['walk'])
 
 
 def _cast(visit: Visit, folder: Path, camera: Intrinsics, frame: tuple[int, np.ndarray]
@@ -184,6 +184,31 @@ def train_anew(visit: Visit, camera: Intrinsics, config: Path, folder: Path) -> 
     return folder / 'run' / 'demo_flat.onnx'
 
 
+def rows_of(scene: str, visit: int, models: dict[str, Path], test: Walks, before: Walks,
+            found: dict[str, Any], minutes: float
+            ) -> tuple[list[dict[str, Any]], dict[str, list[np.ndarray]]]:
+    """
+    Score a model for each mode; return, and print, a row for each, and the images that it shows.
+
+    found: light, door and people of the visit; minutes: of the update. A row's keys are a
+    contract.
+    """
+    scored = {mode: score(model, test, before) for mode, model in models.items()}
+    ring, rows = FovExtrapolator.load(models['none'], guided=False).extrapolated_mask, []
+    for mode, (scores, shown) in scored.items():
+        if mode != 'none':
+            scores['contradiction_auroc'] = None  # What was learnt contradicts no more.
+        rows.append({
+            'scene': scene, 'visit': visit, 'mode': mode, **scores,
+            'unchanged_before_psnr': scored['none'][0]['unchanged_ring_psnr'],
+            'false_change_share': false_changes(test, before, scored['none'][1], shown, ring),
+            'memory_mb': megabytes(models[mode].parent),
+            'update_minutes': minutes if mode == 'update' else None, **found,
+            'commit': commit(), 'host': host()})
+        print(json.dumps(rows[-1]), flush=True)
+    return rows, {mode: shown for mode, (_, shown) in scored.items()}
+
+
 def measure(run: Path, frames: Path, visits: int, driven: int, out: Path,
             retrain: Path | None) -> None:
     """Go through the visits; write a row for each and each mode, all of them after each visit."""
@@ -215,22 +240,11 @@ def measure(run: Path, frames: Path, visits: int, driven: int, out: Path,
             if retrain is not None and number == visits - 1:
                 models['retrained'] = train_anew(visit, expansion.source, retrain,
                                                  Path(folder) / 'retrained')
-            scored = {mode: score(model, test, before) for mode, model in models.items()}
-            for mode, (scores, shown) in scored.items():
-                if mode != 'none':
-                    scores['contradiction_auroc'] = None  # What was learnt contradicts no more.
-                rows.append({
-                    'scene': 'demo_flat', 'visit': number, 'mode': mode, **scores,
-                    'unchanged_before_psnr': scored['none'][0]['unchanged_ring_psnr'],
-                    'false_change_share': false_changes(
-                        test, before, scored['none'][1], shown, expansion.extrapolated_mask),
-                    'memory_mb': megabytes(models[mode].parent),
-                    'update_minutes': minutes if mode == 'update' else None,
-                    'light': visit.light, 'door': 'closed' if visit.closed else 'open',
-                    'people': visit.people, 'commit': commit(), 'host': host()})
-                print(json.dumps(rows[-1]), flush=True)
-            np.savez(frames / f'shown_{number}.npz', none=scored['none'][1],
-                     learn=scored['learn'][1], update=scored['update'][1])
+            found, shown = rows_of('demo_flat', number, models, test, before, {
+                'light': visit.light, 'door': 'closed' if visit.closed else 'open',
+                'people': visit.people}, minutes)
+            rows += found
+            np.savez(frames / f'shown_{number}.npz', allow_pickle=False, **shown)
             write_bytes(out, (json.dumps(rows, indent=1) + '\n').encode())
 
 

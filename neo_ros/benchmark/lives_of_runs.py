@@ -17,11 +17,10 @@ import tempfile
 from typing import Any
 
 from neo_ros.benchmark.killing import end, neo
-from neo_ros.benchmark.lives import as_bag, drive, false_changes, megabytes, score, Walks
+from neo_ros.benchmark.lives import as_bag, drive, rows_of, Walks
 from neo_ros.errors import SceneError
 from neo_ros.evaluation.evaluate import TruthFrames
 from neo_ros.machine.files import write_bytes
-from neo_ros.machine.host import commit, host
 from neo_ros.runtime import FovExtrapolator
 from neo_ros.scenes.upright import read_upright_scene
 import numpy as np
@@ -38,7 +37,7 @@ def measure(run: Path, scene: Path, config: Path | None) -> list[dict[str, Any]]
     runs = np.unique(walks.walk)
     if len(runs) < 2:
         raise SceneError(f'{scene}: expected test frames of two runs or more (path_id), got one')
-    rows = []
+    rows: list[dict[str, Any]] = []
     for visit in runs:
         path, others = (Walks(walks.images[chosen], walks.T[chosen], walks.walk[chosen])
                         for chosen in (walks.walk == visit, walks.walk != visit))
@@ -53,18 +52,8 @@ def measure(run: Path, scene: Path, config: Path | None) -> list[dict[str, Any]]
                               *(() if config is None else ('--config', config)))) / 60
             # Where nothing has changed nothing is written.
             models['update'] = after / trained.name if after.exists() else trained
-            scored = {mode: score(model, others, others) for mode, model in models.items()}
-            rows += [{
-                'scene': scene.name, 'visit': int(visit), 'mode': mode, **scores,
-                'unchanged_before_psnr': scored['none'][0]['unchanged_ring_psnr'],
-                'false_change_share': false_changes(
-                    others, others, scored['none'][1], shown, expansion.extrapolated_mask),
-                'memory_mb': megabytes(models[mode].parent),
-                'update_minutes': minutes if mode == 'update' else None,
-                'light': None, 'door': None, 'people': None, 'commit': commit(), 'host': host()}
-                for mode, (scores, shown) in scored.items()]
-        for row in rows[-len(models):]:
-            print(json.dumps(row), flush=True)
+            rows += rows_of(scene.name, int(visit), models, others, others, {
+                'light': None, 'door': None, 'people': None}, minutes)[0]
     return rows
 
 

@@ -60,9 +60,9 @@ def _take_points(result: VoxelField, field: VoxelField, at: np.ndarray) -> None:
     outside[np.ix_(*place)] = False
     raw = np.zeros(result.shape, np.float32)
     raw[np.ix_(*place)] = dense.grid[:, 0].reshape(field.shape)[np.ix_(*inside)]
-    raw[outside] = dense._values_at(result, outside, 1)[:, 0]
+    raw[outside] = dense.values_at(result, outside, 1)[:, 0]
     result.row_of = np.arange(raw.size, dtype=np.int32)
-    outside &= dilated(result._occupied(raw.reshape(-1, 1)).reshape(result.shape), AIR_KEPT)
+    outside &= dilated(result.occupied(raw.reshape(-1, 1)).reshape(result.shape), AIR_KEPT)
     kept = outside.copy()
     kept[np.ix_(*place)] = (field.row_of >= 0).reshape(field.shape)[np.ix_(*inside)]
     row_of, old = numbered(kept), np.full(result.shape, -1, np.int32)
@@ -71,7 +71,7 @@ def _take_points(result: VoxelField, field: VoxelField, at: np.ndarray) -> None:
     same = old.ravel() >= 0
     grid[row_of[same]] = field.grid[old.ravel()[same]]
     if outside.any():
-        grid[row_of[outside.ravel()]] = dense._values_at(result, outside, grid.shape[1])
+        grid[row_of[outside.ravel()]] = dense.values_at(result, outside, grid.shape[1])
     result.grid, result.row_of = grid, row_of
 
 
@@ -98,12 +98,12 @@ def filled(field: VoxelField, other: VoxelField, cells: np.ndarray
     dense = other.keeping(np.ones(len(other.row_of), bool))
     points = dilated(cells, 0) & (field.row_of < 0).reshape(field.shape)
     raw = np.zeros(field.shape, np.float32)
-    raw[points] = dense._values_at(field, points, 1)[:, 0]
+    raw[points] = dense.values_at(field, points, 1)[:, 0]
     whole = VoxelField(raw.reshape(-1, 1), field.shape, field.centre, field.half_extent,
                        field.shell, field.step, field.near, field.initial_alpha)
     points &= dilated(whole.matter, AIR_KEPT)
     result = field.keeping((field.row_of >= 0) | points.ravel())
-    result.grid[result.row_of[points.ravel()]] = dense._values_at(
+    result.grid[result.row_of[points.ravel()]] = dense.values_at(
         field, points, field.grid.shape[1])
     result.update_occupancy()
     return result, points

@@ -45,7 +45,7 @@ def splat_field(splats: Splats, centre: np.ndarray, half_extent: np.ndarray, she
     thickness *= np.minimum(1, THICKEST / np.maximum(peak, 1e-9))
     # The inverse of the softplus that makes density of what is stored.
     field.grid = np.log(np.expm1(np.maximum(thickness, 1e-5))) - np.float32(field.shift)
-    kept = dilated(field._occupied(field.grid).reshape(field.shape), AIR_KEPT).ravel()
+    kept = dilated(field.matter, AIR_KEPT).ravel()
     field.row_of = numbered(kept)
     channels, terms = splats.harmonics.shape[1:]
     sums = np.zeros((int(kept.sum()), 1 + channels * terms), np.float32)

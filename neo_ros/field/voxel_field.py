@@ -109,14 +109,14 @@ class VoxelField:
             step=self.step, near=self.near, initial_alpha=self.initial_alpha)
         kept = np.ones(result.shape, np.bool_)
         if sparse:
-            raw = self._values_at(result, kept, 1)
-            kept = dilated(result._occupied(raw).reshape(result.shape), AIR_KEPT)
+            raw = self.values_at(result, kept, 1)
+            kept = dilated(result.occupied(raw).reshape(result.shape), AIR_KEPT)
             kept |= not kept.any()  # A field that is empty still is searched everywhere.
         result.row_of = numbered(kept)
-        result.grid = self._values_at(result, kept, self.grid.shape[1])
+        result.grid = self.values_at(result, kept, self.grid.shape[1])
         return result
 
-    def _values_at(self, other: 'VoxelField', kept: np.ndarray, columns: int) -> np.ndarray:
+    def values_at(self, other: 'VoxelField', kept: np.ndarray, columns: int) -> np.ndarray:
         """Interpolate the first columns of the grid at points `kept` (X, Y, Z) of another."""
         volume = torch.from_numpy(self.grid[:, :columns].T.reshape(1, columns, *self.shape))
         values = []
@@ -171,7 +171,7 @@ class VoxelField:
     @property
     def matter(self) -> np.ndarray:
         """Tell which cells are not empty air, bool (X, Y, Z), even among those `searched`."""
-        return self._occupied(self.grid).reshape(self.shape)
+        return self.occupied(self.grid).reshape(self.shape)
 
     def is_matter(self, points: np.ndarray) -> np.ndarray:
         """Tell which world points (..., 3) lie in cells that are not empty air: bool (...)."""
@@ -189,7 +189,7 @@ class VoxelField:
         everywhere; a sparse one, which has no rows for that, nowhere.
         """
         from scipy.ndimage import distance_transform_cdt
-        occupied = self._occupied(self.grid)
+        occupied = self.occupied(self.grid)
         if not occupied.any():
             self.skip[:] = len(self.grid) < len(self.row_of)
             return 0.0
@@ -205,7 +205,7 @@ class VoxelField:
         self.skip = skip[:x, :y, :z].ravel()
         return float(occupied.mean())
 
-    def _occupied(self, grid: np.ndarray) -> np.ndarray:
+    def occupied(self, grid: np.ndarray) -> np.ndarray:
         """Tell which cells of the grid are not air: bool (X * Y * Z,)."""
         occupied = np.zeros(len(self.row_of), np.bool_)
         kernels.mark_occupied(grid, self.row_of, np.array(self.shape), self.step, self.shift,

@@ -83,9 +83,9 @@ def fuse(image: np.ndarray, guide: Guide, expansion: ViewExpansion,
         wide = _filled(wide, known)
     kernels.add_slope(_slope(wide), np.float32(thresholds.slope), guide.stretched,
                       np.float32(thresholds.stretched), np.float32(thresholds.least_error), error)
-    soft = cv2.GaussianBlur(wide, (3, 3), thresholds.edge_sigma)
-    cv2.copyTo(soft, _edges(guide, thresholds.leap), wide)
-    wide[rows, columns] = image
+    edges = _edges(guide, thresholds.leap)
+    edges[rows, columns] = 0
+    cv2.copyTo(cv2.GaussianBlur(wide, (3, 3), thresholds.edge_sigma), edges, wide)
     if guide.two_states is not None:
         error += guide.two_states * (1 - weight) * np.float32(thresholds.two_states / 255)
     error[~known] = thresholds.gap_error / 255
@@ -140,7 +140,7 @@ def _slope(image: np.ndarray) -> np.ndarray:
 
 def _edges(guide: Guide, leap: float) -> np.ndarray:
     """Tell beside which pixels depth leaps, or is not known; uint8 (H, W), 0 = beside none."""
-    edges = guide.stretched.view(np.uint8)
+    edges = guide.stretched.astype(np.uint8)
     if guide.remembered_depth is None:
         return edges
     around = np.ones((3, 3), np.uint8)

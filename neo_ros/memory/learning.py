@@ -20,7 +20,7 @@ from neo_ros.memory.patch import Patch
 from neo_ros.memory.scene_light import log_ratio, steadiness, SURE
 from neo_ros.memory.states import find_turn, parts_of, StateThresholds
 from neo_ros.memory.stereo import confirm, find_depth, Shot, StereoThresholds
-from neo_ros.memory.turn import Record, Turn
+from neo_ros.memory.turn import PAUSE_NS, Record, Turn
 import numpy as np
 
 if TYPE_CHECKING:
@@ -50,8 +50,6 @@ class LearningThresholds:
     least_agreement: float = 0.7
     # Pixels that a patch has at least.
     least_pixels: int = 24
-    # Nanoseconds after which another visit begins: images of before say nothing about now.
-    pause_ns: int = 600 * 10 ** 9
     contradiction: ContradictionThresholds = ContradictionThresholds()
     stereo: StereoThresholds = StereoThresholds()
     states: StateThresholds = StateThresholds()
@@ -113,7 +111,7 @@ class Learner:
         shot = self._shot(image, shown[self._observed], depth[self._observed], pose, gain, now)
         if shot.contradicted.mean() > limits.most_contradicted:
             return
-        if self._shots and now - self._shots[-1].stamp_ns > limits.pause_ns:
+        if self._shots and now - self._shots[-1].stamp_ns > PAUSE_NS:
             self._shots, self._new = [], 0
         self._shots = [*self._shots, shot][-limits.window:]
         self._new += 1

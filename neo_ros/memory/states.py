@@ -10,7 +10,7 @@ from neo_ros.memory.kernels import Pinhole
 from neo_ros.memory.patch import EVERY, PARTS, Patch
 from neo_ros.memory.state_kernels import Look, NEITHER, OTHER, STAYS, weigh
 from neo_ros.memory.stereo import Shot
-from neo_ros.memory.turn import Turn
+from neo_ros.memory.turn import PAUSE_NS, Turn
 import numpy as np
 
 # Of 26 neighbours of a cell those that come behind it.
@@ -40,8 +40,6 @@ class StateThresholds:
     least_an_image: int = 4
     share: float = 0.5
     times: float = 2.0
-    # Nanoseconds between visits: what was learnt on one visit is one state.
-    pause_ns: int = 600 * 10 ** 9
 
 
 def parts_of(points: np.ndarray, least: int, limits: StateThresholds) -> np.ndarray:
@@ -121,7 +119,7 @@ def find_turn(shots: Sequence[Shot], changes: Changes, camera: Intrinsics, batch
     hidden = changes.hidden
     # What was seen is asked for where it is hidden, else what was before.
     other = np.where(things.of < 0, -1, np.where(hidden < 0, 1, 0)).astype(np.int8)
-    just_now = shots[0].stamp_ns - limits.pause_ns
+    just_now = shots[0].stamp_ns - PAUSE_NS
     own = [one.batch >= begun and one.stamp_ns > just_now for one in changes.patches]
     other[np.repeat(own, PARTS) & (hidden < 0)] = -1
     looks = [_look(shot) for shot in shots]
@@ -150,7 +148,7 @@ def _turned(votes: np.ndarray, things: np.ndarray, changes: Changes, limits: Sta
         # What was learnt on a visit goes together with what was learnt later.
         shown = own[hidden < 0]
         times = np.unique(stamps[shown])
-        begins = times[np.r_[True, np.diff(times) > limits.pause_ns][:len(times)]]
+        begins = times[np.r_[True, np.diff(times) > PAUSE_NS][:len(times)]]
         states += [shown[stamps[shown] >= begin] for begin in begins]
         scores = [_score(votes[:, state], limits) for state in states]
         best = max(range(len(states)), key=lambda index: (scores[index], index))

@@ -7,6 +7,9 @@ from neo_ros.memory.patch import MOST_BATCHES, PARTS, Patch
 import numpy as np
 
 _HEAD = struct.Struct('<qI')
+# Nanoseconds after which another visit begins: images of before say nothing about now, and what
+# was learnt on one visit is one state.
+PAUSE_NS = 600 * 10 ** 9
 
 
 @dataclass(frozen=True, eq=False)

@@ -41,6 +41,14 @@ def held_out_wide_views(run: TrainingRun, field: RadianceField) -> np.ndarray | 
     return _held_out(run, field, run.expansion, run.experiment.scale, _wide_views(run))
 
 
+def calibration_views(run: TrainingRun, field: RadianceField, held_out: np.ndarray | None
+                      ) -> np.ndarray | None:
+    """Return wide views for the confidence; held_out: those of `held_out_views`."""
+    # The network's size may be the camera's.
+    return (held_out if run.experiment.network.shrink == 1
+            else held_out_wide_views(run, field))
+
+
 def held_out_poses(run: TrainingRun) -> list[CameraPose]:
     """Return the poses of `held_out_wide_views`."""
     assert run.held_out is not None

@@ -17,7 +17,7 @@ from neo_ros.updating.changed_space import ChangedPlace, ChangedSpace
 from neo_ros.updating.compared_photos import ComparedPhotos
 from neo_ros.updating.kernels import count_votes, pinholes
 from neo_ros.updating.placing import Placed
-from neo_ros.updating.refit import fit_until
+from neo_ros.updating.refit import fit_until, FitLength, trainer_of
 import numpy as np
 from scipy import ndimage
 
@@ -25,16 +25,16 @@ logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class GrowthRules:
+class GrowthRules(FitLength):
     """When a place is new, and how it is fitted."""
+
+    passes: float = 4.0
+    least_steps: int = 800
+    most_steps: int = 6000
 
     # Photos that were taken where fewer than so many photos of before look: so many make a place.
     least_looks: int = 2
     least_photos: int = 8
-    # Each pixel is fitted so often.
-    passes: float = 4.0
-    least_steps: int = 800
-    most_steps: int = 6000
     # Of the steps the place is fitted in a field of its own, with its own box, coarse to fine;
     # then in the scene's.
     alone: float = 0.7
@@ -86,7 +86,9 @@ def grow(field: VoxelField, compared: ComparedPhotos, outside: np.ndarray, tied:
     T = compared.photos.T_world_cam
     new = np.arange(len(T) - tied.elsewhere, len(T))
     gains = _gains(compared, chosen, np.isin(chosen, new))
-    trainer = _trainer(photos, gains, config, seed, minutes, rules)
+    assert photos.usable is not None
+    trainer = trainer_of(replace(photos, usable=photos.usable.copy()), gains, config, seed,
+                         minutes, rules)
     fit_until(trainer, rules.alone, progress)
     own = trainer.finished()
     at = T[outside, :3, 3]  # What lies far from there, behind windows, is left to the shell.
@@ -127,19 +129,6 @@ def _gains(compared: ComparedPhotos, chosen: Sequence[int], unknown: np.ndarray)
     if not unknown.all():
         gains[unknown] = gains[~unknown].mean(0)
     return gains
-
-
-def _trainer(photos: Photos, gains: np.ndarray, config: FieldConfig, seed: int,
-             minutes: float | None, rules: GrowthRules) -> FieldTrainer:
-    assert photos.usable is not None
-    steps = int(np.clip(rules.passes * photos.usable.sum() / config.rays_per_step,
-                        rules.least_steps, rules.most_steps))
-    trainer = FieldTrainer(
-        photos.images, photos.intrinsics, photos.T_world_cam,
-        replace(config, steps=steps, minutes=minutes, exposure=False, vignetting=False,
-                sharpness=0.0), seed, usable=photos.usable.copy())
-    trainer.camera.log_gain = -np.log(gains).astype(np.float32)
-    return trainer
 
 
 def _looks(points: np.ndarray, compared: ComparedPhotos, photos: slice, behind: float

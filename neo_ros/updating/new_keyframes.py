@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from neo_ros.baking.glances import keyframe_glances, photo_glances
-from neo_ros.baking.keyframes import bake_keyframe, BakingRules, Photos
+from neo_ros.baking.keyframes import bake_keyframe, BakingRules, Photos, spread
 from neo_ros.baking.plain_surfaces import hand_held
 from neo_ros.errors import SceneError
 from neo_ros.field.free_space import find_free_floor
@@ -74,12 +74,7 @@ def new_positions(growth: Growth, floor: WalkableMap | None, memory: SceneMemory
         centres = floor.centres()
         places = np.concatenate([places, np.column_stack(
             [centres, np.full(len(centres), floor.camera_height)])])
-    away = np.linalg.norm(places[:, None] - memory.positions, axis=-1).min(1)
-    chosen = []
-    while away.max() > distance:
-        chosen.append(int(away.argmax()))
-        away = np.minimum(away, np.linalg.norm(places - places[chosen[-1]], axis=1))
-    return places[chosen]
+    return spread(places, memory.positions, distance)
 
 
 def with_place(memory: SceneMemory, before: SceneMemory, growth: Growth, positions: np.ndarray,

@@ -2,7 +2,7 @@
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from neo_ros.baking.keyframes import BakingRules
+from neo_ros.baking.keyframes import BakingRules, Photos
 from neo_ros.field import kernels
 from neo_ros.field.config import FieldConfig
 from neo_ros.field.fitting import FieldTrainer
@@ -19,13 +19,18 @@ from scipy import ndimage
 
 
 @dataclass(frozen=True)
-class RefitRules:
-    """How long it takes, and what stays."""
+class FitLength:
+    """How long a fit takes: each pixel is fitted so often, in a number of steps between these."""
 
-    # Each pixel is fitted so often, at most.
     passes: float = 12.0
     least_steps: int = 600
     most_steps: int = 3000
+
+
+@dataclass(frozen=True)
+class RefitRules(FitLength):
+    """How long it takes, and what stays."""
+
     # Of the steps; then what is as before goes back, and old photos that agree with what the new
     # ones have made have their say.
     new_alone: float = 0.6
@@ -54,13 +59,8 @@ def refit(field: VoxelField, space: ChangedSpace, compared: ComparedPhotos, conf
     usable = space.reached_by(field, compared, beyond, compared.old)
     if not usable.any():
         return field, ChangedSpace(np.zeros_like(space.cells), [])
-    steps = int(np.clip(rules.passes * usable.sum() / config.rays_per_step, rules.least_steps,
-                        rules.most_steps))
-    trainer = FieldTrainer(
-        photos.images, photos.intrinsics, photos.T_world_cam,
-        replace(config, steps=steps, minutes=minutes, exposure=False, vignetting=False,
-                sharpness=0.0), seed, usable=usable)
-    trainer.camera.log_gain = -np.log(compared.gains).astype(np.float32)
+    trainer = trainer_of(replace(photos, usable=usable), compared.gains, config, seed, minutes,
+                         rules)
     trainer.change_only(*opened(field, space))
     fit_until(trainer, rules.new_alone, progress)
     fitted = trainer.field
@@ -77,6 +77,20 @@ def refit(field: VoxelField, space: ChangedSpace, compared: ComparedPhotos, conf
     fit_until(trainer, 1.0, progress)
     usable[:compared.old] = False
     return _finished(field, trainer.field, space, usable, compared), space
+
+
+def trainer_of(photos: Photos, gains: np.ndarray, config: FieldConfig, seed: int,
+               minutes: float | None, rules: FitLength) -> FieldTrainer:
+    """Return a trainer that fits the usable pixels of photos, whose gains (N, 3) are known."""
+    assert photos.usable is not None
+    steps = int(np.clip(rules.passes * photos.usable.sum() / config.rays_per_step,
+                        rules.least_steps, rules.most_steps))
+    trainer = FieldTrainer(
+        photos.images, photos.intrinsics, photos.T_world_cam,
+        replace(config, steps=steps, minutes=minutes, exposure=False, vignetting=False,
+                sharpness=0.0), seed, usable=photos.usable)
+    trainer.camera.log_gain = -np.log(gains).astype(np.float32)
+    return trainer
 
 
 def fit_until(trainer: FieldTrainer, share: float, progress: Progress) -> None:

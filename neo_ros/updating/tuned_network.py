@@ -10,7 +10,7 @@ from neo_ros.runtime.model_card import read_model_card, write_model_card
 from neo_ros.scenes.scene import Scene
 from neo_ros.training.memory import name_memory
 from neo_ros.training.run import TrainingRun
-from neo_ros.training.views import held_out_views, held_out_wide_views
+from neo_ros.training.views import calibration_views, held_out_views
 
 CHECKPOINT = 'outpainter.ckpt'
 
@@ -31,8 +31,7 @@ def tune_network(folder: Path, scene: Scene, experiment: Experiment, minutes: fl
     network = fit_outpainter_step(run, field, held_out, earlier=earlier)
     earlier.unlink()
     run.seconds += before.trained_seconds
-    export_step(run, network, held_out if experiment.network.shrink == 1
-                else held_out_wide_views(run, field))
+    export_step(run, network, calibration_views(run, field, held_out))
     name_memory(run)
     write_model_card(run.model_path, replace(
         read_model_card(run.model_path), updates=before.updates))
