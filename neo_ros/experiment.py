@@ -116,7 +116,7 @@ def _digest(settings: dict[str, Any]) -> str:
     # measured depth has another list of photos.)
     for part, name, default in (('field', 'depth', FieldConfig.depth), ('field', 'shrink', 1),
                                 ('field', 'vignetting', False), ('field', 'sharpness', 0.0),
-                                ('field', 'robust', 0.0),
+                                ('field', 'robust', 0.0), ('field', 'tile', None),
                                 ('network', 'shrink', 1), ('memory', 'minutes', None)):
         found = settings.get(part) or {}
         if name in found and found[name] == default:

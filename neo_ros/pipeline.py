@@ -7,6 +7,7 @@ Every step leaves its result in the output folder; a run that was broken off goe
 """
 from dataclasses import replace
 from pathlib import Path
+import shutil
 import time
 
 import neo_ros
@@ -16,6 +17,7 @@ from neo_ros.experiment import Experiment
 from neo_ros.field.device import chosen_device, field_trainer, read_field
 from neo_ros.field.given_geometry import field_of_geometry, GivenGeometry
 from neo_ros.field.radiance_field import RadianceField
+from neo_ros.field.tiles import Tile
 from neo_ros.machine.files import make_output_folder
 from neo_ros.machine.progress import no_stage_progress, StageProgress
 from neo_ros.outpaint.distributed import from_first, process_group, wait_for_all
@@ -35,6 +37,7 @@ from neo_ros.training.folder import claim, drop_made_of_a_field, take_field
 from neo_ros.training.memory import memory_step, name_memory
 from neo_ros.training.report import Scoring, write_training_report
 from neo_ros.training.run import TrainingRun
+from neo_ros.training.tiles import fit_tiles, tile_jobs, TILES, tiles_of
 from neo_ros.training.time_plan import (
     plan_training, read_plan, share_network_minutes, TimeLeft)
 from neo_ros.training.views import (
@@ -49,17 +52,18 @@ REFERENCE_PHOTOS = 300
 def train(scene_folder: Path, experiment: Experiment, out: Path,
           progress: StageProgress = no_stage_progress,
           cache_gb: float = 0.0, field_of: Path | None = None,
-          minutes: float | None = None, geometry: GivenGeometry | None = None) -> TrainingRun:
+          minutes: float | None = None, geometry: GivenGeometry | None = None,
+          cluster: bool = False) -> TrainingRun:
     """
     Run the three steps on a scene folder and leave model, report and scores in `out`.
 
     progress(stage, done, total, note) is called as work goes on; up to cache_gb GB of panoramas
     are kept in files instead of in memory. `field_of` is the folder of another run, whose field is
     taken; `geometry` is a mesh or splats that take its place. With `minutes` all of it takes so
-    long: settings are chosen for camera and machine, see `training/time_plan.py`. Raises NeoError
-    for scenes and settings that cannot be trained, where `out` holds a run of other settings,
-    where the other field is of other photos or settings, and where the geometry does not show
-    what the photos do.
+    long: settings are chosen for camera and machine, see `training/time_plan.py`. `cluster` hands
+    the tiles of a large floor to Ray, see `training/tiles.py`. Raises NeoError for scenes and
+    settings that cannot be trained, where `out` holds a run of other settings, where the other
+    field is of other photos or settings, and where the geometry does not show what the photos do.
     """
     scene = read_upright_scene(scene_folder)
     with process_group() as rank:
@@ -72,7 +76,7 @@ def train(scene_folder: Path, experiment: Experiment, out: Path,
         if plan is not None:
             experiment, progress = plan.experiment, TimeLeft(plan, progress)
         run = TrainingRun(scene, experiment, out, progress, cache_gb, plan=plan,
-                          geometry=geometry)
+                          geometry=geometry, cluster=cluster)
         check_training(run)
         if rank == 0:
             make_output_folder(out)
@@ -114,11 +118,16 @@ def fit_field_step(run: TrainingRun, rank: int = 0) -> RadianceField:
     wait_for_all()
     if rank == 0:
         (run.out / 'field.ckpt').unlink(missing_ok=True)
+        shutil.rmtree(run.out / TILES, ignore_errors=True)
     run.seconds, run.log['field'] = read_notes(run.out / 'field.json', 'field.npz')
     return read_field(path, device)
 
 
 def _fit_field(run: TrainingRun, path: Path, writes: bool) -> None:
+    tiles = tiles_of(run.scene, run.experiment)
+    if len(tiles) > 1:
+        _fit_tiles(run, tiles, path, writes)
+        return
     checkpoint = run.out / 'field.ckpt'
     scale, config = run.experiment.field_scale, run.field_config
     images = run.fitted.read_images(
@@ -134,6 +143,17 @@ def _fit_field(run: TrainingRun, path: Path, writes: bool) -> None:
         lambda: f'{trainer.psnr:.2f} dB on its photos', writes=writes)
     field = trainer.finished()
     if writes:
+        write_notes(run.out / 'field.json', run.seconds, run.log['field'])
+        field.save(path)
+
+
+def _fit_tiles(run: TrainingRun, tiles: list[Tile], path: Path, writes: bool) -> None:
+    if writes and not (run.out / TILES).exists():
+        drop_made_of_a_field(run.out)
+    field, run.seconds, run.log['field'] = fit_tiles(
+        tile_jobs(run.out, tiles, run.fitted, run.experiment, run.field_config, writes),
+        run.cluster, run.progress)
+    if field is not None:
         write_notes(run.out / 'field.json', run.seconds, run.log['field'])
         field.save(path)
 

@@ -29,6 +29,11 @@ def train(
     geometry_axes: Annotated[str, typer.Option(
         help='What x, y and z of the world of the photos are in axes and unit of --geometry, '
         'such as 0.01x,-0.01z,0.01y.')] = 'x,y,z',
+    cluster: Annotated[bool, typer.Option(
+        '--cluster',
+        help='Fit the tiles of a large floor side by side on Ray: on the cores of this machine, '
+        'or with RAY_ADDRESS on a cluster, all of whose machines need the same paths.',
+    )] = False,
 ) -> None:
     """
     Fit the scene, render wide views of it, train the outpainter, make the memory, export.
@@ -47,7 +52,8 @@ def train(
     experiment = read_experiment(config) if config is not None else Experiment()
     with stage_progress() as show:
         run = run_pipeline(scene, experiment, out, show, cache_gb, field_of, minutes,
-                           None if geometry is None else GivenGeometry(geometry, geometry_axes))
+                           None if geometry is None else GivenGeometry(geometry, geometry_axes),
+                           cluster)
     for name, value in run.figures.items():
         rich.print(f'{name}: {value:.2f} dB')
     files = [run.model_path, run.model_path.with_suffix('.memory')]

@@ -13,7 +13,7 @@ LIMITS = {
     'rays_per_step': (4, 10_000_000), 'margin': (1e-6, 1000), 'shell': (0, 10), 'near': (0, 100),
     'learning_rate': (1e-6, 10), 'distortion': (0, 1000), 'pointwise': (0, 1000),
     'sparsity': (0, 1000), 'depth': (0, 1000),
-    'sharpness': (0, 10), 'robust': (0, 10)}
+    'sharpness': (0, 10), 'robust': (0, 10), 'tile': (0.5, 1_000_000)}
 
 
 @dataclass(frozen=True)
@@ -49,6 +49,9 @@ class FieldConfig:
     sharpness: float = 0.0
     # error of a colour, of 1, beyond which a pixel loses weight: it shows no static scene; 0: off
     robust: float = 0.0
+    # Metres that a tile is wide, at most: a floor two tiles wide and more is fitted tile by tile,
+    # each with all of `voxels` and `steps`. None: 6 where there is a floor map, else no tiles.
+    tile: float | None = None
     # cpu: compiled kernels; cuda; auto: cuda where there is one; torch: what cuda does, on the CPU
     device: str = 'auto'
 

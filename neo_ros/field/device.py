@@ -3,7 +3,7 @@ from pathlib import Path
 
 from neo_ros.errors import ConfigError
 from neo_ros.field.config import FieldConfig
-from neo_ros.field.fitting import FieldTrainer, FitRules
+from neo_ros.field.fitting import FieldTrainer, FineBox, FitRules
 from neo_ros.field.mesh_field import MeshField
 from neo_ros.field.radiance_field import FittedField, RadianceField
 from neo_ros.field.torch_field import torch_device, TorchField
@@ -26,14 +26,16 @@ def chosen_device(name: str) -> str:
 
 def field_trainer(images: np.ndarray, intrinsics: Intrinsics, T_world_cam: np.ndarray,
                   config: FieldConfig, seed: int, depths: np.ndarray | None = None,
-                  usable: np.ndarray | None = None) -> FieldTrainer:
+                  usable: np.ndarray | None = None, fine: FineBox | None = None
+                  ) -> FieldTrainer:
     """Make the trainer for the device that `config` names; see `FieldTrainer`."""
     device = chosen_device(config.device)
     rules = FitRules()
     if device == 'cpu':
-        return FieldTrainer(images, intrinsics, T_world_cam, config, seed, rules, depths, usable)
+        return FieldTrainer(images, intrinsics, T_world_cam, config, seed, rules, depths, usable,
+                            fine)
     return TorchFieldTrainer(images, intrinsics, T_world_cam, config, seed, device, rules,
-                             depths, usable)
+                             depths, usable, fine)
 
 
 def on_device(field: VoxelField, device: str) -> FittedField:

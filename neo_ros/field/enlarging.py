@@ -2,7 +2,7 @@
 import math
 
 from neo_ros.errors import SceneError
-from neo_ros.field.voxel_field import AIR_KEPT, dilated, numbered, VoxelField
+from neo_ros.field.voxel_field import AIR_KEPT, dilated, lattice_box, numbered, VoxelField
 import numpy as np
 
 # Grid points that a larger field may have, or so many times as many as it had: a point takes 6
@@ -22,17 +22,14 @@ def enlarged(field: VoxelField, low: np.ndarray, high: np.ndarray) -> VoxelField
     low, high = np.minimum(low, old_low), np.maximum(high, old_high)
     if (low == old_low).all() and (high == old_high).all():
         return field
-    shape, centre, half, first = list(field.shape), *map(
-        np.array, (field.centre, field.half_extent, (0, 0, 0)))
-    edges = 2 * half * (1 + field.shell) / (np.array(shape) - 1)
-    for axis in np.flatnonzero((low < old_low) | (high > old_high)):
-        cells = math.ceil((high - low)[axis] * (1 + field.shell) / edges[axis] + 2 + field.shell)
-        half[axis] = cells * edges[axis] / (2 * (1 + field.shell))
-        corner = field.centre[axis] - (1 + field.shell) * field.half_extent[axis]
-        first[axis] = math.floor(
-            (low[axis] - field.shell * half[axis] - corner) / edges[axis])
-        centre[axis] = corner + first[axis] * edges[axis] + (1 + field.shell) * half[axis]
-        shape[axis] = cells + 1
+    edges = 2 * field.half_extent * (1 + field.shell) / (np.array(field.shape) - 1)
+    corner = field.centre - (1 + field.shell) * field.half_extent
+    moves = (low < old_low) | (high > old_high)
+    same = np.zeros(3, int), np.array(field.shape) - 1, field.centre, field.half_extent
+    first, cells, centre, half = (
+        np.where(moves, new, old) for new, old in zip(
+            lattice_box(low, high, edges, corner, field.shell), same))
+    shape = (cells + 1).tolist()
     most = max(MOST_POINTS, MOST_TIMES * math.prod(field.shape))
     if math.prod(shape) > most:
         raise SceneError(f'field: expected a place that is at most {most} grid points large, with '
@@ -42,14 +39,14 @@ def enlarged(field: VoxelField, low: np.ndarray, high: np.ndarray) -> VoxelField
     result = VoxelField(field.grid, size, centre, half, field.shell, field.step, field.near,
                         field.initial_alpha, np.full(math.prod(size), -1, np.int32))
     _take_points(result, field, -first)
-    result.seen = _seen_at(field, result, np.ones(result.shape, bool)).ravel().view(np.uint8)
+    result.seen = seen_at(field, result, np.ones(result.shape, bool)).ravel().view(np.uint8)
     result.update_occupancy()
     return result
 
 
 def _take_points(result: VoxelField, field: VoxelField, at: np.ndarray) -> None:
     """Fill the larger grid, in which the point 0, 0, 0 of the old one would be number `at`."""
-    dense = field.keeping(np.ones(len(field.row_of), bool))
+    dense = field.with_air()
     inside, place = [], []
     for size, start in zip(field.shape, at):
         index = np.flatnonzero(np.abs(2 * np.arange(size) / (size - 1) - 1)
@@ -75,7 +72,7 @@ def _take_points(result: VoxelField, field: VoxelField, at: np.ndarray) -> None:
     result.grid, result.row_of = grid, row_of
 
 
-def _seen_at(one: VoxelField, other: VoxelField, cells: np.ndarray) -> np.ndarray:
+def seen_at(one: VoxelField, other: VoxelField, cells: np.ndarray) -> np.ndarray:
     """Tell of cells (X, Y, Z) of another field which a field's photos reach: bool (X, Y, Z)."""
     found, size = np.zeros(other.shape, bool), np.array(one.shape)
     seen = one.seen.view(bool).reshape(one.shape)
@@ -95,7 +92,7 @@ def filled(field: VoxelField, other: VoxelField, cells: np.ndarray
     Points that it has stay as they are; the new ones, bool (X, Y, Z), are those of surfaces and
     `AIR_KEPT` cells of air around them.
     """
-    dense = other.keeping(np.ones(len(other.row_of), bool))
+    dense = other.with_air()
     points = dilated(cells, 0) & (field.row_of < 0).reshape(field.shape)
     raw = np.zeros(field.shape, np.float32)
     raw[points] = dense.values_at(field, points, 1)[:, 0]

@@ -38,19 +38,35 @@ class FitRules:
     near_pixels: int = 400          # pixels of each photo that are asked for it
 
 
+@dataclass(frozen=True)
+class FineBox:
+    """
+    Where a fit's fine voxels may lie, low and high (3,) metres, and how large they are.
+
+    They are on the lattice of `VoxelField.on_lattice`; what lies outside is in the shell.
+    """
+
+    low: np.ndarray
+    high: np.ndarray
+    edge: float
+
+
 class FieldTrainer:
     """The optimiser's state; one call of `train_step` is one batch."""
 
     def __init__(self, images: np.ndarray, intrinsics: Intrinsics, T_world_cam: np.ndarray,
                  config: FieldConfig, seed: int, rules: FitRules = FitRules(),
-                 depths: np.ndarray | None = None, usable: np.ndarray | None = None) -> None:
+                 depths: np.ndarray | None = None, usable: np.ndarray | None = None,
+                 fine: FineBox | None = None) -> None:
         """
         Take photos uint8 (N, H, W, 3), their camera and T_world_cam (N, 4, 4).
 
         depths: uint16 (N, H, W), millimetres along the optical axis, 0 = unknown.
         usable: bool (N, H, W), False where a photo does not show the scene; None: it does.
+        fine: where the fine voxels may lie; None: around all that the photos see.
         """
         self.images, self.config, self.rules, self.depths = images, config, rules, depths
+        self.fine = fine
         self.usable = usable
         if usable is not None and not usable.any():
             raise SceneError('masks: expected pixels that are not left out, there are none')
@@ -194,11 +210,9 @@ class FieldTrainer:
     def _refine_when_due(self) -> None:
         if self.stage + 1 < len(STAGES) and self.share >= STAGES[self.stage + 1][0]:
             self.stage += 1
-            voxels = int(self.config.voxels * STAGES[self.stage][1])
             if self.stage == 1 and self.config.near is None:
                 self.view_near = self.empty_distance()
-            self.field = self.placed.home().resampled(voxels, *self.content_box(),
-                                                      sparse=self.stage + 1 == len(STAGES))
+            self.field = self._refined(self.placed.home(), self.stage + 1 == len(STAGES))
             self._allocate()
             if self.stage == 1:
                 self.boxed_at = self.step
@@ -207,6 +221,16 @@ class FieldTrainer:
         elif (self.stage and self.step > self.boxed_at + self.rules.occupancy_every
               and self.step % self.rules.occupancy_every == 0):
             self.placed.update_occupancy()
+
+    def _refined(self, field: VoxelField, last: bool) -> VoxelField:
+        centre, half_extent = self.content_box()
+        if not last or self.fine is None:
+            return field.resampled(int(self.config.voxels * STAGES[self.stage][1]), centre,
+                                   half_extent, sparse=last)
+        return field.onto(VoxelField.on_lattice(
+            centre - half_extent, centre + half_extent, self.fine.edge, field.shell,
+            self.config.sh_degree, step=field.step, near=field.near,
+            initial_alpha=field.initial_alpha), sparse=True)
 
     @property
     def figure(self) -> float:
@@ -251,11 +275,17 @@ class FieldTrainer:
         inside = np.abs(self.field.grid_position(points)).max(-1) * (1 + self.field.shell) < 1
         points = points[inside & (rendering.opacity > 0.9)]
         if len(points) < 100:
-            return self.field.centre, self.field.half_extent
-        low = np.minimum(np.percentile(points, 2, axis=0), self.origins.min(0))
-        high = np.maximum(np.percentile(points, 98, axis=0), self.origins.max(0))
-        pad = 0.04 * (high - low).max()
-        return (low + high) / 2, (high - low) / 2 + pad
+            centre, half_extent = self.field.centre, self.field.half_extent
+        else:
+            low = np.minimum(np.percentile(points, 2, axis=0), self.origins.min(0))
+            high = np.maximum(np.percentile(points, 98, axis=0), self.origins.max(0))
+            pad = 0.04 * (high - low).max()
+            centre, half_extent = (low + high) / 2, (high - low) / 2 + pad
+        if self.fine is None:
+            return centre, half_extent
+        low = np.maximum(centre - half_extent, self.fine.low)
+        high = np.minimum(centre + half_extent, self.fine.high)
+        return (low + high) / 2, (high - low) / 2
 
     def empty_distance(self) -> float:
         """

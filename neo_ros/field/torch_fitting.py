@@ -11,7 +11,7 @@ import time
 from typing import Any
 
 from neo_ros.field.config import FieldConfig
-from neo_ros.field.fitting import FieldTrainer, FitRules
+from neo_ros.field.fitting import FieldTrainer, FineBox, FitRules
 from neo_ros.field.fitting_kernels import DEPTH_SHARE
 from neo_ros.field.kernels import MIN_WEIGHT
 from neo_ros.field.torch_field import (
@@ -29,9 +29,10 @@ class TorchFieldTrainer(FieldTrainer):
     def __init__(self, images: np.ndarray, intrinsics: Intrinsics, T_world_cam: np.ndarray,
                  config: FieldConfig, seed: int, device: str,
                  rules: FitRules = FitRules(), depths: np.ndarray | None = None,
-                 usable: np.ndarray | None = None) -> None:
+                 usable: np.ndarray | None = None, fine: FineBox | None = None) -> None:
         self.device = device
-        super().__init__(images, intrinsics, T_world_cam, config, seed, rules, depths, usable)
+        super().__init__(images, intrinsics, T_world_cam, config, seed, rules, depths, usable,
+                         fine)
 
     @property
     def placed(self) -> TorchField:

@@ -70,6 +70,19 @@ class VoxelField:
         return cls(grid, shape, np.asarray(centre, np.float64),  # type: ignore[arg-type]
                    np.asarray(half_extent, np.float64), shell, **settings)
 
+    @classmethod
+    def on_lattice(cls, low: np.ndarray, high: np.ndarray, edge: float, shell: float,
+                   sh_degree: int, **settings: Any) -> 'VoxelField':
+        """
+        Lay voxels of this edge, metres, over a box from low to high (3,), or a little more.
+
+        Their corners are multiples of the edge: two such fields have their points in common.
+        """
+        _, cells, centre, half_extent = lattice_box(low, high, edge, 0.0, shell)
+        shape = tuple((cells + 1).tolist())
+        grid = np.zeros((math.prod(shape), 1 + 3 * (sh_degree + 1) ** 2), np.float32)
+        return cls(grid, shape, centre, half_extent, shell, **settings)
+
     @property
     def terms(self) -> int:
         """Spherical-harmonic coefficients per colour channel: 1, 4 or 9."""
@@ -98,15 +111,18 @@ class VoxelField:
 
     def resampled(self, voxels: int, centre: np.ndarray, half_extent: np.ndarray,
                   sparse: bool = False) -> 'VoxelField':
+        """Return the field on about `voxels` grid points over another inner box."""
+        return self.onto(VoxelField.empty(
+            voxels, centre, half_extent, self.shell, math.isqrt(self.terms) - 1,
+            step=self.step, near=self.near, initial_alpha=self.initial_alpha), sparse)
+
+    def onto(self, result: 'VoxelField', sparse: bool = False) -> 'VoxelField':
         """
-        Return the field on about `voxels` grid points over another inner box (trilinear).
+        Bring the field to the grid of another one (trilinear), and return that.
 
         A sparse one keeps the points of occupied cells and of those `AIR_KEPT` cells around.
         Every point of this field must be kept.
         """
-        result = VoxelField.empty(
-            voxels, centre, half_extent, self.shell, math.isqrt(self.terms) - 1,
-            step=self.step, near=self.near, initial_alpha=self.initial_alpha)
         kept = np.ones(result.shape, np.bool_)
         if sparse:
             raw = self.values_at(result, kept, 1)
@@ -167,6 +183,10 @@ class VoxelField:
         result = replace(self, grid=grid, row_of=row_of)
         result.seen = self.seen.copy()
         return result
+
+    def with_air(self) -> 'VoxelField':
+        """Return the field with all of its points."""
+        return self.keeping(np.ones(len(self.row_of), np.bool_))
 
     @property
     def matter(self) -> np.ndarray:
@@ -288,6 +308,21 @@ def _check_shapes(arrays: dict[str, np.ndarray]) -> None:
         if arrays[name].shape not in fitting:
             raise ValueError(f'{name}: expected the shape {" or ".join(map(str, fitting))}, got '
                              f'{arrays[name].shape}')
+
+
+def lattice_box(low: np.ndarray, high: np.ndarray, edge: float | np.ndarray,
+                origin: float | np.ndarray, shell: float
+                ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """
+    Return the grid with points at origin + n edge, metres, whose inner box holds low to high (3,).
+
+    These are, (3,) each: the number of its first point, its cells, and centre and half extent of
+    the inner box.
+    """
+    cells = np.ceil((high - low) * (1 + shell) / edge + 2 + shell).astype(int)
+    half_extent = cells * edge / (2 * (1 + shell))
+    first = np.floor((low - shell * half_extent - origin) / edge).astype(int)
+    return first, cells, origin + first * edge + (1 + shell) * half_extent, half_extent
 
 
 def dilated(cells: np.ndarray, around: int) -> np.ndarray:

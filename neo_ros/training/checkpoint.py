@@ -4,16 +4,24 @@ from contextlib import contextmanager
 import json
 from pathlib import Path
 import time
-from typing import Any
+from typing import Any, Protocol
 
 from neo_ros.errors import NeoError, SceneError
 from neo_ros.machine.files import whole_file, write_bytes
+from neo_ros.machine.progress import StageProgress
 from neo_ros.outpaint.fitting import OutpaintTrainer
-from neo_ros.training.run import TrainingRun
 import numpy as np
 import torch
 
 CHECKPOINT_SECONDS = 60.0
+
+
+class Watched(Protocol):
+    """A run, or a part of one: how long it took, its logs, and who watches it."""
+
+    seconds: float
+    log: dict[str, list[list[float]]]
+    progress: StageProgress
 
 
 def write_checkpoint(path: Path, state: dict[str, Any]) -> None:
@@ -51,7 +59,7 @@ def _arrays_to_tensors(value: Any) -> Any:
     return value
 
 
-def train_with_checkpoints(run: TrainingRun, trainer: Any, checkpoint: Path, stage: str,
+def train_with_checkpoints(run: Watched, trainer: Any, checkpoint: Path, stage: str,
                            done_of: Callable[[], tuple[int, int]], take_step: Callable[[], Any],
                            note: Callable[[], str], writes: bool = True,
                            beside: dict[str, Any] | None = None) -> None:

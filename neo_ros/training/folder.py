@@ -12,6 +12,7 @@ from neo_ros.machine.files import share_file, write_bytes
 from neo_ros.scenes.digests import floor_digest, list_digest
 from neo_ros.scenes.scene import Scene
 from neo_ros.training.memory import NOTES, WORK
+from neo_ros.training.tiles import TILES
 from neo_ros.training.time_plan import PLAN_FILE
 
 RUN_FILE = 'run.json'
@@ -129,5 +130,5 @@ def drop_made_of_a_field(out: Path) -> None:
     """Delete what another field's training left, which would be taken for finished."""
     for name in ('field.ckpt', 'outpainter.ckpt', NOTES):
         (out / name).unlink(missing_ok=True)
-    for folder in (*out.glob('panoramas_*'), *out.glob(WORK)):
+    for folder in (*out.glob('panoramas_*'), *out.glob(WORK), *out.glob(TILES)):
         shutil.rmtree(folder)

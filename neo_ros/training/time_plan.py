@@ -20,6 +20,7 @@ from neo_ros.machine.files import write_bytes
 from neo_ros.machine.progress import StageProgress
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.scene import Scene
+from neo_ros.training.tiles import tiles_of
 import numpy as np
 
 PLAN_FILE = 'plan.json'
@@ -167,10 +168,11 @@ def _chosen(scene: Scene, base: Experiment, minutes: float, say: Callable[[str],
     shrink = base.field.shrink
     if shrink == 1:
         shrink = min(max(round(math.sqrt(rules.passes * pixels / fitted)), 1), rules.most_shrink)
-    steps = fitted / base.field.rays_per_step
+    tiles = len(tiles_of(scene, base))
+    steps = fitted / base.field.rays_per_step / tiles
     voxels = next(voxels for least, voxels in rules.voxels if steps >= least)
     experiment = replace(
-        base, field=replace(base.field, shrink=shrink, minutes=minutes * rules.field,
+        base, field=replace(base.field, shrink=shrink, minutes=minutes * rules.field / tiles,
                             voxels=voxels),
         outpaint=replace(base.outpaint, minutes=minutes * rules.least_network),
         memory=None if base.memory is None else replace(
@@ -179,7 +181,8 @@ def _chosen(scene: Scene, base: Experiment, minutes: float, say: Callable[[str],
         experiment = replace(experiment, network=replace(
             base.network, shrink=_network_shrink(experiment, scene, rules)))
     view = experiment.expansion(scene.train.intrinsics, scene.expansion)
-    field = (f'a field of {voxels / 1e6:g} million voxels from photos of '
+    each = f'{tiles} tiles, each ' * (tiles > 1)
+    field = (f'{each}a field of {voxels / 1e6:g} million voxels from photos of '
              f'{round(camera.width / shrink)}x{round(camera.height / shrink)} pixels '
              f'({minutes * rules.field:.1f} min), ' if fits else '')
     say(f'{minutes:g} minutes: {field}a memory of the photos in their full size '

@@ -1,0 +1,172 @@
+"""
+A floor cut into tiles that are fitted one by one, and the field that they make together.
+
+Every tile has voxels as fine as a single room's. They lie on one lattice, so that joining the
+fields of all tiles blurs nothing: a view through a door shows both tiles as they were fitted.
+Mega-NeRF (Turki et al., CVPR 2022) cuts space likewise, and shows a part the rays that cross it.
+"""
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+import math
+from pathlib import Path
+
+from neo_ros.field.config import FieldConfig
+from neo_ros.field.enlarging import seen_at
+from neo_ros.field.voxel_field import AIR_KEPT, dilated, numbered, VoxelField
+from neo_ros.geometry import Intrinsics
+import numpy as np
+
+
+@dataclass(frozen=True)
+class TileRules:
+    """How a floor is cut; metres."""
+
+    most: float = 6.0     # that photos of a tile stand apart, where `field.tile` says nothing
+    storeys: float = 1.5  # between photos one above the other: they are of two storeys
+    gap: float = 0.5      # around a border within which the fewest photos stand
+    overlap: float = 0.5  # around a tile that its voxels cover: rays through it end there, mostly
+    reach: float = 1.0    # around a tile, from where photos still look into it
+    height: float = 3.0   # of a storey, to say how fine voxels are: what is higher has more
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A box of the world, low <= x < high, metres; infinite where no other tile is beyond."""
+
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+
+    def holds(self, points: np.ndarray, around: float = 0.0) -> np.ndarray:
+        """Tell which points (..., 3) lie in it, or so many metres around: bool (...)."""
+        return ((points >= np.array(self.low) - around)
+                & (points < np.array(self.high) + around)).all(-1)
+
+    def is_crossed(self, origin: np.ndarray, rays_d: np.ndarray, around: float) -> np.ndarray:
+        """Tell which rays (..., 3) from an origin (3,) come that near: bool (...)."""
+        rays_d = np.where(rays_d == 0, 1e-12, rays_d)
+        ends = np.stack([(np.array(self.low) - around - origin) / rays_d,
+                         (np.array(self.high) + around - origin) / rays_d])
+        return ends.max(0).min(-1) >= np.maximum(ends.min(0).max(-1), 0)
+
+
+def cut_floor(positions: np.ndarray, most: float, rules: TileRules = TileRules()) -> list[Tile]:
+    """
+    Cut the world so that photos of a tile, at positions (N, 3), stand at most so far apart.
+
+    It is cut between storeys, and where the fewest photos stand: in doors and narrow places.
+    Storeys less than two tiles wide are one.
+    """
+    whole = Tile((-math.inf,) * 3, (math.inf,) * 3)
+    tiles = []
+    for storey in _cut_where(whole, positions, lambda own: _between_storeys(own, rules)):
+        own = positions[storey.holds(positions)]
+        wide = np.ptp(own[:, :2], axis=0).max() >= 2 * most
+        tiles += (_cut_where(storey, positions, lambda own: _narrow_place(own, most, rules))
+                  if wide else [storey])
+    return tiles
+
+
+def _cut_where(tile: Tile, positions: np.ndarray,
+               border_of: Callable[[np.ndarray], tuple[int, float] | None]) -> list[Tile]:
+    """Cut a tile until border_of(positions in it) names no axis and place more."""
+    border = border_of(positions[tile.holds(positions)])
+    if border is None:
+        return [tile]
+    axis, place = border
+    below, above = (replace(tile, **{end: (*ends[:axis], place, *ends[axis + 1:])})
+                    for end, ends in (('high', tile.high), ('low', tile.low)))
+    return [*_cut_where(below, positions, border_of), *_cut_where(above, positions, border_of)]
+
+
+def _between_storeys(positions: np.ndarray, rules: TileRules) -> tuple[int, float] | None:
+    z = np.sort(positions[:, 2])
+    gaps = np.diff(z)
+    if not len(gaps) or gaps.max() < rules.storeys:
+        return None
+    return 2, float(z[gaps.argmax()] + gaps.max() / 2)
+
+
+def _narrow_place(positions: np.ndarray, most: float, rules: TileRules
+                  ) -> tuple[int, float] | None:
+    extent = np.ptp(positions[:, :2], axis=0)
+    if extent.max() <= most:
+        return None
+    axis = int(extent.argmax())
+    along = positions[:, axis]
+    parts = math.ceil(extent[axis] / most)
+    middle = along.min() + extent[axis] * (parts // 2) / parts
+    places = middle + np.arange(-0.25, 0.251, 0.02) * extent[axis] / parts
+    near = (np.abs(along[:, None] - places) < rules.gap).sum(0)
+    # Of those with the fewest photos the one nearest to the middle.
+    best = min(range(len(places)), key=lambda i: (near[i], abs(places[i] - middle)))
+    return axis, float(places[best])
+
+
+def tile_edge(config: FieldConfig, most: float, rules: TileRules = TileRules()) -> float:
+    """Return the edge of a tile's voxels, metres: its largest box has `config.voxels`."""
+    across = most + 2 * rules.overlap
+    return (across ** 2 * rules.height * (1 + config.shell) ** 3 / config.voxels) ** (1 / 3)
+
+
+def photos_of(tile: Tile, T_world_cam: np.ndarray, camera: Intrinsics,
+              rules: TileRules = TileRules()) -> tuple[list[int], np.ndarray]:
+    """
+    Return which photos (N, 4, 4) a tile is fitted to, and which of their pixels bool (P, H, W).
+
+    Those that were taken in it, with all of their pixels, and what those around it see of it.
+    """
+    inside = tile.holds(T_world_cam[:, :3, 3])
+    near = tile.holds(T_world_cam[:, :3, 3], rules.reach)
+    rays, chosen, pixels = camera.pixel_rays(), [], []
+    for index in np.flatnonzero(near).tolist():
+        T = T_world_cam[index]
+        own = np.ones((camera.height, camera.width), bool) if inside[index] else (
+            tile.is_crossed(T[:3, 3], rays @ T[:3, :3].T, rules.overlap))
+        if own.any():
+            chosen.append(index)
+            pixels.append(own)
+    return chosen, np.stack(pixels)
+
+
+def joined(tiles: Sequence[Tile], paths: Sequence[Path]) -> VoxelField:
+    """
+    Return the field of all tiles, from the files of theirs; each is read when it is its turn.
+
+    The fields must be on one lattice, see `VoxelField.on_lattice`. What lies outside of all boxes
+    is as the tile has it in whose part of the world it is.
+    """
+    result = _common_grid(tiles, paths)
+    owner = np.zeros(result.shape, np.int16)
+    for plane in range(result.shape[0]):
+        points = result.world_points(np.moveaxis(np.indices((1, *result.shape[1:])), 0, -1)
+                                     + [plane, 0, 0])[0]
+        for number, tile in enumerate(tiles):
+            owner[plane][tile.holds(points)] = number
+    raw, seen = np.zeros(result.shape, np.float32), np.zeros(result.shape, bool)
+    for number, path in enumerate(paths):
+        field, mine = VoxelField.load(path), owner == number
+        seen |= seen_at(field, result, mine)
+        raw[mine] = field.with_air().values_at(result, mine, 1)[:, 0]
+    kept = dilated(result.occupied(raw.reshape(-1, 1)).reshape(result.shape), AIR_KEPT)
+    result.row_of = numbered(kept)
+    result.grid = np.zeros((int(kept.sum()), result.grid.shape[1]), np.float32)
+    for number, path in enumerate(paths):
+        mine = (owner == number) & kept
+        result.grid[result.row_of[mine.ravel()]] = VoxelField.load(path).with_air().values_at(
+            result, mine, result.grid.shape[1])
+    result.seen = seen.ravel().view(np.uint8)
+    result.update_occupancy()
+    return result
+
+
+def _common_grid(tiles: Sequence[Tile], paths: Sequence[Path]) -> VoxelField:
+    """Lay the tiles' lattice over what their fine voxels cover of their parts of the world."""
+    low, high, near = np.full(3, np.inf), np.full(3, -np.inf), math.inf
+    for tile, path in zip(tiles, paths):
+        field = VoxelField.load(path)
+        low = np.minimum(low, np.maximum(field.centre - field.half_extent, tile.low))
+        high = np.maximum(high, np.minimum(field.centre + field.half_extent, tile.high))
+        near = min(near, field.near)
+    return VoxelField.on_lattice(
+        low, high, field.voxel, field.shell, math.isqrt(field.terms) - 1, step=field.step,
+        near=near, initial_alpha=field.initial_alpha)

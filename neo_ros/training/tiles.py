@@ -1,0 +1,137 @@
+"""A field fitted tile by tile: here one after the other, or side by side on a Ray cluster."""
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+import math
+from pathlib import Path
+
+from neo_ros.errors import NeoError
+from neo_ros.experiment import Experiment
+from neo_ros.field.config import FieldConfig
+from neo_ros.field.device import field_trainer
+from neo_ros.field.fitting import FineBox
+from neo_ros.field.tiles import cut_floor, joined, photos_of, Tile, tile_edge, TileRules
+from neo_ros.field.voxel_field import VoxelField
+from neo_ros.machine.files import make_output_folder
+from neo_ros.machine.progress import no_stage_progress, StageProgress
+from neo_ros.machine.ray_jobs import map_on_ray
+from neo_ros.scenes.posed_images import PosedImages
+from neo_ros.scenes.scene import Scene
+from neo_ros.training.checkpoint import read_notes, train_with_checkpoints, write_notes
+import numpy as np
+
+# Where tiles lie in the output folder until the last one is fitted.
+TILES = 'tiles'
+
+
+def tiles_of(scene: Scene, experiment: Experiment) -> list[Tile]:
+    """Return the tiles that a scene's field is fitted by: one where it is no large floor."""
+    most = experiment.field.tile
+    if most is None:
+        most = TileRules.most if scene.walkable is not None else math.inf
+    return cut_floor(scene.train.T_world_cam[:, :3, 3], most)
+
+
+@dataclass(frozen=True)
+class TileJob:
+    """
+    One tile to fit, as a worker on any machine can do it.
+
+    out    where its field comes to lie, with its notes and checkpoint beside it
+    photos  all of the scene that are fitted, of which it chooses its own
+    edge   of its voxels, metres
+    writes  this process writes it, of several that fit it together
+    """
+
+    out: Path
+    tile: Tile
+    edge: float
+    photos: PosedImages
+    scale: float
+    config: FieldConfig
+    seed: int
+    writes: bool = True
+
+
+@dataclass
+class _Watched:
+    """How far the fit of a tile is, and who watches it."""
+
+    progress: StageProgress
+    seconds: float = 0.0
+    log: dict[str, list[list[float]]] = field(default_factory=dict)
+
+
+def tile_jobs(out: Path, tiles: Sequence[Tile], photos: PosedImages, experiment: Experiment,
+              config: FieldConfig, writes: bool = True) -> list[TileJob]:
+    """Return what is to be done for the tiles of a run in the folder `out`."""
+    edge = tile_edge(config, TileRules.most if config.tile is None else config.tile)
+    folder = (out / TILES).absolute()
+    return [TileJob(folder / f'{number:04d}.npz', tile, edge, photos, experiment.field_scale,
+                    config, experiment.seed, writes) for number, tile in enumerate(tiles)]
+
+
+def fit_tile(job: TileJob, progress: StageProgress = no_stage_progress,
+             rules: TileRules = TileRules()) -> None:
+    """Fit one tile, unless it is finished; a fit that was broken off goes on."""
+    if job.out.exists():
+        return
+    camera = job.photos.intrinsics.scaled(job.scale)
+    chosen, crossing = photos_of(job.tile, job.photos.T_world_cam, camera)
+    photos = job.photos.subset(chosen)
+    usable = photos.read_all_usable(job.scale)
+    fine = FineBox(np.array(job.tile.low) - rules.overlap, np.array(job.tile.high) + rules.overlap,
+                   job.edge)
+    trainer = field_trainer(
+        photos.read_images(job.scale), camera, photos.T_world_cam, job.config, job.seed,
+        photos.read_depths(job.scale), crossing if usable is None else crossing & usable, fine)
+    watched = _Watched(progress)
+    checkpoint = job.out.with_suffix('.ckpt')
+    train_with_checkpoints(
+        watched, trainer, checkpoint, 'field', lambda: trainer.done, trainer.train_step,
+        lambda: f'{trainer.psnr:.2f} dB on its photos', writes=job.writes)
+    found = trainer.finished()
+    if job.writes:
+        write_notes(job.out.with_suffix('.json'), watched.seconds, watched.log['field'])
+        found.save(job.out)
+        checkpoint.unlink(missing_ok=True)
+
+
+def fit_tiles(jobs: Sequence[TileJob], cluster: bool, progress: StageProgress
+              ) -> tuple[VoxelField | None, float, list[list[float]]]:
+    """
+    Fit tiles and join them; return their field, how long that took in all, and their logs.
+
+    cluster hands them to Ray, see `map_on_ray`: all its machines need the same paths. Only the
+    process that writes has the field. Raises NeoError where a tile cannot be fitted.
+    """
+    make_output_folder(jobs[0].out.parent)
+    left = [job for job in jobs if not job.out.exists()]
+    if cluster and left:
+        done = len(jobs) - len(left)
+        progress('tiles', done, len(jobs))
+        for place, error in map_on_ray(fit_tile, left):
+            if isinstance(error, NeoError):
+                raise NeoError(f'{left[place].out}: the tile was not fitted: {error}; the others '
+                               'stay, run the same command again')
+            done += 1
+            progress('tiles', done, len(jobs))
+    else:
+        for number, job in enumerate(jobs):
+            fit_tile(job, _of_all(progress, number, len(jobs)))
+    if not jobs[0].writes:
+        return None, 0.0, []
+    seconds, log = 0.0, []
+    for job in jobs:
+        own, rows = read_notes(job.out.with_suffix('.json'), job.out.name)
+        log += [[step, seconds + at, value] for step, at, value in rows]
+        seconds += own
+    progress('joining tiles', 0, 1)
+    return joined([job.tile for job in jobs], [job.out for job in jobs]), seconds, log
+
+
+def _of_all(progress: StageProgress, number: int, count: int) -> StageProgress:
+    """Show the progress of one of several tiles as that of all."""
+    def show(stage: str, done: int, total: int, note: str = '') -> None:
+        progress(stage, number * total + done, count * total,
+                 f'tile {number + 1} of {count}' + f', {note}' * bool(note))
+    return show

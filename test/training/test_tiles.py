@@ -1,0 +1,112 @@
+"""A field is fitted tile by tile, goes on where it was broken off, and is the same on a cluster."""
+from dataclasses import replace
+from pathlib import Path
+
+from neo_ros.errors import NeoError
+from neo_ros.experiment import Experiment
+from neo_ros.field.rendering import render_view
+from neo_ros.field.voxel_field import VoxelField
+from neo_ros.machine.progress import no_stage_progress
+from neo_ros.scenes.scene import read_scene, Scene
+from neo_ros.training import checkpoint, tiles
+from neo_ros.training.tiles import fit_tile, fit_tiles, tile_jobs, TileJob, tiles_of
+from neo_ros.training.time_plan import plan_training
+import numpy as np
+import pytest
+from tiny_training import TINY
+
+pytestmark = pytest.mark.slow
+
+# Three tiles of the small flat.
+TILED = replace(TINY, field=replace(TINY.field, tile=3.5, steps=200))
+
+
+@pytest.fixture(scope='module')
+def scene(flat_scene: Path) -> Scene:
+    return read_scene(flat_scene)
+
+
+def jobs_in(out: Path, scene: Scene, experiment: Experiment = TILED) -> list[TileJob]:
+    return tile_jobs(out, tiles_of(scene, experiment), scene.train, experiment,
+                     experiment.field_config(True))
+
+
+@pytest.fixture(scope='module')
+def whole(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of tiles that were fitted one after the other."""
+    out = tmp_path_factory.mktemp('tiles')
+    fit_tiles(jobs_in(out, scene), False, no_stage_progress)
+    return out
+
+
+def test_only_large_floors_are_cut(scene: Scene) -> None:
+    assert len(tiles_of(scene, TINY)) == 1
+    assert len(tiles_of(scene, TILED)) == 3
+    hand_held = replace(scene, walkable=None)
+    assert len(tiles_of(hand_held, TINY)) == 1 and len(tiles_of(hand_held, TILED)) == 3
+
+
+def test_tiles_make_one_field(scene: Scene, whole: Path) -> None:
+    said: list[tuple[str, int, int]] = []
+    field, seconds, log = fit_tiles(
+        jobs_in(whole, scene), False, lambda stage, done, total, note='': said.append(
+            (stage, done, total)))
+    assert field is not None and seconds > 0
+    # A tile's log begins where the one before it ended.
+    times = [row[1] for row in log]
+    assert times == sorted(times) and times[-1] <= seconds
+    assert [stage for stage, _, _ in said] == ['joining tiles']  # All had been fitted.
+    assert {round(VoxelField.load(job.out).voxel, 9) for job in jobs_in(whole, scene)} == {
+        round(field.voxel, 9)}
+    # From each photo all of the room is there, on whichever side of the border.
+    photos = scene.train
+    camera = photos.intrinsics
+    errors = [np.abs(render_view(field, camera, photos.poses[index]).image
+                     - photos.read_image(index) / 255).mean() for index in range(0, 60, 6)]
+    assert np.mean(errors) < 0.12
+
+
+def test_a_tile_that_was_broken_off_goes_on_to_the_same_bits(
+        scene: Scene, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(checkpoint, 'CHECKPOINT_SECONDS', 0.0)
+    job = jobs_in(tmp_path, scene)[1]
+    job.out.parent.mkdir()
+
+    def interrupt(stage: str, done: int, total: int, note: str = '') -> None:
+        if done == 100:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fit_tile(job, interrupt)
+    assert job.out.with_suffix('.ckpt').exists() and not job.out.exists()
+    seen: list[int] = []
+    fit_tile(job, lambda stage, done, total, note='': seen.append(done))
+    assert seen[0] > 80
+    assert job.out.read_bytes() == jobs_in(whole, scene)[1].out.read_bytes()
+    assert not job.out.with_suffix('.ckpt').exists()
+
+
+def test_a_cluster_fits_the_same_bits(scene: Scene, whole: Path, tmp_path: Path) -> None:
+    pytest.importorskip('ray')
+    said: list[tuple[str, int, int]] = []
+    fit_tiles(jobs_in(tmp_path, scene), True,
+              lambda stage, done, total, note='': said.append((stage, done, total)))
+    assert said == [*(('tiles', done, 3) for done in range(4)), ('joining tiles', 0, 1)]
+    for one, other in zip(jobs_in(tmp_path, scene), jobs_in(whole, scene)):
+        assert one.out.read_bytes() == other.out.read_bytes()
+
+
+def test_a_tile_that_cannot_be_fitted_is_named(
+        scene: Scene, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    jobs = jobs_in(tmp_path, scene)
+    monkeypatch.setattr(tiles, 'map_on_ray', lambda function, left: iter(
+        [(0, None), (1, NeoError('its worker died'))]))
+    with pytest.raises(NeoError, match=r'0001.npz: the tile was not fitted: its worker died'):
+        fit_tiles(jobs, True, no_stage_progress)
+
+
+def test_minutes_are_shared_by_tiles(scene: Scene, tmp_path: Path) -> None:
+    said: list[str] = []
+    plan = plan_training(tmp_path, scene, TILED, 10.0, said.append)
+    assert plan.experiment.field.minutes == pytest.approx(10 * 0.45 / 3)
+    assert '3 tiles' in said[0]
