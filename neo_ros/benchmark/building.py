@@ -9,6 +9,7 @@ search, not a field. `before` is the search that believes the best place it find
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
+import hashlib
 import json
 import multiprocessing
 from pathlib import Path
@@ -78,51 +79,60 @@ def measure_layout(name: str, plan: BuildingPlan, work: Path, searches: int,
     expansion = ViewExpansion.to_size(source, 2 * rules.width, 2 * rules.width)
     building = build_building(plan, work / f'{tag}.light.npz', workers=core_count())
     path = work / f'{tag}.{rules.width}.memory'
-    sha256 = _make_memory(building, expansion, path)
-    places = list(_places(building, source, searches, rules))
-    images = [building.render(source, pose)[0] for pose in places]
+    _make_memory(building, expansion, path)
+    views = look_for(building, source, searches, rules)
+    rows = [measure_search(name, building, path, expansion, views, rivals, rules)
+            for rivals in (True, False)]
+    return rows[::-1]
+
+
+def look_for(building: Building, source: Intrinsics, count: int,
+             rules: BuildingRules = BuildingRules()) -> list[tuple[np.ndarray, CameraPose]]:
+    """Return so many images to search by, all over the ground floor, with their poses."""
+    return [(building.render(source, pose)[0], pose)
+            for pose in _places(building, source, count, rules)]
+
+
+def measure_search(layout: str, building: Building, path: Path, expansion: ViewExpansion,
+                   views: Sequence[tuple[np.ndarray, CameraPose]], rivals: bool = True,
+                   rules: BuildingRules = BuildingRules()) -> dict[str, Any]:
+    """Search by images in the memory of a file, walk through doors; return the row of it."""
+    sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
     # In a process of its own: the building is no part of it.
     with ProcessPoolExecutor(1, multiprocessing.get_context('spawn')) as other:
         resident = other.submit(_resident_mb, path, sha256, expansion).result()
-    memory = SceneMemory.read(path, sha256)
-    rows = []
-    for rivals in (True, False):
-        limits = AmbiguityThresholds() if rivals else AmbiguityThresholds(most_rivals=0)
-        guide = SceneGuide(memory, expansion, threads=1, thresholds=replace(
-            GuideThresholds(), ambiguity=limits))
-        guide.warm_up()
-        counts = Counts()
-        for image, pose in zip(images, places):
-            _search(guide, image, pose, rules, counts)
-        _walk(building, source, guide, rules, counts)
-        rows.append({
-            'layout': name, 'search': 'compared with rivals' if rivals else 'before',
-            'area_m2': round(plan.area), 'floors': plan.floors, 'rooms': plan.rooms,
-            'camera': f'{rules.width}x{rules.width}', **dict.fromkeys(UNMEASURED),
-            'follow_ms_p95': (_rounded(np.percentile(counts.follow_ms, 95))
-                              if counts.follow_ms else None),
-            'found_ms_median': _rounded(np.median(counts.search_ms)),
-            'found_ms_p95': _rounded(np.percentile(counts.search_ms, 95)),
-            'searches': searches, 'wrong_places': counts.wrong, 'ambiguous': counts.ambiguous,
-            'lost': counts.lost, 'by_landmarks': counts.by_landmarks,
-            'door_walks': counts.walks, 'walks_found_right': counts.walks_found_right,
-            'walks_ever_wrong': counts.walks_ever_wrong,
-            'file_mb': _rounded(path.stat().st_size / 1e6),
-            'resident_mb': _rounded(resident),
-            'commit': commit(), 'host': host()})
-    return rows[::-1]
+    limits = AmbiguityThresholds() if rivals else AmbiguityThresholds(most_rivals=0)
+    guide = SceneGuide(SceneMemory.read(path, sha256), expansion, threads=1, thresholds=replace(
+        GuideThresholds(), ambiguity=limits))
+    guide.warm_up()
+    counts, plan, source = Counts(), building.plan, expansion.source
+    for image, pose in views:
+        _search(guide, image, pose, rules, counts)
+    _walk(building, source, guide, rules, counts)
+    return {
+        'layout': layout, 'search': 'compared with rivals' if rivals else 'before',
+        'area_m2': round(plan.area), 'floors': plan.floors, 'rooms': plan.rooms,
+        'camera': f'{source.width}x{source.height}', **dict.fromkeys(UNMEASURED),
+        'follow_ms_p95': (_rounded(np.percentile(counts.follow_ms, 95))
+                          if counts.follow_ms else None),
+        'found_ms_median': _rounded(np.median(counts.search_ms)),
+        'found_ms_p95': _rounded(np.percentile(counts.search_ms, 95)),
+        'searches': len(views), 'wrong_places': counts.wrong, 'ambiguous': counts.ambiguous,
+        'lost': counts.lost, 'by_landmarks': counts.by_landmarks,
+        'door_walks': counts.walks, 'walks_found_right': counts.walks_found_right,
+        'walks_ever_wrong': counts.walks_ever_wrong,
+        'file_mb': _rounded(path.stat().st_size / 1e6), 'resident_mb': _rounded(resident),
+        'commit': commit(), 'host': host()}
 
 
 def _rounded(value: Any) -> float:
     return round(float(value), 1)
 
 
-def _make_memory(building: Building, expansion: ViewExpansion, path: Path) -> str:
-    """Write a building's memory, if it is not there; return its checksum."""
-    note = path.with_suffix('.sha256')
-    if not note.exists():
-        note.write_text(true_memory(building, expansion).write(path))
-    return note.read_text()
+def _make_memory(building: Building, expansion: ViewExpansion, path: Path) -> None:
+    """Write a building's memory, if it is not there: a broken-off run leaves none."""
+    if not path.exists():
+        true_memory(building, expansion).write(path)
 
 
 def _resident_mb(path: Path, sha256: str, expansion: ViewExpansion) -> float:

@@ -1,0 +1,94 @@
+"""
+Is a large floor as good as one room? Floors of a building, from photos to a model.
+
+    python -m neo_ros.benchmark.floors --work FOLDER [--rooms N ...]
+
+Each floor is photographed as a mapping robot does, and trained with the same steps a room; from
+two tiles' width on that is tile by tile, see `field/tiles.py`. `--one-field` fits a floor as one
+field with as many steps in all, to compare.
+"""
+import json
+from pathlib import Path
+from typing import Annotated, Any, Optional
+
+from neo_ros.benchmark.building import look_for, measure_search, write_rows
+from neo_ros.evaluation.baselines import NeoModel
+from neo_ros.evaluation.evaluate import evaluate, TruthFrames
+from neo_ros.experiment import Experiment
+from neo_ros.field.config import FieldConfig
+from neo_ros.flat.building import open_building
+from neo_ros.flat.building_plan import BuildingPlan
+from neo_ros.flat.scene_writing import BUILDING_LIGHT, write_building_scene
+from neo_ros.machine.progress import no_stage_progress, StageProgress
+from neo_ros.outpaint.fitting import OutpaintConfig
+from neo_ros.pipeline import train
+from neo_ros.scenes.scene import read_scene
+from neo_ros.training.tiles import tiles_of
+import typer
+
+STEPS = 2000  # of a room's field, and of a tile's
+SEED = 1
+LAYOUT, ONE_FIELD = 'trained', 'trained as one field'
+# Metres beyond which no floor is cut.
+_ALL = 1000.0
+
+
+def floor_experiment(rooms: int, tiled: bool, one_field: bool = False) -> Experiment:
+    """Return how a floor is trained: the same steps a room, or a tile; the network for minutes."""
+    field = FieldConfig(steps=STEPS if tiled and not one_field else STEPS * rooms,
+                        tile=_ALL if one_field else None)
+    return Experiment(field=field, outpaint=OutpaintConfig(minutes=3))
+
+
+def measure_floor(work: Path, rooms: int, one_field: bool = False, size: int = 128,
+                  searches: int = 100, progress: StageProgress = no_stage_progress
+                  ) -> dict[str, Any]:
+    """Train on a floor, as far as `work` has nothing of it, and return the row of it."""
+    plan = BuildingPlan(rooms=rooms, seed=SEED)
+    folder = work / f'rooms_{rooms}'
+    write_building_scene(folder, plan, image_size=size, progress=progress)
+    scene = read_scene(folder)
+    tiles = len(tiles_of(scene, Experiment()))
+    run = train(folder, floor_experiment(rooms, tiles > 1, one_field),
+                work / f'run_{rooms}{"_one_field" * one_field}', progress)
+    model = NeoModel(run.model_path, threads=1)
+    scores, = evaluate(scene.name, TruthFrames(scene.test, run.expansion), [model],
+                       progress=lambda done: progress('scoring', done, len(scene.test or ())))
+    building = open_building(plan, folder / BUILDING_LIGHT)
+    row = measure_search(ONE_FIELD if one_field else LAYOUT, building, run.memory_path,
+                         run.expansion, look_for(building, run.expansion.source, searches))
+    return {**row, 'guided_ring_psnr': round(scores.estimates['ring_psnr'].mean, 2),
+            'oracle_ring_psnr': round(run.figures['oracle_ring_psnr'], 2),
+            'guided_share': round(scores.estimates['guided'].mean, 4),
+            'tiles': 1 if one_field else tiles, 'photos': len(scene.train),
+            'train_minutes': round(run.seconds / 60, 1)}
+
+
+def main(work: Annotated[Path, typer.Option(help='Keeps scenes and trainings.')],
+         rooms: Annotated[Optional[list[int]], typer.Option(
+             help='Of a floor; may be given again. Default: 1, 3 and 12.')] = None,
+         one_field: Annotated[bool, typer.Option(
+             '--one-field', help='Fit one field to all of a floor, to compare.')] = False,
+         searches: Annotated[int, typer.Option(help='In each building.', min=1)] = 100,
+         out: Annotated[Path, typer.Option(help='JSON file of the rows; others stay.')] = Path(
+             'results/building.json')) -> None:
+    """Train on floors and measure them; a room takes some minutes, a break costs one at most."""
+    from neo_ros.cli.progress import stage_progress
+
+    for count in rooms or (1, 3, 12):
+        with stage_progress() as show:
+            row = measure_floor(work, count, one_field, searches=searches, progress=show)
+        known = json.loads(out.read_text()) if out.exists() else []
+        known = [old for old in known if (old['layout'], old['rooms']) != (
+            row['layout'], row['rooms'])] + [row]
+        one_room = next((old['guided_ring_psnr'] for old in known
+                         if (old['layout'], old['rooms']) == (LAYOUT, 1)), None)
+        for new in known:
+            if new['layout'] in (LAYOUT, ONE_FIELD):
+                new['one_room_ring_psnr'] = one_room
+        write_rows(out, known)
+        print(row, flush=True)
+
+
+if __name__ == '__main__':
+    typer.run(main)
