@@ -238,8 +238,7 @@ def keyframe_positions(sampler: PoseSampler, photos: Photos, distance: float) ->
     photos; poses are sampled a little farther around them, and some may have none so near.
     """
     if sampler.height[1] == 0:
-        places = np.column_stack([sampler.positions_xy,
-                                  np.full(len(sampler.positions_xy), sampler.height[0])])
+        places = sampler.places()
     else:
         places = photos.T_world_cam[:, :3, 3]
     first = int(np.linalg.norm(places - places.mean(0), axis=1).argmin())

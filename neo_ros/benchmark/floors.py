@@ -26,7 +26,7 @@ from neo_ros.scenes.scene import read_scene
 from neo_ros.training.tiles import tiles_of
 import typer
 
-STEPS = 2000  # of a room's field, and of a tile's
+STEPS = 1000  # of a room's field, and of a tile's
 SEED = 1
 LAYOUT, ONE_FIELD = 'trained', 'trained as one field'
 # Metres beyond which no floor is cut.

@@ -12,7 +12,7 @@ from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.pictures.depth import read_depth
 from neo_ros.pictures.usable import read_usable
 from neo_ros.scenes.posed_images import PosedImages, read_rgb_image
-from neo_ros.scenes.scene import clear_earlier_import
+from neo_ros.scenes.scene import clear_earlier_import, floor_file, upper_floors
 from neo_ros.scenes.transforms_json import read_input_crop, read_transforms, write_transforms
 
 # The transforms files of a folder, and what they are called in a scene.
@@ -58,10 +58,11 @@ def import_transforms(source: Path, scene: Path,
             for path in images.depth_paths), mask_paths=tuple(
             None if path is None else _copy_mask(path, source, scene, images)
             for path in images.mask_paths))
-    floor = source / 'walkable.json'
+    floor = floor_file(source, 0)
     clear_earlier_import(scene, has_floor=floor.is_file())
     if floor.is_file():
-        shutil.copyfile(floor, scene / floor.name)
+        for one in (floor, *upper_floors(source)):
+            shutil.copyfile(one, scene / one.name)
     for name, images in copied.items():
         write_transforms(scene / SCENE_NAMES[name], images, read_input_crop(source / name))
     (scene / NOTE_FILE).unlink(missing_ok=True)
@@ -103,7 +104,7 @@ def _copy(path: Path, source: Path, scene: Path) -> Path:
             return target
         target.parent.mkdir(parents=True, exist_ok=True)
         # The poses and the note of an earlier import must never meet other pictures.
-        clear_earlier_import(scene, has_floor=(source / 'walkable.json').is_file())
+        clear_earlier_import(scene, has_floor=floor_file(source, 0).is_file())
         (scene / 'transforms_train.json').unlink(missing_ok=True)
         (scene / NOTE_FILE).write_text('{}')
         with whole_file(target) as partial:

@@ -4,6 +4,9 @@ from typing import Annotated, Any, Optional
 
 import typer
 
+# Metres from a map's camera height within which photos are of its storey.
+_STOREY = 1.5
+
 
 def floor(
     scene: Annotated[Path, typer.Argument(help='Scene folder, made by neo import.')],
@@ -17,16 +20,20 @@ def floor(
     origin: Annotated[Optional[tuple[float, float, float]], typer.Option(
         help='Images only: x, y (metres) and yaw (radians) of the lower left corner; default: '
              '0 0 0.')] = None,
+    storey: Annotated[int, typer.Option(
+        help='Of a building: the map is that of so many storeys above the first map.', min=0)] = 0,
 ) -> None:
     """
     Write SCENE/walkable.json from a floor map, and show it on the map of the capture report.
 
     The map must be in the world of the photos. neo train then draws its positions on free floor,
-    `sampling.robot_radius` off everything else.
+    `sampling.robot_radius` off everything else. A building has a map for each storey:
+    walkable_1.json is that of --storey 1.
     """
     from neo_ros.captures.report import REPORT_FILE, write_capture_report
     from neo_ros.cli.progress import stage_progress
-    from neo_ros.scenes.scene import read_scene
+    from neo_ros.errors import ConfigError
+    from neo_ros.scenes.scene import floor_file, read_scene
     from neo_ros.scenes.walkable import write_walkable
     import numpy as np
     import rich
@@ -34,19 +41,35 @@ def floor(
 
     found = read_scene(scene)
     _check_upright(scene, found)
+    if storey > len(found.upper) + (found.walkable is not None):
+        raise ConfigError(f'--storey: expected the maps of the storeys below {storey} first')
     positions = found.train.T_world_cam[:, :3, 3]
-    height = float(np.median(positions[:, 2])) if camera_height is None else camera_height
+    height = _camera_height(found, storey) if camera_height is None else camera_height
     walkable = _read_floor(floor_map, resolution, origin, height)
-    write_walkable(scene / 'walkable.json', walkable)
+    target = floor_file(scene, storey)
+    write_walkable(target, walkable)
     with stage_progress() as show:
         write_capture_report(scene, read_scene(scene), (),
                              lambda done, total: show('capture report', done, total))
-    share = float(walkable.contains(positions[:, :2]).mean())
+    own = positions[np.abs(positions[:, 2] - height) < _STOREY]
+    share = float(walkable.contains(own[:, :2]).mean()) if len(own) else 0.0
     rich.print(f'{walkable.area:.1f} m2 of free floor; {share:.0%} of the photos stand on it; '
                f'camera at {height:.2f} m')
     if share < 0.5:
         rich.print("[yellow]Most photos do not: is the map in the photos' world?[/yellow]")
-    rich.print(f'Written: {escape(str(scene / "walkable.json"))} and {REPORT_FILE}')
+    rich.print(f'Written: {escape(str(target))} and {REPORT_FILE}')
+
+
+def _camera_height(found: Any, storey: int) -> float:
+    """Return the median z of the photos; of a building they are of several storeys."""
+    from neo_ros.errors import ConfigError
+    import numpy as np
+
+    heights = found.train.T_world_cam[:, 2, 3]
+    if storey or np.diff(np.sort(heights), prepend=heights.min()).max() > _STOREY:
+        raise ConfigError('--camera-height: expected metres, for the photos are of several '
+                          'storeys, or it is another one than the first')
+    return float(np.median(heights))
 
 
 def _check_upright(scene: Path, found: Any) -> None:

@@ -21,7 +21,7 @@ from neo_ros.machine.processes import map_in_processes
 from neo_ros.machine.progress import no_progress, of_stage, Progress, StageProgress
 from neo_ros.pictures.depth import to_millimetres, write_depth
 from neo_ros.scenes.posed_images import PosedImages
-from neo_ros.scenes.scene import DEMO_NOTE
+from neo_ros.scenes.scene import DEMO_NOTE, floor_file
 from neo_ros.scenes.transforms_json import write_transforms
 from neo_ros.scenes.walkable import write_walkable
 import numpy as np
@@ -103,8 +103,7 @@ def write_building_scene(folder: Path, plan: BuildingPlan, *, image_size: int = 
     _write_views(folder, (plan, light), camera or square_camera(image_size), train, walks,
                  plan.seed, depth, of_stage(progress, 'images'), workers)
     for floor in floors:
-        name = 'walkable.json' if floor == 0 else f'walkable_{floor}.json'
-        write_walkable(folder / name, building.walkable(floor))
+        write_walkable(floor_file(folder, floor), building.walkable(floor))
     return building
 
 

@@ -1,4 +1,5 @@
 """Checksums of what a training is made of: written again, the same scene has the same ones."""
+from collections.abc import Sequence
 import hashlib
 
 from neo_ros.geometry import ViewExpansion
@@ -23,6 +24,12 @@ def list_digest(images: PosedImages, window: ViewExpansion | None = None) -> str
     lines += [f'depth {path.name}' for path in images.depth_paths if path is not None]
     lines += [f'mask {path.name}' for path in images.mask_paths if path is not None]
     return _sha256('\n'.join(lines).encode())
+
+
+def floors_digest(floors: Sequence[WalkableMap]) -> str:
+    """Return the sha256 of the floor maps of all storeys; of one it is that of the map."""
+    digests = [floor_digest(floor) for floor in floors]
+    return digests[0] if len(digests) == 1 else _sha256(' '.join(digests).encode())
 
 
 def floor_digest(floor: WalkableMap) -> str:

@@ -1,4 +1,5 @@
 """Step 2 of the paper: poses where the robot can be, in groups that share one position."""
+from collections.abc import Sequence
 from dataclasses import dataclass
 import math
 from typing import Literal
@@ -56,6 +57,7 @@ class PoseSampler:
     yaw_range      (low, width) radians: yaw is uniform in low ... low + width
     pitch_roll     means and standard deviations ((pitch, roll), (pitch, roll)), radians
     height         mean and standard deviation of z, metres
+    rise           (M,) metres that positions are higher: on other storeys; None: on none
     yaws           headings at one position, evenly spaced over the range; 0 = any
     floor          the free floor that the positions lie on, where they lie on one
     """
@@ -66,6 +68,7 @@ class PoseSampler:
     height: tuple[float, float]
     yaws: int = 0
     floor: WalkableMap | None = None
+    rise: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         if not len(self.positions_xy):
@@ -73,20 +76,21 @@ class PoseSampler:
                               'can be, got none; choose a smaller interval')
 
     @classmethod
-    def for_walkable(cls, walkable: WalkableMap, config: SamplingConfig) -> 'PoseSampler':
-        """3-DoF (section 4.1): a grid over the free floor, fixed height, yaws all around."""
-        floor = walkable.kept_off(config.robot_radius)
-        interval = FLOOR_INTERVAL if config.interval is None else config.interval
-        centres = floor.centres()
-        _check_grid(np.ptp(centres, axis=0), interval)
-        low, steps = centres.min(0), np.ptp(centres, axis=0) / interval
-        axes = [start + interval * np.arange(int(count + 1e-6) + 1)
-                for start, count in zip(low, steps)]
-        grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
-        height = (floor.camera_height if config.camera_height is None
+    def for_walkable(cls, walkable: WalkableMap, config: SamplingConfig,
+                     upper: Sequence[WalkableMap] = ()) -> 'PoseSampler':
+        """
+        3-DoF (section 4.1): a grid over the free floor, fixed height, yaws all around.
+
+        upper: the maps of other storeys.
+        """
+        grids = [_grid_over(floor.kept_off(config.robot_radius), config)
+                 for floor in (walkable, *upper)]
+        height = (walkable.camera_height if config.camera_height is None
                   else config.camera_height)
-        return cls(grid[floor.contains(grid)], (-math.pi, 2 * math.pi),
-                   ((0.0, 0.0), (0.0, 0.0)), (height, 0.0), config.yaws, walkable)
+        rise = np.repeat([floor.camera_height - walkable.camera_height
+                          for floor in (walkable, *upper)], [len(grid) for grid in grids])
+        return cls(np.concatenate(grids), (-math.pi, 2 * math.pi), ((0.0, 0.0), (0.0, 0.0)),
+                   (height, 0.0), config.yaws, walkable, rise if upper else None)
 
     @classmethod
     def around_photos(cls, photos: PosedImages, config: SamplingConfig) -> 'PoseSampler':
@@ -120,8 +124,15 @@ class PoseSampler:
 
     def draw_position(self, random: np.random.Generator) -> np.ndarray:
         """Draw one position, (3,) metres."""
-        x, y = self.positions_xy[random.integers(len(self.positions_xy))]
-        return np.array([x, y, random.normal(*self.height)])
+        index = random.integers(len(self.positions_xy))
+        x, y = self.positions_xy[index]
+        rise = 0.0 if self.rise is None else self.rise[index]
+        return np.array([x, y, random.normal(*self.height) + rise])
+
+    def places(self) -> np.ndarray:
+        """Return all positions at their mean heights, (M, 3) metres."""
+        z = np.full(len(self.positions_xy), self.height[0])
+        return np.column_stack([self.positions_xy, z if self.rise is None else z + self.rise])
 
     def draw_rotation(self, random: np.random.Generator, place: int = 0) -> np.ndarray:
         """Draw one camera-to-world rotation (3, 3) at place number `place`, OpenCV axes."""
@@ -159,6 +170,18 @@ def rotation_from_angles(yaw: float, pitch: float, roll: float) -> np.ndarray:
     return CameraPose(np.block([
         [np.stack([right, np.cross(forward, right), forward], axis=1), np.zeros((3, 1))],
         [np.array([[0, 0, 0, 1.0]])]])).T_world_cam[:3, :3]
+
+
+def _grid_over(floor: WalkableMap, config: SamplingConfig) -> np.ndarray:
+    """Return the places of a grid that are on free floor, (M, 2) metres."""
+    interval = FLOOR_INTERVAL if config.interval is None else config.interval
+    centres = floor.centres()
+    _check_grid(np.ptp(centres, axis=0), interval)
+    low, steps = centres.min(0), np.ptp(centres, axis=0) / interval
+    axes = [start + interval * np.arange(int(count + 1e-6) + 1)
+            for start, count in zip(low, steps)]
+    grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+    return grid[floor.contains(grid)]
 
 
 def _check_grid(extent: np.ndarray, interval: float) -> None:

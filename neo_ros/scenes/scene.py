@@ -1,5 +1,6 @@
 """A scene folder: training photos, and where there are any, wide test truth and a floor map."""
 from dataclasses import dataclass, field
+from itertools import count, takewhile
 import logging
 from pathlib import Path
 
@@ -25,6 +26,7 @@ class Scene:
     test       wide truth along walking paths (`transforms_test.json`), for the last scoring only
     expansion  source window of the test frames (`input_crop`), at the test frames' resolution
     walkable   where the robot can be (`walkable.json`), for 3-DoF scenes
+    upper      the same of other storeys: `walkable_1.json` and so on
     turn       rotation (3, 3) of its world since it was read, see `upright.stood_up`
     """
 
@@ -34,6 +36,7 @@ class Scene:
     expansion: ViewExpansion | None
     walkable: WalkableMap | None
     turn: np.ndarray = field(default_factory=lambda: np.eye(3), compare=False)
+    upper: tuple[WalkableMap, ...] = ()
 
 
 def read_scene(folder: Path) -> Scene:
@@ -48,7 +51,7 @@ def read_scene(folder: Path) -> Scene:
                          'make one with: neo import SOURCE SCENE')
     test_file = folder / 'transforms_test.json'
     has_test = test_file.is_file()
-    walkable_file = folder / 'walkable.json'
+    walkable_file = floor_file(folder, 0)
     train = read_transforms(train_file)
     test = read_transforms(test_file) if has_test else None
     if test is not None:
@@ -61,7 +64,20 @@ def read_scene(folder: Path) -> Scene:
     return Scene(
         name=folder.resolve().name, train=train, test=test,
         expansion=read_input_crop(test_file) if has_test else None,
-        walkable=read_walkable(walkable_file) if walkable_file.is_file() else None)
+        walkable=read_walkable(walkable_file) if walkable_file.is_file() else None,
+        upper=tuple(map(read_walkable, upper_floors(folder))))
+
+
+def upper_floors(folder: Path) -> list[Path]:
+    """Return the floor maps of a scene folder's other storeys, as far as they count on."""
+    if not floor_file(folder, 0).is_file():
+        return []
+    return list(takewhile(Path.is_file, (floor_file(folder, storey) for storey in count(1))))
+
+
+def floor_file(folder: Path, storey: int) -> Path:
+    """Return where the floor map of a storey lies, 0: the first one."""
+    return folder / ('walkable.json' if storey == 0 else f'walkable_{storey}.json')
 
 
 def clear_earlier_import(folder: Path, has_floor: bool = False) -> None:
@@ -69,10 +85,10 @@ def clear_earlier_import(folder: Path, has_floor: bool = False) -> None:
     Take what an earlier import left away, before another training list is written.
 
     Test frames are deleted, as the new list may hold the same photos, and the note of a demo
-    scene. A floor map, unless the new import has one, is set aside: it belongs to the world of the
-    earlier one. The log says so. Raises SceneError where the folder cannot be changed.
+    scene. Floor maps, unless the new import has some, are set aside: they belong to the world of
+    the earlier one. The log says so. Raises SceneError where the folder cannot be changed.
     """
-    test_file, floor = folder / 'transforms_test.json', folder / 'walkable.json'
+    test_file, floor = folder / 'transforms_test.json', floor_file(folder, 0)
     demo = folder / DEMO_NOTE
     try:
         if demo.exists():
@@ -80,6 +96,8 @@ def clear_earlier_import(folder: Path, has_floor: bool = False) -> None:
         if test_file.exists():
             test_file.unlink()
             logger.warning('%s of an earlier import is deleted', test_file)
+        for upper in upper_floors(folder):
+            upper.unlink() if has_floor else upper.replace(upper.with_suffix('.old.json'))
         if floor.exists() and not has_floor:
             floor.replace(folder / 'walkable.old.json')
             logger.warning('%s of an earlier import is set aside as walkable.old.json; if the '

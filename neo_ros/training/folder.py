@@ -9,7 +9,7 @@ from neo_ros.errors import ConfigError
 from neo_ros.experiment import Experiment
 from neo_ros.field.given_geometry import GivenGeometry
 from neo_ros.machine.files import share_file, write_bytes
-from neo_ros.scenes.digests import floor_digest, list_digest
+from neo_ros.scenes.digests import floors_digest, list_digest
 from neo_ros.scenes.scene import Scene
 from neo_ros.training.memory import NOTES, WORK
 from neo_ros.training.tiles import TILES
@@ -52,7 +52,7 @@ def claim(out: Path, scene: Scene, experiment: Experiment,
 
 def note_update(out: Path, run: Path, scene: Scene) -> None:
     """Note in a new folder that it holds the run in the folder `run`, of more photos."""
-    floor = None if scene.walkable is None else floor_digest(scene.walkable)[:12]
+    floor = None if scene.walkable is None else floors_digest((scene.walkable, *scene.upper))[:12]
     note = {**_read_run_note(run / RUN_FILE), 'photos': list_digest(scene.train)[:12],
             'floor': floor}
     note.pop('folder', None)
@@ -83,7 +83,7 @@ def check_run(run: Path, scene: Scene, experiment: Experiment) -> None:
 
 
 def _run_note(scene: Scene, experiment: Experiment) -> dict[str, Any]:
-    floor = None if scene.walkable is None else floor_digest(scene.walkable)[:12]
+    floor = None if scene.walkable is None else floors_digest((scene.walkable, *scene.upper))[:12]
     view = experiment.expansion(scene.train.intrinsics, scene.expansion)
     # Another memory leaves field and network as they are.
     settings = replace(experiment, memory=None).config_hash

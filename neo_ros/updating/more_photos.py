@@ -8,7 +8,7 @@ from neo_ros.baking.keyframes import Photos
 from neo_ros.geometry import CameraPose
 from neo_ros.machine.files import share_file, write_bytes
 from neo_ros.pictures.usable import write_usable
-from neo_ros.scenes.scene import Scene
+from neo_ros.scenes.scene import floor_file, Scene
 from neo_ros.scenes.transforms_json import write_transforms
 from neo_ros.scenes.walkable import write_walkable
 import numpy as np
@@ -64,4 +64,5 @@ def write_more_photos(folder: Path, scene: Scene, chosen: Sequence[int], photos:
         depth_paths=(*depth_paths, *[None] * new) if depth_paths else (),
         mask_paths=tuple(mask_paths)))
     if scene.walkable is not None:
-        write_walkable(folder / 'walkable.json', scene.walkable)
+        for storey, floor in enumerate((scene.walkable, *scene.upper)):
+            write_walkable(floor_file(folder, storey), floor)

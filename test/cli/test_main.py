@@ -7,9 +7,11 @@ import sys
 
 import neo_ros
 from neo_ros.cli.main import app, main
+from neo_ros.scenes.scene import read_scene
 from neo_ros.training.run import TrainingRun
+import numpy as np
 import pytest
-from scene_files import write_capture
+from scene_files import write_capture, write_picture
 from typer.testing import CliRunner
 
 COMMANDS = ['bag', 'bag-info', 'bench', 'benchmark', 'compare', 'demo', 'evaluate', 'export',
@@ -103,6 +105,27 @@ def test_options_that_would_be_ignored_are_refused(
     monkeypatch.chdir(tmp_path)
     assert run_main(monkeypatch, *arguments) == 2
     assert message in capsys.readouterr().err
+
+
+def test_each_storey_of_a_building_has_its_map(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+        ) -> None:
+    scene, bright = tmp_path / 'scene', ['--resolution', '0.1', '--origin', '-3', '-3', '0']
+    write_capture(scene, 3)
+    write_picture(tmp_path / 'map.png', np.full((60, 60, 3), 255, np.uint8))
+
+    def floor(*options: str) -> int:
+        return run_main(monkeypatch, 'floor', scene, tmp_path / 'map.png', *bright, *options)
+
+    assert floor('--storey', '1', '--camera-height', '4.5') == 2
+    assert '--storey: expected the maps of the storeys below 1 first' in capsys.readouterr().err
+    assert floor() == 0
+    assert floor('--storey', '1') == 2
+    assert '--camera-height: expected metres' in capsys.readouterr().err
+    assert floor('--storey', '1', '--camera-height', '4.5') == 0
+    found = read_scene(scene)
+    assert found.walkable is not None and found.walkable.camera_height == 1.5
+    assert [above.camera_height for above in found.upper] == [4.5]
 
 
 @pytest.mark.parametrize('arguments', [

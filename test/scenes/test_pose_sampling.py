@@ -138,6 +138,22 @@ def test_the_camera_stands_as_high_as_the_experiment_says() -> None:
     assert sampler.draw_position(np.random.default_rng(0))[2] == 0.4
 
 
+def test_storeys_are_sampled_together_each_at_its_height() -> None:
+    above = WalkableMap(0.05, (0.0, 2.0), np.ones((40, 20), bool), 4.2)
+    sampler = PoseSampler.for_walkable(FLOOR, SamplingConfig(camera_height=0.4), (above,))
+    own = [PoseSampler.for_walkable(floor, SamplingConfig()).positions_xy
+           for floor in (FLOOR, above)]
+    places = sampler.places()
+    # The camera is held lower than the map says, on both.
+    for z, xy in ((0.4, own[0]), (3.4, own[1])):
+        np.testing.assert_array_equal(places[np.isclose(places[:, 2], z), :2], xy)
+    random = np.random.default_rng(0)
+    drawn = np.stack([sampler.draw_position(random) for _ in range(400)])
+    assert np.isclose(drawn[:, None], places).all(-1).any(1).all()
+    share = len(own[1]) / len(places)
+    assert abs((drawn[:, 2] > 2).mean() - share) < 0.1
+
+
 def test_a_wide_robot_keeps_off_the_walls() -> None:
     sampler = PoseSampler.for_walkable(FLOOR, SamplingConfig(robot_radius=0.5))
     # The floor keeps 0.25 m off already.

@@ -1,4 +1,4 @@
-"""A field is fitted tile by tile, and goes on where it broke off; a cluster makes the same bits."""
+"""A field is fitted tile by tile, goes on where it broke off, and is the same on a cluster."""
 from dataclasses import replace
 from pathlib import Path
 
