@@ -5,6 +5,7 @@ import math
 import cv2
 from neo_ros.baking.glances import keyframe_glances, photo_glances
 from neo_ros.baking.keyframes import BakingRules, keyframe_positions, keyframe_size, Photos
+from neo_ros.baking.twin_search import find_twins
 from neo_ros.field.panorama import view_band
 from neo_ros.flat.building import Building
 from neo_ros.flat.building_routes import mapping_poses
@@ -52,10 +53,12 @@ def true_memory(building: Building, expansion: ViewExpansion,
         textures.append(texture)
         depths.append(depth)
         glances.append(keyframe_glances([keyframe], band, expansion.source, headings))
-    return SceneMemory(
+    memory = SceneMemory(
         positions, band, textures, depths,
         Glances(np.concatenate([part.pictures for part in glances]),
                 np.concatenate([part.T_world_cam for part in glances])), landmarks)
+    memory.twins = find_twins(memory, expansion)
+    return memory
 
 
 def _keyframe(building: Building, position: np.ndarray, band: Band, focal: float) -> Keyframe:

@@ -12,6 +12,7 @@ from neo_ros.geometry import CameraPose
 from neo_ros.memory.glancing import GlanceFinder
 from neo_ros.memory.looking import Looker
 from neo_ros.memory.sight import AmbiguityThresholds, better, CameraImage, Sight
+from neo_ros.memory.twins import NO_TWINS, Twins
 import numpy as np
 
 
@@ -27,8 +28,8 @@ class Hypothesis:
 class Doubt:
     """The places between which the images of one camera have not decided yet."""
 
-    def __init__(self, looker: Looker, glances: GlanceFinder) -> None:
-        self._looker, self._glances = looker, glances
+    def __init__(self, looker: Looker, glances: GlanceFinder, twins: Twins = NO_TWINS) -> None:
+        self._looker, self._glances, self._twins = looker, glances, twins
         self._limits = looker.thresholds.ambiguity
         self.forget()
 
@@ -57,7 +58,7 @@ class Doubt:
         if stays is not None and not self._is_elsewhere(found, stays):
             return better(followed, found)
         self.forget()
-        candidates = [found, *self._rivals(image, found, elsewhere)]
+        candidates = [found, *self._rivals(image, found, self._starts(image, found, elsewhere))]
         if stays is not None:
             candidates.append(stays)
         against = self._against(image, candidates)
@@ -125,19 +126,34 @@ class Doubt:
         """Find places that could be it but were not followed, before the last one is believed."""
         here = only.sight.pose.T_world_cam
         refuted = [CameraPose.nearest(T @ here) for T in self._refuted]
-        rivals = [rival for rival in self._rivals(image, only.sight) if all(
-            is_elsewhere(rival.pose, pose, self._limits) for pose in refuted)]
+        rivals = [rival for rival in self._rivals(image, only.sight, self._starts(
+            image, only.sight)) if all(
+                is_elsewhere(rival.pose, pose, self._limits) for pose in refuted)]
         shares = self._against(image, [only.sight, *rivals])
         return [Hypothesis(rival, np.eye(4), only.against + float(share - shares[0]))
                 for rival, share in zip(rivals, shares[1:])
                 if share - shares[0] < self._limits.decisive]
 
-    def _rivals(self, image: CameraImage, found: Sight, elsewhere: Sequence[CameraPose] = ()
+    def equals(self, image: CameraImage, here: Sight, starts: Sequence[CameraPose]
+               ) -> list[Sight]:
+        """Return what is seen from places near some starts that an image does not tell apart."""
+        rivals = self._rivals(image, here, starts)
+        shares = self._against(image, [here, *rivals])
+        return [rival for rival, share in zip(rivals, shares[1:])
+                if share - shares[0] < self._limits.decisive]
+
+    def _starts(self, image: CameraImage, found: Sight, elsewhere: Sequence[CameraPose] = ()
+                ) -> list[CameraPose]:
+        """Return where else the camera of an image could be, before it is looked closer."""
+        return [*elsewhere, *self._twins.of(found.pose),
+                *self._glances.find_rivals(image.pixels, found.pose, self._limits)]
+
+    def _rivals(self, image: CameraImage, found: Sight, starts: Sequence[CameraPose]
                 ) -> list[Sight]:
         """Return what is seen from other places that explain an image, each place once."""
         looker, limits, coarse = self._looker, self._limits, self._looker.coarse_aligner
         photo, tried = coarse.photo(image.pixels), list[tuple[float, CameraPose]]()
-        for start in (*elsewhere, *self._glances.find_rivals(image.pixels, found.pose, limits)):
+        for start in starts:
             pose = coarse.align(photo, start, rounds=1)
             agrees = coarse.agreement(photo, pose)
             if agrees > limits.least_coarse and is_elsewhere(pose, found.pose, limits):

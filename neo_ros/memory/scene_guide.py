@@ -51,7 +51,7 @@ class SceneGuide:
         self._glances = GlanceFinder(memory.glances, thresholds)
         self._watch = LandmarkWatch(self._locator, thresholds.landmarks_every,
                                     thresholds.landmarks_later, self._threads)
-        self._doubt = Doubt(self._looker, self._glances)
+        self._doubt = Doubt(self._looker, self._glances, memory.twins)
         self.reset()
 
     def loops(self) -> AbstractContextManager[None]:

@@ -19,6 +19,7 @@ from neo_ros.memory.keyframe import (
     compress, decode_image, depth_of, FINER, Keyframe, on_own_pages, REDUCED)
 from neo_ros.memory.landmarks import Landmarks, MOST_LANDMARKS
 from neo_ros.memory.memory_file import ANY, MemoryFields, MOST_BYTES, open_memory_file
+from neo_ros.memory.twins import NO_TWINS, Twins
 from neo_ros.pictures.header import compressed_image_size, PNG_START
 import numpy as np
 
@@ -46,14 +47,14 @@ class SceneMemory:
     Keyframes of one scene on a sparse grid, compressed; decoded when they are needed.
 
     positions (K, 3) world metres; band, the part of the sphere that all of them show; glances;
-    landmarks, or None where the photos have none.
+    landmarks, or None where the photos have none; twins, its places that look alike.
     """
 
     def __init__(self, positions: np.ndarray, band: Band, textures: Sequence[bytes],
                  depths: Sequence[bytes], glances: Glances,
-                 landmarks: Landmarks | None = None) -> None:
+                 landmarks: Landmarks | None = None, twins: Twins = NO_TWINS) -> None:
         self.positions, self.band = positions, band
-        self.glances, self.landmarks = glances, landmarks
+        self.glances, self.landmarks, self.twins = glances, landmarks, twins
         self._textures, self._depths = textures, depths
         self.changes: Changes | None = None
         self.version = 0  # Counts the changes: who keeps keyframes looks at it.
@@ -160,7 +161,8 @@ class SceneMemory:
         textures, depths = list(self._textures), list(self._depths)
         for index, keyframe in keyframes.items():
             textures[index], depths[index] = compress(keyframe)
-        return SceneMemory(self.positions, self.band, textures, depths, self.glances, landmarks)
+        return SceneMemory(self.positions, self.band, textures, depths, self.glances, landmarks,
+                           self.twins)
 
     def with_more(self, keyframes: Sequence[Keyframe], glances: Sequence[Glances],
                   landmarks: Landmarks | None) -> 'SceneMemory':
@@ -172,15 +174,18 @@ class SceneMemory:
             self.band, [*self._textures, *(one[0] for one in more)],
             [*self._depths, *(one[1] for one in more)],
             Glances(np.concatenate([part.pictures for part in every]),
-                    np.concatenate([part.T_world_cam for part in every])), landmarks)
+                    np.concatenate([part.T_world_cam for part in every])), landmarks, self.twins)
 
     def write(self, path: Path) -> str:
         """Write the memory; returns the file's SHA-256, for the model's card."""
         band = self.band
-        landmarks: dict[str, Any] = {}
+        more: dict[str, Any] = {}
         if self.landmarks is not None:
-            landmarks = {'landmarks': self.landmarks.points,
-                         'landmark_descriptors': self.landmarks.descriptors}
+            more = {'landmarks': self.landmarks.points,
+                    'landmark_descriptors': self.landmarks.descriptors}
+        if len(self.twins):
+            more |= {'twins': self.twins.T, 'twin_areas': self.twins.areas,
+                     'twin_poses': self.twins.T_world_cam}
         try:
             with whole_file(path) as partial:
                 with partial.open('wb') as file:
@@ -192,7 +197,7 @@ class SceneMemory:
                         texture_sizes=[len(item) for item in self._textures],
                         depth_sizes=[len(item) for item in self._depths],
                         glances=self.glances.pictures, glance_poses=self.glances.T_world_cam,
-                        **landmarks)
+                        **more)
                 size = partial.stat().st_size
                 if size > MOST_BYTES:
                     raise ModelError(
@@ -248,7 +253,18 @@ class SceneMemory:
             landmarks = Landmarks(points, fields.read(
                 'landmark_descriptors', np.uint8, (len(points), 128)))
         return cls(positions, Band(top, bottom, low, width), textures, depths,
-                   Glances(pictures, poses), landmarks)
+                   Glances(pictures, poses), landmarks, _twins(fields))
+
+
+def _twins(fields: MemoryFields) -> Twins:
+    if 'twins' not in fields:
+        return NO_TWINS
+    ways = fields.read('twins', np.float64, (ANY, 4, 4))
+    poses = fields.read('twin_poses', np.float64, (len(ways), 4, 4))
+    for name, transforms in (('twins', ways), ('twin_poses', poses)):
+        for T in transforms:
+            check_transform(T, name)
+    return Twins(ways, fields.read('twin_areas', np.float64, (len(ways), 2, 3)), poses)
 
 
 def _check_pictures(textures: Sequence[bytes], depths: Sequence[bytes]) -> None:

@@ -11,9 +11,11 @@ from typing import Any
 
 from neo_ros.baking.keyframes import bake_memory, MemoryConfig, Photos
 from neo_ros.baking.landmarks import find_landmarks
+from neo_ros.baking.twin_search import find_twins
 from neo_ros.errors import ModelError
 from neo_ros.field.radiance_field import RadianceField
 from neo_ros.machine.files import write_bytes
+from neo_ros.machine.progress import of_stage
 from neo_ros.runtime.model_card import MemoryFile, read_model_card, write_model_card
 from neo_ros.training.run import TrainingRun
 from neo_ros.training.views import make_sampler
@@ -42,6 +44,7 @@ def memory_step(run: TrainingRun, field: RadianceField) -> None:
             run.out / WORK / f'keyframes_{config.distance}',
             run.progress, seconds=left)
         memory.landmarks = landmarks
+        memory.twins = find_twins(memory, run.expansion, of_stage(run.progress, 'look-alikes'))
         memory.write(path)
         seconds = time.monotonic() - started
         write_bytes(notes, json.dumps({'seconds': seconds, **asdict(config)}).encode())

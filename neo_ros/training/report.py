@@ -13,6 +13,7 @@ from neo_ros.pictures.exposure import exposure_gain
 from neo_ros.reports.report import Plot, Section, Series, Strip, Table, Text, write_report
 from neo_ros.reports.strips import error_label, error_map
 from neo_ros.runtime import FovExtrapolator
+from neo_ros.training.look_alikes import look_alike_sections
 from neo_ros.training.pose_map import pose_sections
 from neo_ros.training.run import TrainingRun
 from neo_ros.training.views import held_out_poses, held_out_wide_views
@@ -50,6 +51,7 @@ def write_training_report(run: TrainingRun, field: RadianceField, scoring: Scori
     figures: dict[str, float] = {}
     sections: list[Section] = [
         *_curves(run), *_held_out_strips(run, field, figures), *pose_sections(run.out)]
+    sections += look_alike_sections(run)
     _compare_inputs(run, field, figures)
     confidence: dict[str, dict[str, float]] = {}
     if scoring is not None:

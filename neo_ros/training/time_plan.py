@@ -120,7 +120,7 @@ class TimeLeft:
 
     # What comes between field and network; what comes after it is the rest.
     MEMORY = ('features', 'matches', 'without landmarks', 'depth of photos', 'planes of photos',
-              'keyframes', 'panoramas')
+              'keyframes', 'look-alikes', 'panoramas')
 
     def __init__(self, plan: TimePlan, progress: StageProgress,
                  clock: Callable[[], float] = time.monotonic,

@@ -1,0 +1,40 @@
+"""Which places of a scene a robot cannot tell apart: for the report of a training."""
+import hashlib
+
+from neo_ros.geometry import CameraPose
+from neo_ros.memory.rendering import MemoryRenderer
+from neo_ros.memory.scene_memory import SceneMemory
+from neo_ros.reports.report import Section, Strip, Text
+from neo_ros.training.run import TrainingRun
+import numpy as np
+
+# Pairs of places that are shown; a building of equal rooms has hundreds.
+MOST_SHOWN = 12
+
+
+def look_alike_sections(run: TrainingRun) -> list[Section]:
+    """Show the pairs of places that the scene memory knows to look alike; none: no section."""
+    if run.experiment.memory is None:
+        return []
+    path = run.memory_path
+    memory = SceneMemory.read(path, hashlib.sha256(path.read_bytes()).hexdigest())
+    twins, renderer = memory.twins, MemoryRenderer(memory)
+    if not len(twins):
+        return []
+    source = run.expansion.source
+    strips, told = list[Section](), list[tuple[np.ndarray, np.ndarray]]()
+    for T, pose in zip(twins.T, twins.T_world_cam):
+        ends = [CameraPose.nearest(end) for end in (pose, T @ pose)]
+        if any(np.allclose(T @ other, np.eye(4), atol=0.3) for other, _ in told):
+            continue  # It is the way back.
+        told.append((T, pose))
+        if len(told) <= MOST_SHOWN:
+            strips.append(Strip(' and '.join('({:.1f}, {:.1f}, {:.1f})'.format(
+                *end.position) for end in ends), [
+                    (name, renderer.render(end, source).image.clip(0, 255).astype(np.uint8))
+                    for name, end in zip(('here', 'and there'), ends)]))
+    shown = f'; {MOST_SHOWN} are shown' if len(told) > MOST_SHOWN else ''
+    return [Text(f'{len(told)} pair{"s" * (len(told) > 1)} of places (x, y, z of the camera, metres){shown}. A '
+                 'robot that starts in one of them says "ambiguous" until it sees what only one has. '
+                 'More photos of what differs, in the doors above all, or a sign in one of them, '
+                 'tell them apart.', 'Places that look alike'), *strips]
