@@ -170,6 +170,22 @@ FLOORS = (
     Column('p95', 'found_ms_p95', '{:.0f}'), Column('following, p95', 'follow_ms_p95', '{:.0f}'),
     Column('memory file, MB', 'file_mb', '{:.1f}'),
     Column('resident, MB', 'resident_mb', '{:.0f}'))
+# Floors that were photographed and trained; those without the second word tile by tile.
+TRAINED = 'trained'
+TRAINED_FLOORS = (
+    Column('floor', 'layout'), Column('rooms', 'rooms'), Column('m2', 'area_m2'),
+    Column('photos', 'photos', '{:,}'), Column('tiles', 'tiles'),
+    Column('minutes', 'train_minutes', '{:.0f}'),
+    Column('guided ring, dB', 'guided_ring_psnr', DB),
+    Column('of one room', 'one_room_ring_psnr', DB),
+    Column('field at the true pose', 'oracle_ring_psnr', DB),
+    Column('frames guided', 'guided_share', '{:.1f} %', 100),
+    Column('searches', 'searches'), Column('wrong place believed', 'wrong_places'),
+    Column('ambiguous', 'ambiguous'), Column('not found', 'lost'),
+    Column('search, ms of the processor', 'found_ms_median', '{:.0f}'),
+    Column('p95', 'found_ms_p95', '{:.0f}'), Column('following, p95', 'follow_ms_p95', '{:.0f}'),
+    Column('memory file, MB', 'file_mb', '{:.1f}'),
+    Column('resident, MB', 'resident_mb', '{:.0f}'))
 
 TABLES: dict[str, Rows] = {
     **{name: Rows(name, METHOD) for name in (
@@ -189,9 +205,12 @@ TABLES: dict[str, Rows] = {
     'measured_depth': Rows('measured_depth', MEASURED_DEPTH),
     'predicted_looks': Rows('predicted_looks', LOOKS),
     'imports': Rows('imports', IMPORTS),
-    'building': Rows('building', BUILDING, lambda row: not row['layout'].startswith(A_FLOOR)),
+    'building': Rows('building', BUILDING,
+                     lambda row: not row['layout'].startswith((A_FLOOR, TRAINED))),
     'floors': Rows('building', FLOORS, lambda row: 'by_landmarks' in row and (
         row['search'] != 'before') and row['layout'].startswith((A_FLOOR, 'all different'))),
+    'trained_floors': Rows('building', TRAINED_FLOORS,
+                           lambda row: row['layout'].startswith(TRAINED)),
     'real_ablations': Rows('real_ablations', REAL),
     'lives': Rows('lives', LIVES), 'kills': Rows('kills', KILLS),
     'minutes': Rows('minutes', MINUTES),
@@ -276,9 +295,26 @@ def quality_over_time(root: Path) -> bytes:
         Series('test frames', minutes, [row['ring_psnr'] for row in found])]))
 
 
+def over_the_floor(root: Path, unit: str, values: Mapping[str, str]) -> bytes:
+    """Return the plot of values, name and key each, of trained floors over their area, SVG."""
+    from neo_ros.reports.plot import Plot, plot_svg, Series
+    found = sorted((row for row in rows_of(root, 'building') if row['layout'] == TRAINED),
+                   key=lambda row: row['area_m2'])
+    return plot_svg(Plot('', 'floor, m2', unit, [
+        Series(name, [row['area_m2'] for row in found], [row[key] for row in found])
+        for name, key in values.items()]))
+
+
 MAKERS: dict[str, Maker] = {
     'sources': sources, 'rows': rows, 'suite': suite, 'stated': stated, 'paper': paper}
-PLOTS: dict[str, Callable[[Path], bytes]] = {'quality_over_time.svg': quality_over_time}
+PLOTS: dict[str, Callable[[Path], bytes]] = {
+    'quality_over_time.svg': quality_over_time,
+    'floor_quality.svg': lambda root: over_the_floor(root, 'dB', {
+        'guided ring': 'guided_ring_psnr', 'field at the true pose': 'oracle_ring_psnr'}),
+    'floor_time.svg': lambda root: over_the_floor(root, 'ms of the processor', {
+        'a search': 'found_ms_median', 'following, p95': 'follow_ms_p95'}),
+    'floor_size.svg': lambda root: over_the_floor(root, 'MB', {
+        'resident': 'resident_mb', 'memory file': 'file_mb'})}
 
 
 def _read(root: Path, name: str) -> Any:

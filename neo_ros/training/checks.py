@@ -2,6 +2,7 @@
 
 from neo_ros.errors import ConfigError, ModelError
 from neo_ros.field.device import chosen_device
+from neo_ros.machine.ray_jobs import check_ray
 from neo_ros.outpaint.distributed import processes
 from neo_ros.outpaint.fitting import outpaint_device, share_of_batch
 from neo_ros.outpaint.perceptual import fetch_weights
@@ -27,6 +28,8 @@ def check_training(run: TrainingRun) -> None:
     chosen_device(run.experiment.field.device)
     outpaint_device(config.device, rank)
     share_of_batch(config.batch, world)
+    if run.cluster:
+        check_ray()
     if run.sampling_area != 'free_space':  # It needs the field.
         make_sampler(run, None)
     if config.tensorboard:

@@ -33,8 +33,9 @@ def look_alike_sections(run: TrainingRun) -> list[Section]:
                 *end.position) for end in ends), [
                     (name, renderer.render(end, source).image.clip(0, 255).astype(np.uint8))
                     for name, end in zip(('here', 'and there'), ends)]))
+    count = f'{len(told)} pair{"s" * (len(told) > 1)} of places'
     shown = f'; {MOST_SHOWN} are shown' if len(told) > MOST_SHOWN else ''
-    return [Text(f'{len(told)} pair{"s" * (len(told) > 1)} of places (x, y, z of the camera, metres){shown}. A '
-                 'robot that starts in one of them says "ambiguous" until it sees what only one has. '
-                 'More photos of what differs, in the doors above all, or a sign in one of them, '
-                 'tell them apart.', 'Places that look alike'), *strips]
+    return [Text(f'{count} (x, y, z of the camera, metres){shown}. A robot that starts in one of '
+                 'them says "ambiguous" until it sees what only one has. More photos of what '
+                 'differs, in the doors above all, or a sign in one of them, tell them apart.',
+                 'Places that look alike'), *strips]

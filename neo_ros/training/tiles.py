@@ -36,10 +36,10 @@ class TileJob:
     """
     One tile to fit, as a worker on any machine can do it.
 
-    out    where its field comes to lie, with its notes and checkpoint beside it
-    photos  all of the scene that are fitted, of which it chooses its own
-    edge   of its voxels, metres
-    writes  this process writes it, of several that fit it together
+    out     where its field comes to lie, with its notes and checkpoint beside it
+    edge    of its voxels, metres
+    photos  all that the scene's field is fitted to, of which a tile chooses its own
+    writes  whether this process writes it, of several that fit it together
     """
 
     out: Path
@@ -53,7 +53,7 @@ class TileJob:
 
 
 @dataclass
-class _Watched:
+class _TileFit:
     """How far the fit of a tile is, and who watches it."""
 
     progress: StageProgress
@@ -84,7 +84,7 @@ def fit_tile(job: TileJob, progress: StageProgress = no_stage_progress,
     trainer = field_trainer(
         photos.read_images(job.scale), camera, photos.T_world_cam, job.config, job.seed,
         photos.read_depths(job.scale), crossing if usable is None else crossing & usable, fine)
-    watched = _Watched(progress)
+    watched = _TileFit(progress)
     checkpoint = job.out.with_suffix('.ckpt')
     train_with_checkpoints(
         watched, trainer, checkpoint, 'field', lambda: trainer.done, trainer.train_step,

@@ -1,6 +1,7 @@
 """The report of a training shows the places that a robot cannot tell apart."""
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 from box_room import EXPANSION, twin_memory
 from neo_ros.baking.twin_search import find_twins
@@ -15,8 +16,8 @@ def test_a_pair_of_rooms_is_shown_once_and_from_both(
         tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     memory = twin_memory(own_picture=False)
     path = tmp_path / 'room.memory'
-    run = SimpleNamespace(memory_path=path, expansion=EXPANSION,
-                          experiment=SimpleNamespace(memory=True))
+    run: Any = SimpleNamespace(memory_path=path, expansion=EXPANSION,
+                               experiment=SimpleNamespace(memory=True))
     memory.write(path)
     assert look_alike_sections(run) == []
     memory.twins = find_twins(memory, EXPANSION)
