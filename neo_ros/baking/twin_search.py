@@ -41,11 +41,14 @@ class _Pair:
     low: np.ndarray
     high: np.ndarray
 
-    def leads(self, start: CameraPose, end: CameraPose, rules: TwinRules) -> bool:
-        """Tell whether it leads from a pose to another one, about."""
-        there = self.T @ start.T_world_cam
-        return bool(np.linalg.norm(there[:3, 3] - end.position) < rules.same_metres
-                    and there[:3, 2] @ end.forward > rules.same_cosine)
+    def explains(self, one: CameraPose, other: CameraPose, rules: TwinRules) -> bool:
+        """Tell whether it leads from one pose to another, about, and take the first in if so."""
+        there = self.T @ one.T_world_cam
+        leads = bool(np.linalg.norm(there[:3, 3] - other.position) < rules.same_metres
+                     and there[:3, 2] @ other.forward > rules.same_cosine)
+        if leads:
+            self.grow(one)
+        return leads
 
     def grow(self, pose: CameraPose) -> None:
         """Take a pose into the area."""
@@ -96,12 +99,11 @@ def _views_at(position: np.ndarray, T_world_cam: np.ndarray, rules: TwinRules
 
 def _unexplained(pairs: list[_Pair], pose: CameraPose, places: list[CameraPose],
                  rules: TwinRules) -> list[CameraPose]:
-    """Return the places that no known pair leads to from a pose; those that do grow to it."""
+    """Return the places that no known pair leads to from a pose, or back."""
     left = list[CameraPose]()
     for place in places:
-        known = [pair for pair in pairs if pair.leads(pose, place, rules)]
-        for pair in known:
-            pair.grow(pose)
-        if not known:
+        ways = [pair.explains(*ends, rules) for pair in pairs
+                for ends in ((pose, place), (place, pose))]
+        if not any(ways):
             left.append(place)
     return left

@@ -11,7 +11,7 @@ AROUND = 0.5
 @dataclass(frozen=True, eq=False)
 class Twins:
     """
-    Pairs of places: a camera in the first one's area could as well be in the second.
+    Pairs of places: a camera in one of them could as well be in the other.
 
     T (K, 4, 4) takes poses of the first place to the second, world to world; areas (K, 2, 3), the
     corners of the first; T_world_cam (K, 4, 4), a camera in it that sees the same from there.
@@ -23,9 +23,16 @@ class Twins:
 
     def of(self, pose: CameraPose) -> list[CameraPose]:
         """Return where a camera could as well be that was found at a pose."""
-        low, high = self.areas[:, 0] - AROUND, self.areas[:, 1] + AROUND
-        inside = ((pose.position >= low) & (pose.position <= high)).all(1)
-        return [CameraPose.nearest(T @ pose.T_world_cam) for T in self.T[inside]]
+        back = np.linalg.inv(self.T) @ pose.T_world_cam
+        return [CameraPose.nearest(other) for other in (
+            *(self.T @ pose.T_world_cam)[self._in_areas(pose.position)],
+            *back[self._in_areas(back[:, :3, 3])])]
+
+    def _in_areas(self, positions: np.ndarray) -> np.ndarray:
+        """Tell whether positions (3,) or (K, 3) are in each first place, bool (K,)."""
+        inside: np.ndarray = ((positions >= self.areas[:, 0] - AROUND)
+                              & (positions <= self.areas[:, 1] + AROUND)).all(-1)
+        return inside
 
     def __len__(self) -> int:
         """Return how many pairs there are."""

@@ -22,19 +22,15 @@ def look_alike_sections(run: TrainingRun) -> list[Section]:
     if not len(twins):
         return []
     source = run.expansion.source
-    strips, told = list[Section](), list[tuple[np.ndarray, np.ndarray]]()
-    for T, pose in zip(twins.T, twins.T_world_cam):
+    strips = list[Section]()
+    for T, pose in list(zip(twins.T, twins.T_world_cam))[:MOST_SHOWN]:
         ends = [CameraPose.nearest(end) for end in (pose, T @ pose)]
-        if any(np.allclose(T @ other, np.eye(4), atol=0.3) for other, _ in told):
-            continue  # It is the way back.
-        told.append((T, pose))
-        if len(told) <= MOST_SHOWN:
-            strips.append(Strip(' and '.join('({:.1f}, {:.1f}, {:.1f})'.format(
-                *end.position) for end in ends), [
-                    (name, renderer.render(end, source).image.clip(0, 255).astype(np.uint8))
-                    for name, end in zip(('here', 'and there'), ends)]))
-    count = f'{len(told)} pair{"s" * (len(told) > 1)} of places'
-    shown = f'; {MOST_SHOWN} are shown' if len(told) > MOST_SHOWN else ''
+        strips.append(Strip(' and '.join('({:.1f}, {:.1f}, {:.1f})'.format(
+            *end.position) for end in ends), [
+                (name, renderer.render(end, source).image.clip(0, 255).astype(np.uint8))
+                for name, end in zip(('here', 'and there'), ends)]))
+    count = f'{len(twins)} pair{"s" * (len(twins) > 1)} of places'
+    shown = f'; {MOST_SHOWN} are shown' if len(twins) > MOST_SHOWN else ''
     return [Text(f'{count} (x, y, z of the camera, metres){shown}. A robot that starts in one of '
                  'them says "ambiguous" until it sees what only one has. More photos of what '
                  'differs, in the doors above all, or a sign in one of them, tell them apart.',

@@ -20,7 +20,7 @@ def found(request: pytest.FixtureRequest) -> Twins:
 
 def test_each_of_two_rooms_leads_to_the_other(found: Twins) -> None:
     """A picture in one of them changes nothing: from other views they are equal."""
-    assert len(found) == 2
+    assert len(found) == 1
     for start, sign in ((planar(1.9, 1.7, 35), 1), (planar(1.9 + AWAY, 1.7, 35), -1)):
         other, = found.of(start)
         assert np.linalg.norm(other.position - start.position - [sign * AWAY, 0, 0]) < 0.1
