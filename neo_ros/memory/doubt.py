@@ -63,6 +63,13 @@ class Doubt:
             candidates.append(stays)
         against = self._against(image, candidates)
         best = int(np.argmin(against))
+        if best > 0:
+            # What was found may lie a little off, as landmarks do, and look worse than it is: its
+            # twin leads to where exactly it would be.
+            winner = candidates[best]
+            candidates += self._rivals(image, winner, self._twins.of(winner.pose))
+            against = self._against(image, candidates)
+            best = int(np.argmin(against))
         left = [index for index, share in enumerate(against)
                 if share - against[best] < self._limits.decisive]
         if len(left) == 1:

@@ -3,10 +3,14 @@ from dataclasses import replace
 
 from box_room import (
     apart, AWAY, box_memory, EXPANSION, planar, SOURCE, twin_memory, view, view_with_picture)
+from neo_ros.baking.twin_search import find_twins
 from neo_ros.geometry import CameraPose
-from neo_ros.memory.doubt import is_elsewhere, misfit, speaks_against
+from neo_ros.memory.doubt import Doubt, is_elsewhere, misfit, speaks_against
+from neo_ros.memory.glancing import GlanceFinder
+from neo_ros.memory.local_features import find_features
+from neo_ros.memory.looking import Looker
 from neo_ros.memory.scene_guide import SceneGuide
-from neo_ros.memory.sight import AmbiguityThresholds
+from neo_ros.memory.sight import AmbiguityThresholds, CameraImage, GuideThresholds
 import numpy as np
 import pytest
 
@@ -139,3 +143,24 @@ def test_rivals_are_places_elsewhere_that_look_about_as_alike(twins: SceneGuide)
     assert len(finder.find_rivals(photo, pose, strict)) < len(rivals)
     assert len(finder.find_rivals(photo, pose, replace(LIMITS, starts=1))) == 1
     assert not finder.find_rivals(photo, pose, replace(LIMITS, starts=0))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('true, told', [(AT_THE_PICTURE, True), (ASIDE, False)])
+def test_a_place_that_was_found_a_little_off_does_not_lose_to_its_twin(
+        true: CameraPose, told: bool) -> None:
+    """Landmarks are believed before alignment is: the twin, which is aligned, looks better."""
+    memory = twin_memory(own_picture=True)
+    memory.twins = find_twins(memory, EXPANSION)
+    looker = Looker(memory, EXPANSION, GuideThresholds())
+    doubt = Doubt(looker, GlanceFinder(memory.glances, looker.thresholds), memory.twins)
+    pixels = photo_at(true)
+    image = CameraImage(pixels, looker.aligner.photo(pixels), find_features)
+    for off in (0.08, 0.15, 0.2):
+        near = planar(true.position[0] + off, true.position[1] + off,
+                      np.degrees(np.arctan2(*true.forward[1::-1])) + 20 * off)
+        found = replace(looker.look(image, near), believed=True, located=True)
+        settled = doubt.settle(image, None, found, [])
+        assert doubt.is_open == (not told)
+        assert settled is None if not told else (
+            settled is not None and apart(settled.pose, true)[0] < 0.05)
