@@ -10,3 +10,5 @@ os.environ.setdefault('OMP_WAIT_POLICY', 'passive')
 # So do those of numpy's OpenBLAS. By default they watch for more work for 2 ** 26 cycles, 25 ms,
 # after each product, which was a fifth of all that a guided image took. For 0.1 ms they may.
 os.environ.setdefault('OPENBLAS_THREAD_TIMEOUT', '18')
+# And those of OpenCV, whose workers look 2000 times for more work before they sleep.
+os.environ.setdefault('OPENCV_THREAD_POOL_ACTIVE_WAIT_WORKER', '0')

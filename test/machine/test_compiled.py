@@ -151,7 +151,7 @@ def test_an_attribute_that_is_gone_is_not_made_up() -> None:
         compiled._replace(Elsewhere(), '_cache', None)
 
 
-WAITING = ('OMP_WAIT_POLICY', 'OPENBLAS_THREAD_TIMEOUT')
+WAITING = ('OMP_WAIT_POLICY', 'OPENBLAS_THREAD_TIMEOUT', 'OPENCV_THREAD_POOL_ACTIVE_WAIT_WORKER')
 
 
 def without(names: Collection[str]) -> dict[str, str]:
@@ -160,8 +160,7 @@ def without(names: Collection[str]) -> dict[str, str]:
 
 
 @pytest.mark.parametrize('told, expected', [
-    ({}, 'passive 18'),
-    ({'OMP_WAIT_POLICY': 'active', 'OPENBLAS_THREAD_TIMEOUT': '26'}, 'active 26')],
+    ({}, 'passive 18 0'), (dict(zip(WAITING, ('active', '26', '9'))), 'active 26 9')],
                          ids=['default', 'told'])
 def test_threads_that_wait_sleep_unless_told_otherwise(
         told: dict[str, str], expected: str) -> None:
