@@ -46,6 +46,9 @@ class BagPlayer:
                            f'{", ".join(sorted(known))}')
         self._bag = bag
         self._clock = node.create_publisher(Clock, CLOCK, 10) if clock else None
+        # What /clock told last, and when it is due again.
+        self._told_ns: int | None = None
+        self._next_tick = 0.0
         self._publishers: dict[BagTopic, Publisher] = {}
         for topic in bag.topics:
             if (names is not None and topic.name not in names) or (clock and topic.name == CLOCK):
@@ -80,6 +83,7 @@ class BagPlayer:
             raise BagError(f'rate: expected a number > 0, got {rate}')
         started = time.monotonic()
         first_ns: int | None = None
+        self._told_ns = None
         count = 0
         for message in self._bag.messages({topic.name for topic in self._publishers}):
             publisher = self._publishers.get(message.topic)
@@ -90,7 +94,10 @@ class BagPlayer:
             due = started + (message.stamp_ns - first_ns) / 1e9 / rate
             if not self._wait_until(due, message.stamp_ns, rate, stop):
                 break
-            publisher.publish(message.cdr)
+            # Fast DDS copies a message even where nobody listens, and a wide truth is a large one.
+            # Of a latched topic the middleware keeps them for who comes later.
+            if message.topic.latched or publisher.get_subscription_count():
+                publisher.publish(message.cdr)
             count += 1
         for publisher in self._publishers.values():
             publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGE_TIMEOUT_S))
@@ -103,16 +110,21 @@ class BagPlayer:
     def _wait_until(self, due: float, stamp_ns: int, rate: float, stop: threading.Event) -> bool:
         """Keep `/clock` going until the message is due; return False when stopped."""
         while not stop.is_set():
-            ahead = due - time.monotonic()
+            now = time.monotonic()
+            ahead = due - now
             if ahead <= 0:
-                self._publish_clock(stamp_ns)
+                self._publish_clock(stamp_ns, now)
                 return True
-            self._publish_clock(stamp_ns - round(ahead * rate * 1e9))
-            stop.wait(min(ahead, CLOCK_PERIOD_S))
+            if now >= self._next_tick:
+                self._publish_clock(stamp_ns - round(ahead * rate * 1e9), now)
+            stop.wait(min(ahead, self._next_tick - now))
         return False
 
-    def _publish_clock(self, stamp_ns: int) -> None:
-        if self._clock is not None:
+    def _publish_clock(self, stamp_ns: int, now: float) -> None:
+        self._next_tick = now + CLOCK_PERIOD_S
+        # All messages of one moment have one time: told once, or every listener wakes for each.
+        if self._clock is not None and stamp_ns != self._told_ns:
+            self._told_ns = stamp_ns
             self._clock.publish(Clock(clock=Time(nanoseconds=max(stamp_ns, 0)).to_msg()))
 
 
