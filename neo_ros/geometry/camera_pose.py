@@ -117,7 +117,11 @@ class CameraPose:
         return bool(np.linalg.norm(T[:3, 3]) > metres or rotation_angle(T[:3, :3]) > radians)
 
     def interpolated(self, other: 'CameraPose', fraction: float) -> 'CameraPose':
-        """Return the pose at `fraction` in [0, 1] of the way to `other`: lerp and slerp."""
+        """
+        Return the pose at `fraction` of the way to `other`: lerp and slerp.
+
+        Above 1 it lies beyond `other`, as far as a steady motion would go on.
+        """
         R0, R1 = self.T_world_cam[:3, :3], other.T_world_cam[:3, :3]
         T = np.eye(4)
         T[:3, :3] = R0 @ rotation_from_vector(fraction * rotation_vector(R0.T @ R1))

@@ -74,18 +74,19 @@ class SceneGuide:
         self._led = 0  # Images for which landmarks alone still say where the camera is.
 
     def guide(self, image: np.ndarray, prior: CameraPose | None = None,
-              motion: np.ndarray | None = None) -> Guide | None:
+              motion: np.ndarray | None = None, pace: float = 1.0) -> Guide | None:
         """
         Find the pose of an image, uint8 RGB (h, w, 3), and draw the wide view.
 
         None if lost, or if several places explain the images equally well: `ambiguous`.
 
         prior: where somebody says that the camera is, within metres; motion: (4, 4), the camera's
-        pose in the axes of the image before, as odometry measures it. Both only say where to look
-        first: without the image's agreement they are dropped.
+        pose in the axes of the image before, as odometry measures it; pace: without it, how many
+        times as long as the time before the last image was the one before this image. They only
+        say where to look first: without the image's agreement they are dropped.
         """
         with self.loops():
-            return self._guide(self._camera_image(image), prior, motion)
+            return self._guide(self._camera_image(image), prior, motion, pace)
 
     def _camera_image(self, pixels: np.ndarray) -> CameraImage:
         return CameraImage(pixels, self.aligner.photo(pixels), self._find_features)
@@ -94,13 +95,16 @@ class SceneGuide:
         assert self._locator is not None
         return self._locator.features(pixels)
 
-    def _guide(self, image: CameraImage, prior: CameraPose | None, motion: np.ndarray | None
-               ) -> Guide | None:
+    def _guide(self, image: CameraImage, prior: CameraPose | None, motion: np.ndarray | None,
+               pace: float) -> Guide | None:
         # Whatever goes wrong with this image, the next one starts anew.
         before, self._last = self._last, None
         last = before.pose if before is not None else None
         if motion is not None:
             self._motion = motion
+        elif pace != 1 and before is not None:
+            self._motion = CameraPose(np.eye(4)).interpolated(
+                CameraPose(self._motion), pace).T_world_cam
         best = followed = self._follow(image, before) if before is not None else None
         told = self._try(image, prior) if prior is not None else None
         if told is not None and told.believed and not (

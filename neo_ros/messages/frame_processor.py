@@ -98,7 +98,7 @@ class Extrapolator(Protocol):
         """What knows the scene; None where the model's card holds no reference."""
 
     def expand(self, image: np.ndarray, prior: CameraPose | None = None,
-               motion: np.ndarray | None = None) -> View:
+               motion: np.ndarray | None = None, pace: float = 1.0) -> View:
         """Widen one camera image, uint8 RGB (h, w, 3); the hints say where it may be from."""
 
     def reset(self) -> None:
@@ -133,6 +133,17 @@ class WideFrame:
     ambiguous: bool = False
 
 
+@dataclass(frozen=True)
+class PaceThresholds:
+    """When stamps say that images are missing between two of them."""
+
+    # Times between images that differ by less of the time before are one pace: the stamps of
+    # cameras are not exact to some milliseconds, and a camera in step is to give the same bits.
+    least: float = 0.25
+    # After so many times as long a robot may have done anything.
+    most: float = 4.0
+
+
 class FrameProcessor:
     """
     Checks and decodes a frame, widens it, and says how long that took.
@@ -142,10 +153,13 @@ class FrameProcessor:
     frame at a time: a second thread waits, because an extrapolator serves one only.
     """
 
-    def __init__(self, extrapolator: Extrapolator, rectify: bool = False) -> None:
+    def __init__(self, extrapolator: Extrapolator, rectify: bool = False,
+                 pace: PaceThresholds = PaceThresholds()) -> None:
         self.rectify = rectify
         self.hints: Hints | None = None
+        self._pace_limits = pace
         self._stamp_ns: int | None = None
+        self._interval_ns = 0  # From the image before the last one to that one.
         self._extrapolator = extrapolator
         self._expansion = extrapolator.expansion
         self._mask = np.where(self._expansion.extrapolated_mask, 255, 0).astype(np.uint8)
@@ -155,7 +169,7 @@ class FrameProcessor:
     def reset(self) -> None:
         """Forget where the camera was; the next image may be from anywhere."""
         with self._busy:
-            self._stamp_ns = None
+            self._stamp_ns, self._interval_ns = None, 0
             self._extrapolator.reset()
 
     def process(self, image_message: Any, camera_info_message: Any | None,
@@ -196,12 +210,25 @@ class FrameProcessor:
             ambiguous=wide is not None and wide.ambiguous)
 
     def _take_hints(self, message: Any) -> dict[str, Any]:
-        if self.hints is None:
+        header = getattr(message, 'header', None)
+        if header is None:  # Pixels alone, as of an evaluation.
             return {}
-        before, self._stamp_ns = self._stamp_ns, stamp_of(message.header)
-        motion = None if before is None else self.hints.motion(before, self._stamp_ns)
-        found = {'prior': self.hints.take_prior(), 'motion': motion}
+        before, now = self._stamp_ns, stamp_of(header)
+        self._stamp_ns = now
+        found: dict[str, Any] = {'pace': self._pace(now - before if before is not None else 0)}
+        if self.hints is not None:
+            found |= {'prior': self.hints.take_prior(), 'motion': (
+                None if before is None else self.hints.motion(before, now))}
         return {name: hint for name, hint in found.items() if hint is not None}
+
+    def _pace(self, interval_ns: int) -> float | None:
+        """Return by how much an interval is longer than the one before; None: about as long."""
+        last, self._interval_ns = self._interval_ns, interval_ns
+        if min(last, interval_ns) <= 0:
+            return None
+        pace, limits = interval_ns / last, self._pace_limits
+        steady = abs(pace - 1) < limits.least or not 1 / limits.most <= pace <= limits.most
+        return None if steady else pace
 
     def _find_fit(self, message: Any | None) -> CameraFit:
         key = (self.rectify, camera_key(message))

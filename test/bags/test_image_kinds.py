@@ -5,6 +5,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from camera_bags import CameraBag, COMPRESSED, IMAGE
+from camera_messages import header_without_a_clock
 import cv2
 from encoded_images import ALL, encoded_message, flat_quarters, seen_as, YUV
 from message_fuzzer import QuickExtrapolator
@@ -39,7 +40,7 @@ class Remembering(QuickExtrapolator):
     def __init__(self) -> None:
         self.images: list[np.ndarray] = []
 
-    def expand(self, image: np.ndarray, prior=None, motion=None) -> Any:
+    def expand(self, image: np.ndarray, prior=None, motion=None, pace=1.0) -> Any:
         self.images.append(image.copy())
         return super().expand(image)
 
@@ -114,7 +115,7 @@ def test_every_compressed_picture_goes_through_every_entry(
     extrapolator, node = Remembering(), Remembering()
     result = replay(path, extrapolator, tmp_path / 'out')  # type: ignore[arg-type]
     assert result.frames == COUNT and not result.rejected
-    message = SimpleNamespace(header=None, format=suffix[1:], data=data)
+    message = SimpleNamespace(header=header_without_a_clock(), format=suffix[1:], data=data)
     FrameProcessor(node).process(message, None)
     for found in (images[0], extrapolator.images[-1], node.images[0]):
         assert_alike(found, FLAT, most)

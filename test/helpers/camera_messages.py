@@ -14,7 +14,13 @@ def noise_image(intrinsics: Intrinsics, seed: int) -> np.ndarray:
 
 def image_message(image: np.ndarray, header: object = None, **changes: object) -> SimpleNamespace:
     """Return something with the fields of sensor_msgs/Image."""
-    return SimpleNamespace(header=header, **(image_fields(image) | changes))
+    return SimpleNamespace(header=header or header_without_a_clock(),
+                           **(image_fields(image) | changes))
+
+
+def header_without_a_clock(frame_id: object = '') -> SimpleNamespace:
+    """Return something with the fields of std_msgs/Header, as of a camera that knows no time."""
+    return SimpleNamespace(stamp=SimpleNamespace(sec=0, nanosec=0), frame_id=frame_id)
 
 
 def camera_info_message(intrinsics: Intrinsics, **changes: object) -> SimpleNamespace:

@@ -2,6 +2,7 @@
 from types import SimpleNamespace
 from typing import Any
 
+from camera_messages import header_without_a_clock
 import numpy as np
 
 BAYER = [f'bayer_{pattern}' for pattern in ('rggb', 'bggr', 'gbrg', 'grbg')]
@@ -68,7 +69,7 @@ def encoded_message(rgb: np.ndarray, encoding: str, padding: int = 0,
         data = np.pad(rows, ((0, 0), (0, padding)), constant_values=255).reshape(-1)
     fields = {'height': rgb.shape[0], 'width': rgb.shape[1], 'encoding': encoding,
               'is_bigendian': int(big_endian), 'step': row_bytes + padding, 'data': data}
-    return SimpleNamespace(header=None, **(fields | changes))
+    return SimpleNamespace(header=header_without_a_clock(), **(fields | changes))
 
 
 def _yuv(rgb: np.ndarray, encoding: str) -> np.ndarray:

@@ -13,7 +13,7 @@ from types import SimpleNamespace
 from typing import Any
 import zlib
 
-from camera_messages import camera_info_message, image_message, noise_image
+from camera_messages import camera_info_message, header_without_a_clock, image_message, noise_image
 import cv2
 from encoded_images import ALL, encoded_message
 from neo_ros.errors import ImageRejected
@@ -137,9 +137,10 @@ class QuickExtrapolator:
     def reset(self) -> None:
         """Have nothing to forget."""
 
-    def expand(self, image: np.ndarray, prior=None, motion=None) -> WideView:
+    def expand(self, image: np.ndarray, prior=None, motion=None, pace=1.0) -> WideView:
         """Check what comes in; return black."""
         assert image.shape == (SOURCE.height, SOURCE.width, 3) and image.dtype == np.uint8
+        assert 0.25 <= pace <= 4
         shape = (TARGET.height, TARGET.width)
         return WideView(np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.uint8))
 
@@ -149,8 +150,13 @@ def fuzz_layer(count: int, seed: int) -> Counter[str]:
     fuzzer, processor = Fuzzer(seed), FrameProcessor(QuickExtrapolator())
     good = image_message(noise_image(SOURCE, 0))
     ways: Counter[str] = Counter()
+    # Apart from the fuzzer's own, which stays as it was without stamps.
+    stamps = np.random.default_rng(seed)
     for index in range(count):
         message = fuzzer.compressed() if fuzzer.random.integers(2) else fuzzer.raw()
+        message.header = header_without_a_clock()
+        message.header.stamp.sec = int(stamps.choice((-2**31, -1, 0, 1, 2**31 - 1)))
+        message.header.stamp.nanosec = int(stamps.choice((0, 1, 10**8, 2 * 10**8, 2**32 - 1)))
         info = fuzzer.camera_info() if fuzzer.random.integers(3) else None
         processor.rectify = bool(fuzzer.random.integers(2))
         try:

@@ -52,6 +52,19 @@ def test_odometry_bridges_a_jump_that_tracking_does_not(guide):
     assert followed == {'none': False, 'odometry': True}
 
 
+def test_a_camera_goes_on_through_dropped_images(guide):
+    walk = [planar(1.3 + 0.12 * step, 1.4, 14 * step) for step in range(6)]
+    found = {}
+    for name, pace in (('as before', 1.0), ('by the stamps', 3.0)):
+        guide.reset()
+        for pose in walk[:3]:
+            guide.guide(image(pose))
+        there = guide.guide(image(walk[5]), pace=pace)
+        found[name] = there is not None and there.found == 'tracked' and apart(
+            there.pose, walk[5])[0] < 0.02
+    assert found == {'as before': False, 'by the stamps': True}
+
+
 def test_odometry_that_is_wrong_is_not_believed(guide):
     slipped = np.eye(4)
     slipped[:3, 3] = 0.5, 0, 1.0

@@ -65,21 +65,47 @@ def test_a_pose_without_a_rotation_is_refused():
         read_pose(SimpleNamespace(position=zero, orientation=zero))
 
 
-def test_the_extrapolator_hears_them(hints):
-    heard = []
+class Listener:
+    """An extrapolator that keeps the hints of every image."""
 
-    class Listener:
-        expansion, scene_check = TINY_EXPANSION, None
+    expansion, scene_check = TINY_EXPANSION, None
 
-        def reset(self):
-            pass
+    def __init__(self):
+        self.heard = []
 
-        def expand(self, image, **given):
-            heard.append(given)
-            return WideView(np.zeros((TARGET.height, TARGET.width, 3), np.uint8),
-                            np.zeros((TARGET.height, TARGET.width), np.uint8))
+    def reset(self):
+        pass
 
+    def expand(self, image, **given):
+        self.heard.append(given)
+        return WideView(np.zeros((TARGET.height, TARGET.width, 3), np.uint8),
+                        np.zeros((TARGET.height, TARGET.width), np.uint8))
+
+
+@pytest.mark.parametrize('stamps, paces', [
+    ([0, 33, 66, 100, 133], [None] * 5), ([0, 33, 100, 133], [None, None, 67 / 33, 33 / 67]),
+    ([0, 30, 60, 30, 60, 90], [None] * 6), ([0, 33, 900, 933], [None] * 4),
+    ([5, 5, 5, 38], [None] * 4)],
+                         ids=['steady', 'one dropped', 'back in time', 'a pause', 'no clock'])
+def test_dropped_images_are_told_by_the_stamps(stamps, paces):
     listener: Any = Listener()
+    processor = FrameProcessor(listener)
+    for milliseconds in stamps:
+        processor.process(image_message(noise_image(SOURCE, 0), header(milliseconds)), None)
+    assert [given.get('pace') for given in listener.heard] == paces
+
+
+def test_pixels_without_a_header_have_no_pace():
+    listener: Any = Listener()
+    message = image_message(noise_image(SOURCE, 0))
+    del message.header
+    FrameProcessor(listener).process(message, None)
+    assert listener.heard == [{}]
+
+
+def test_the_extrapolator_hears_them(hints):
+    listener: Any = Listener()
+    heard = listener.heard
     processor = FrameProcessor(listener)
     processor.hints = hints
     hints.set_prior(at(0))
