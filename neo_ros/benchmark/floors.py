@@ -64,6 +64,12 @@ def measure_floor(work: Path, rooms: int, one_field: bool = False, size: int = 1
             'train_minutes': round(run.seconds / 60, 1)}
 
 
+def _say(stage: str, done: int, total: int, note: str = '') -> None:
+    """Print each tenth of a stage."""
+    if 10 * done // total > 10 * (done - 1) // total:
+        print(f'{stage} {done}/{total} {note}', flush=True)
+
+
 def main(work: Annotated[Path, typer.Option(help='Keeps scenes and trainings.')],
          rooms: Annotated[Optional[list[int]], typer.Option(
              help='Of a floor; may be given again. Default: 1, 3 and 12.')] = None,
@@ -73,11 +79,8 @@ def main(work: Annotated[Path, typer.Option(help='Keeps scenes and trainings.')]
          out: Annotated[Path, typer.Option(help='JSON file of the rows; others stay.')] = Path(
              'results/building.json')) -> None:
     """Train on floors and measure them; a room takes some minutes, a break costs one at most."""
-    from neo_ros.cli.progress import stage_progress
-
     for count in rooms or (1, 3, 12):
-        with stage_progress() as show:
-            row = measure_floor(work, count, one_field, searches=searches, progress=show)
+        row = measure_floor(work, count, one_field, searches=searches, progress=_say)
         known = json.loads(out.read_text()) if out.exists() else []
         known = [old for old in known if (old['layout'], old['rooms']) != (
             row['layout'], row['rooms'])] + [row]
