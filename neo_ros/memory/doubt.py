@@ -179,10 +179,16 @@ class Doubt:
         return rivals
 
     def _against(self, image: CameraImage, sights: list[Sight]) -> np.ndarray:
-        """Return how much of an image speaks against each of several places, (N,)."""
+        """
+        Return how much of an image speaks against each of several places, and for the best, (N,).
+
+        The best is the one against which the least speaks, of all others. A third one's word does
+        not count: between two equal places it is chance.
+        """
         misfits = [self._misfit(image, sight) for sight in sights]
-        return np.array([max((speaks_against(own, other, self._limits) for other in misfits
-                              if other is not own), default=0.0) for own in misfits])
+        shares = np.array([[speaks_against(own, other, self._limits) for other in misfits]
+                           for own in misfits]).clip(0)
+        return shares[:, shares.max(1).argmin()]
 
     def _misfit(self, image: CameraImage, sight: Sight) -> np.ndarray:
         solid = np.where(sight.view.stretched, 0, sight.view.depth)
