@@ -171,8 +171,9 @@ class Doubt:
                 break
             if any(not is_elsewhere(start, rival.pose, limits) for rival in rivals):
                 continue
-            sight = looker.look(image, looker.aligner.align(image.photo, start, rounds=2),
-                                searched=True)
+            # Not as strictly as what is searched for: a little off, a twin agrees a little less.
+            sight = replace(looker.look(image, looker.aligner.align(
+                image.photo, start, rounds=2)), found='searched')
             if sight.believed and all(self._is_elsewhere(sight, other)
                                       for other in (found, *rivals)):
                 rivals.append(sight)
