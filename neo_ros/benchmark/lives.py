@@ -15,6 +15,7 @@ import argparse
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
+import hashlib
 import json
 from pathlib import Path
 import shutil
@@ -33,6 +34,7 @@ from neo_ros.machine.files import write_bytes
 from neo_ros.machine.host import commit, host
 from neo_ros.machine.processes import map_in_processes
 from neo_ros.memory.contradiction import contradiction
+from neo_ros.memory.journal import journal_path, read_journal, write_journal
 from neo_ros.messages.stamps import NS_PER_S
 from neo_ros.runtime import FovExtrapolator
 from neo_ros.scenes.posed_images import PosedImages
@@ -58,6 +60,7 @@ class LivesRules:
 
 
 RULES = LivesRules()
+DAY_NS = 86400 * NS_PER_S
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +114,19 @@ def drive(model: Path, walks: Walks) -> None:
     for _ in widened(extrapolator, walks):
         pass
     extrapolator.finish_learning()
+
+
+def become_a_day_older(model: Path) -> None:
+    """
+    Let a day pass for what a model has learnt.
+
+    Visits lie days apart, but drives of a benchmark minutes: so near, what was learnt on one would
+    be of one visit with what is learnt on the next.
+    """
+    memory = model.with_suffix('.memory')
+    path, checksum = journal_path(memory), hashlib.sha256(memory.read_bytes()).hexdigest()
+    write_journal(path, checksum, [replace(record, stamp_ns=record.stamp_ns - DAY_NS)
+                                   for record in read_journal(path, checksum)])
 
 
 def score(model: Path, walks: Walks, before: Walks
@@ -230,6 +246,7 @@ def measure(run: Path, frames: Path, visits: int, driven: int, out: Path,
             before = cast(Visit(light=visit.light), RULES.test_seed, RULES.test_walks,
                           name=visit.light)
             drive(learning, path)
+            become_a_day_older(learning)
             bag, after = frames / f'drive_{number}', Path(folder) / str(number)
             shutil.rmtree(bag, ignore_errors=True)
             as_bag(bag, path, trained)

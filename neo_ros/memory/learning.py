@@ -222,7 +222,7 @@ def find_patches(shots: Sequence[Shot], new: int, camera: Intrinsics, rays: np.n
     patches = []
     for index in range(len(shots) - new, len(shots)):
         depth = confirm(shots, index, stacked, camera, rays, limits)
-        depth[_lit_otherwise(shots[index], depth)] = 0
+        depth[_as_before(shots[index], known[shots[index]], thresholds.contradiction)] = 0
         if (depth > 0).sum() < thresholds.least_pixels:
             continue
         rows, columns = (np.flatnonzero(depth.any(axis)) for axis in (1, 0))
@@ -250,12 +250,18 @@ def _parts(shot: Shot, depth: np.ndarray, rays: np.ndarray, thresholds: Learning
     return parts
 
 
-def _lit_otherwise(shot: Shot, depth: np.ndarray) -> np.ndarray:
+def _as_before(shot: Shot, depth: np.ndarray, limits: ContradictionThresholds) -> np.ndarray:
     """
-    Tell where a shot shows a surface of before in another light, bool (h, w).
+    Tell where a shot shows a surface of before, at the same depth (h, w): bool (h, w).
 
-    The sun on a floor: at the same depth (h, w), and as much brighter as its neighbours.
+    In another light, as the sun on a floor: as much brighter as its neighbours. Or as it was: a
+    shelf that the memory shows blurred contradicts it a little, and who walks by contradicts it
+    more. It is painted anew where it contradicts that much itself.
     """
     known = (shot.depth > 0) & (depth > 0)
     same = known & (np.abs(depth - shot.depth) < SAME * shot.depth)
-    return same & (steadiness(log_ratio(shot.image, shot.shown), shot.depth > 0) > SURE)
+    lit = steadiness(log_ratio(shot.image, shot.shown), shot.depth > 0) > SURE
+    # Scores are means: those beside something else are of it, too.
+    other = cv2.dilate((shot.contradicted & ~same).view(np.uint8),
+                       np.ones((limits.around, limits.around), np.uint8)) > 0
+    return same & (lit | ~contradicted(np.where(same & ~other, shot.score, 0), limits))
