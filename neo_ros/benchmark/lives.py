@@ -2,14 +2,15 @@
 What a memory learns of a flat that changes from visit to visit, and what an update makes of it.
 
     python -m neo_ros.benchmark.lives RUN [--frames DIR] [--drive 130] [--visits 20] [--out FILE]
-                                      [--retrain CONFIG]
+                                      [--retrain CONFIG] [--learn-only]
 
 RUN is the folder of `neo train` on the demo flat. On each visit (see `flat/visits.py`) a robot
 drives through the flat. Other walks are widened by the memory as it was trained (none), by one
 that learnt on all drives so far (learn), and by the run that `neo update` brought up to date with
 the bags of all drives so far (update). With --retrain a fresh training with CONFIG
 on photos of the last visit is the fourth (retrained). Scores are of the ring in the frames that
-show something changed, with exact truth. Frames are kept in DIR.
+show something changed, with exact truth. Frames are kept in DIR. Rows in FILE of what was not
+measured again stay; --learn-only measures no update, which takes most of the time.
 """
 import argparse
 from collections.abc import Iterator
@@ -226,9 +227,8 @@ def rows_of(scene: str, visit: int, models: dict[str, Path], test: Walks, before
 
 
 def measure(run: Path, frames: Path, visits: int, driven: int, out: Path,
-            retrain: Path | None) -> None:
+            retrain: Path | None, update: bool = True) -> None:
     """Go through the visits; write a row for each and each mode, all of them after each visit."""
-    rows: list[dict[str, Any]] = []
     trained, = run.glob('*.onnx')
     expansion = FovExtrapolator.load(trained, guided=False).expansion
     cast = partial(walks_of, camera=expansion.target, folder=frames)
@@ -247,22 +247,32 @@ def measure(run: Path, frames: Path, visits: int, driven: int, out: Path,
                           name=visit.light)
             drive(learning, path)
             become_a_day_older(learning)
-            bag, after = frames / f'drive_{number}', Path(folder) / str(number)
-            shutil.rmtree(bag, ignore_errors=True)
-            as_bag(bag, path, trained)
-            minutes = end(neo('update', newest, bag, '--out', after)) / 60
-            if after.exists():  # Where nothing has changed nothing is written.
-                newest = after
-            models = {'none': trained, 'learn': learning, 'update': newest / trained.name}
+            models, minutes = {'none': trained, 'learn': learning}, 0.0
+            if update:
+                bag, after = frames / f'drive_{number}', Path(folder) / str(number)
+                shutil.rmtree(bag, ignore_errors=True)
+                as_bag(bag, path, trained)
+                minutes = end(neo('update', newest, bag, '--out', after)) / 60
+                if after.exists():  # Where nothing has changed nothing is written.
+                    newest = after
+                models['update'] = newest / trained.name
             if retrain is not None and number == visits - 1:
                 models['retrained'] = train_anew(visit, expansion.source, retrain,
                                                  Path(folder) / 'retrained')
             found, shown = rows_of('demo_flat', number, models, test, before, {
                 'light': visit.light, 'door': 'closed' if visit.closed else 'open',
                 'people': visit.people}, minutes)
-            rows += found
             np.savez(frames / f'shown_{number}.npz', allow_pickle=False, **shown)
-            write_bytes(out, (json.dumps(rows, indent=1) + '\n').encode())
+            write_rows(out, found)
+
+
+def write_rows(out: Path, found: list[dict[str, Any]]) -> None:
+    """Write rows into a file of rows, instead of those of the same scene, visit and mode."""
+    def key(row: dict[str, Any]) -> tuple[Any, ...]:
+        return row['scene'], row['visit'], row['mode']
+    rows = {key(row): row for row in [
+        *(json.loads(out.read_text()) if out.exists() else []), *found]}
+    write_bytes(out, (json.dumps(list(rows.values()), indent=1) + '\n').encode())
 
 
 def megabytes(folder: Path) -> float:
@@ -290,8 +300,10 @@ def main() -> None:
     parser.add_argument('--out', type=Path, default=Path('results/lives.json'))
     parser.add_argument('--retrain', type=Path, metavar='CONFIG',
                         help='experiment file: train anew on photos of the last visit')
+    parser.add_argument('--learn-only', action='store_true', help='measure no update')
     given = parser.parse_args()
-    measure(given.run, given.frames, given.visits, given.drive, given.out, given.retrain)
+    measure(given.run, given.frames, given.visits, given.drive, given.out, given.retrain,
+            not given.learn_only)
 
 
 if __name__ == '__main__':
