@@ -16,7 +16,7 @@ from neo_ros.memory.contradiction import contradicted, contradiction, Contradict
 from neo_ros.memory.decoded import Key
 from neo_ros.memory.journal import JournalWriter
 from neo_ros.memory.keyframe import Keyframe
-from neo_ros.memory.patch import Patch
+from neo_ros.memory.patch import PARTS, Patch
 from neo_ros.memory.scene_light import log_ratio, steadiness, SURE
 from neo_ros.memory.states import find_turn, parts_of, StateThresholds
 from neo_ros.memory.stereo import confirm, find_depth, Shot, StereoThresholds
@@ -48,7 +48,7 @@ class LearningThresholds:
     # Images of which more than this share contradicts are of a pose that is wrong.
     most_contradicted: float = 0.5
     least_agreement: float = 0.7
-    # Pixels that a patch has at least.
+    # Pixels that a part of a patch has at least.
     least_pixels: int = 24
     contradiction: ContradictionThresholds = ContradictionThresholds()
     stereo: StereoThresholds = StereoThresholds()
@@ -223,6 +223,9 @@ def find_patches(shots: Sequence[Shot], new: int, camera: Intrinsics, rays: np.n
     for index in range(len(shots) - new, len(shots)):
         depth = confirm(shots, index, stacked, camera, rays, limits)
         depth[_as_before(shots[index], known[shots[index]], thresholds.contradiction)] = 0
+        parts = _parts(shots[index], depth, rays, thresholds)
+        # Splinters belong to no thing that could turn back, and pierce whatever is put there.
+        depth[parts == PARTS - 1] = 0
         if (depth > 0).sum() < thresholds.least_pixels:
             continue
         rows, columns = (np.flatnonzero(depth.any(axis)) for axis in (1, 0))
@@ -234,8 +237,7 @@ def find_patches(shots: Sequence[Shot], new: int, camera: Intrinsics, rays: np.n
                         for one in (shot.image, shot.shown))
         patches.append(Patch.of(
             shot.pose, camera.cropped(left, top, width, height), image, depth[part],
-            shot.stamp_ns, batch, (shown, shot.depth[part]),
-            _parts(shot, depth, rays, thresholds)[part]))
+            shot.stamp_ns, batch, (shown, shot.depth[part]), parts[part]))
     return patches
 
 

@@ -42,7 +42,7 @@ class StateThresholds:
     # enough: slivers that were learnt beside a chair go with it when it is back.
     each: float = 2.0
     share: float = 0.5
-    times: float = 2.0
+    times: float = 3.0
 
 
 def parts_of(points: np.ndarray, least: int, limits: StateThresholds) -> np.ndarray:
