@@ -98,6 +98,12 @@ def test_what_stays_is_learnt(tmp_path: Path) -> None:
     again = box_memory()
     again.change(Changes(read_journal(journal, 'ab' * 32)))
     assert error(again) == pytest.approx((after, rest_after), abs=0.3)
+    # No splinters: they belong to nothing that could turn back.
+    assert again.changes is not None
+    for patch in again.changes.patches:
+        _, depth, parts = patch.pictures
+        sizes = np.bincount(parts[depth > 0])
+        assert sizes[sizes > 0].min() >= LearningThresholds().least_pixels
 
 
 @pytest.mark.slow
