@@ -16,7 +16,7 @@ from neo_ros.memory.contradiction import contradicted, contradiction, Contradict
 from neo_ros.memory.decoded import Key
 from neo_ros.memory.journal import JournalWriter
 from neo_ros.memory.keyframe import Keyframe
-from neo_ros.memory.patch import PARTS, Patch
+from neo_ros.memory.patch import EVERY, PARTS, Patch
 from neo_ros.memory.scene_light import log_ratio, steadiness, SURE
 from neo_ros.memory.states import find_turn, parts_of, StateThresholds
 from neo_ros.memory.stereo import confirm, find_depth, Shot, StereoThresholds
@@ -49,7 +49,9 @@ class LearningThresholds:
     most_contradicted: float = 0.5
     least_agreement: float = 0.7
     # Pixels that a part of a patch has at least.
-    least_pixels: int = 24
+    least_pixels: int = 12
+    # Samples that tell what was there before, which a part has at least.
+    least_samples: int = 2
     contradiction: ContradictionThresholds = ContradictionThresholds()
     stereo: StereoThresholds = StereoThresholds()
     states: StateThresholds = StateThresholds()
@@ -223,9 +225,6 @@ def find_patches(shots: Sequence[Shot], new: int, camera: Intrinsics, rays: np.n
     for index in range(len(shots) - new, len(shots)):
         depth = confirm(shots, index, stacked, camera, rays, limits)
         depth[_as_before(shots[index], known[shots[index]], thresholds.contradiction)] = 0
-        parts = _parts(shots[index], depth, rays, thresholds)
-        # Splinters belong to no thing that could turn back, and pierce whatever is put there.
-        depth[parts == PARTS - 1] = 0
         if (depth > 0).sum() < thresholds.least_pixels:
             continue
         rows, columns = (np.flatnonzero(depth.any(axis)) for axis in (1, 0))
@@ -233,11 +232,20 @@ def find_patches(shots: Sequence[Shot], new: int, camera: Intrinsics, rays: np.n
         height, width = int(rows[-1]) + 1 - top, int(columns[-1]) + 1 - left
         part = (slice(top, top + height), slice(left, left + width))
         shot = shots[index]
+        there, before = depth[part], shot.depth[part]
+        parts = _parts(shot, depth, rays, thresholds)[part]
+        # What could never turn back would pierce whatever is put there later.
+        told = ((there > 0) & (before > 0))[::EVERY, ::EVERY]
+        samples = np.bincount(parts[::EVERY, ::EVERY][told], minlength=PARTS)
+        samples[PARTS - 1] = 0
+        there = np.where(samples[parts] < thresholds.least_samples, 0, there)
+        if not there.any():
+            continue
         image, shown = (np.clip(one[part] + 0.5, 0, 255).astype(np.uint8)
                         for one in (shot.image, shot.shown))
         patches.append(Patch.of(
-            shot.pose, camera.cropped(left, top, width, height), image, depth[part],
-            shot.stamp_ns, batch, (shown, shot.depth[part]), parts[part]))
+            shot.pose, camera.cropped(left, top, width, height), image, there,
+            shot.stamp_ns, batch, (shown, before), parts))
     return patches
 
 

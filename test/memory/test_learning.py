@@ -14,7 +14,7 @@ from neo_ros.memory.changes import Changes, without_replaced
 from neo_ros.memory.contradiction import contradicted, contradiction, ContradictionThresholds
 from neo_ros.memory.journal import journal_path, JournalWriter, read_journal
 from neo_ros.memory.learning import _as_before, Learner, LearningThresholds
-from neo_ros.memory.patch import Patch
+from neo_ros.memory.patch import PARTS, Patch
 from neo_ros.memory.rendering import MemoryRenderer
 from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.memory.stereo import Shot
@@ -98,12 +98,13 @@ def test_what_stays_is_learnt(tmp_path: Path) -> None:
     again = box_memory()
     again.change(Changes(read_journal(journal, 'ab' * 32)))
     assert error(again) == pytest.approx((after, rest_after), abs=0.3)
-    # No splinters: they belong to nothing that could turn back.
+    # Nothing that could never turn back.
     assert again.changes is not None
     for patch in again.changes.patches:
         _, depth, parts = patch.pictures
-        sizes = np.bincount(parts[depth > 0])
-        assert sizes[sizes > 0].min() >= LearningThresholds().least_pixels
+        samples = patch.samples
+        told = np.bincount(samples.parts[samples.depths[:, 1] > 0], minlength=PARTS)
+        assert told[np.unique(parts[depth > 0])].min() >= LearningThresholds().least_samples
 
 
 @pytest.mark.slow
