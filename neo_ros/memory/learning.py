@@ -16,7 +16,7 @@ from neo_ros.memory.contradiction import contradicted, contradiction, Contradict
 from neo_ros.memory.decoded import Key
 from neo_ros.memory.journal import JournalWriter
 from neo_ros.memory.keyframe import Keyframe
-from neo_ros.memory.patch import Patch
+from neo_ros.memory.patch import EVERY, PARTS, Patch
 from neo_ros.memory.scene_light import log_ratio, steadiness, SURE
 from neo_ros.memory.states import find_turn, parts_of, StateThresholds
 from neo_ros.memory.stereo import confirm, find_depth, Shot, StereoThresholds
@@ -48,8 +48,10 @@ class LearningThresholds:
     # Images of which more than this share contradicts are of a pose that is wrong.
     most_contradicted: float = 0.5
     least_agreement: float = 0.7
-    # Pixels that a patch has at least.
-    least_pixels: int = 24
+    # Pixels that a part of a patch has at least.
+    least_pixels: int = 12
+    # Samples that tell what was there before, which a part has at least.
+    least_samples: int = 2
     contradiction: ContradictionThresholds = ContradictionThresholds()
     stereo: StereoThresholds = StereoThresholds()
     states: StateThresholds = StateThresholds()
@@ -222,7 +224,7 @@ def find_patches(shots: Sequence[Shot], new: int, camera: Intrinsics, rays: np.n
     patches = []
     for index in range(len(shots) - new, len(shots)):
         depth = confirm(shots, index, stacked, camera, rays, limits)
-        depth[_lit_otherwise(shots[index], depth)] = 0
+        depth[_as_before(shots[index], known[shots[index]], thresholds.contradiction)] = 0
         if (depth > 0).sum() < thresholds.least_pixels:
             continue
         rows, columns = (np.flatnonzero(depth.any(axis)) for axis in (1, 0))
@@ -230,12 +232,20 @@ def find_patches(shots: Sequence[Shot], new: int, camera: Intrinsics, rays: np.n
         height, width = int(rows[-1]) + 1 - top, int(columns[-1]) + 1 - left
         part = (slice(top, top + height), slice(left, left + width))
         shot = shots[index]
+        there, before = depth[part], shot.depth[part]
+        parts = _parts(shot, depth, rays, thresholds)[part]
+        # What could never turn back would pierce whatever is put there later.
+        told = ((there > 0) & (before > 0))[::EVERY, ::EVERY]
+        samples = np.bincount(parts[::EVERY, ::EVERY][told], minlength=PARTS)
+        samples[PARTS - 1] = 0
+        there = np.where(samples[parts] < thresholds.least_samples, 0, there)
+        if not there.any():
+            continue
         image, shown = (np.clip(one[part] + 0.5, 0, 255).astype(np.uint8)
                         for one in (shot.image, shot.shown))
         patches.append(Patch.of(
-            shot.pose, camera.cropped(left, top, width, height), image, depth[part],
-            shot.stamp_ns, batch, (shown, shot.depth[part]),
-            _parts(shot, depth, rays, thresholds)[part]))
+            shot.pose, camera.cropped(left, top, width, height), image, there,
+            shot.stamp_ns, batch, (shown, before), parts))
     return patches
 
 
@@ -250,12 +260,18 @@ def _parts(shot: Shot, depth: np.ndarray, rays: np.ndarray, thresholds: Learning
     return parts
 
 
-def _lit_otherwise(shot: Shot, depth: np.ndarray) -> np.ndarray:
+def _as_before(shot: Shot, depth: np.ndarray, limits: ContradictionThresholds) -> np.ndarray:
     """
-    Tell where a shot shows a surface of before in another light, bool (h, w).
+    Tell where a shot shows a surface of before, at the same depth (h, w): bool (h, w).
 
-    The sun on a floor: at the same depth (h, w), and as much brighter as its neighbours.
+    In another light, as the sun on a floor: as much brighter as its neighbours. Or as it was: a
+    shelf that the memory shows blurred contradicts it a little, and who walks by contradicts it
+    more. It is painted anew where it contradicts that much itself.
     """
     known = (shot.depth > 0) & (depth > 0)
     same = known & (np.abs(depth - shot.depth) < SAME * shot.depth)
-    return same & (steadiness(log_ratio(shot.image, shot.shown), shot.depth > 0) > SURE)
+    lit = steadiness(log_ratio(shot.image, shot.shown), shot.depth > 0) > SURE
+    # Scores are means: those beside something else are of it, too.
+    other = cv2.dilate((shot.contradicted & ~same).view(np.uint8),
+                       np.ones((limits.around, limits.around), np.uint8)) > 0
+    return same & (lit | ~contradicted(np.where(same & ~other, shot.score, 0), limits))

@@ -59,13 +59,15 @@ def _off(colour, look, row, column, aside):
 def weigh(points, colours, depths, parts, other, look, camera, aside, alike, different, votes,
           said):
     """
-    Count what an image says of each part: votes int32 (parts, 3) grow.
+    Count what an image says of each part: votes float32 (parts, 3) grow.
 
     points, colours (N, 2, 3), depths (N, 2): as Samples'; parts int64 (N,): which part; other
     int8 (parts,): which of the two is not shown, -1: it is not asked for. aside: pixels; alike,
     different: grey levels. OTHER: the image contradicts what is shown, and shows the other
     state; STAYS: it agrees with what is shown where the other state would be seen; NEITHER: it
     contradicts both. said bool (3, h, w): set where it says so, but for STAYS.
+
+    From farther away than the patch saw it many samples share a pixel, which is one witness.
     """
     for i in range(len(parts)):
         part = parts[i]
@@ -75,26 +77,27 @@ def weigh(points, colours, depths, parts, other, look, camera, aside, alike, dif
         row, column, z = _project(points[i, state], look, camera)
         if row < 0 or look.depth[row, column] <= 0:
             continue
+        weight = min(depths[i, state] / z, np.float32(1)) ** 2
         off = _off(colours[i, state], look, row, column, aside)
         if look.contradicted[row, column]:
             if off < alike:
-                votes[part, OTHER] += 1
+                votes[part, OTHER] += weight
                 said[OTHER, row, column] = True
             elif off > different:
-                votes[part, NEITHER] += 1
+                votes[part, NEITHER] += weight
                 said[NEITHER, row, column] = True
             continue
         if depths[i, state] < depths[i, 1 - state] * (1 - SAME):
             # The other state is nearer: it would hide what is seen.
             if off > different and look.depth[row, column] > z * (1 - SAME):
-                votes[part, STAYS] += 1
+                votes[part, STAYS] += weight
             continue
         row, column, z = _project(points[i, 1 - state], look, camera)
         if row < 0 or look.contradicted[row, column] or look.depth[row, column] <= 0 or abs(
                 look.depth[row, column] - z) > SAME * z:
             continue
         if _off(colours[i, state], look, row, column, aside) > different:
-            votes[part, STAYS] += 1
+            votes[part, STAYS] += weight
 
 
 @njit(**FAST)

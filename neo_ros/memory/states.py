@@ -32,14 +32,17 @@ class StateThresholds:
     different: float = 25.0
     # A thing is in another state if so many samples say so, in so many images at least the last;
     # and this share of all that say anything, and so many times as many as say that it stays.
-    # Walks of their own, chairs that were put back: 700 and more, shares of 0.58 to 0.92, 4.7 to
-    # 16 times as many; a door that was opened: 237, 0.64, 2.3 times. Chairs that stood: shares of
-    # 0 to 0.29, up to 1.9 times. Slivers beside a door that was closed: up to 99.
+    # Chairs of the demo flat that were put back: 200 and more in 36 images, shares of 0.6 to 0.9,
+    # 3.1 to 26 times as many; a chair that stood, while another came before it: 638, 0.64, 2.0
+    # times. Slivers beside a door that was closed: up to 99, before samples were weighed.
     least: int = 100
     images: int = 2
     least_an_image: int = 4
+    # Of what has few samples so many times as many as it has, and half of them in an image, are
+    # enough: slivers that were learnt beside a chair go with it when it is back.
+    each: float = 2.0
     share: float = 0.5
-    times: float = 2.0
+    times: float = 3.0
 
 
 def parts_of(points: np.ndarray, least: int, limits: StateThresholds) -> np.ndarray:
@@ -140,6 +143,8 @@ def _turned(votes: np.ndarray, things: np.ndarray, changes: Changes, limits: Sta
     """Return which parts turn, bool (parts,), by votes (images, parts, 3) of parts of things."""
     turned = np.zeros(len(things), bool)
     stamps = np.repeat([patch.stamp_ns for patch in changes.patches], PARTS)
+    sizes = np.concatenate([np.bincount(samples.parts[samples.depths[:, 1] > 0], minlength=PARTS)
+                            for samples in (patch.samples for patch in changes.patches)])
     for thing in np.unique(things[votes[..., OTHER].any(0)]):
         own = np.flatnonzero(things == thing)
         hidden = changes.hidden[own]
@@ -150,7 +155,7 @@ def _turned(votes: np.ndarray, things: np.ndarray, changes: Changes, limits: Sta
         times = np.unique(stamps[shown])
         begins = times[np.r_[True, np.diff(times) > PAUSE_NS][:len(times)]]
         states += [shown[stamps[shown] >= begin] for begin in begins]
-        scores = [_score(votes[:, state], limits) for state in states]
+        scores = [_score(votes[:, state], sizes[state], limits) for state in states]
         best = max(range(len(states)), key=lambda index: (scores[index], index))
         if scores[best] > 0:
             turned[states[best]] = True
@@ -158,18 +163,23 @@ def _turned(votes: np.ndarray, things: np.ndarray, changes: Changes, limits: Sta
     # keeps it hidden, or turns it alone.
     own = votes.sum(0)
     turned[(changes.hidden >= 0) & (own[:, STAYS] > limits.times * own[:, OTHER])] = False
-    for part in np.flatnonzero(own[:, OTHER] >= limits.least):
-        turned[part] |= _score(votes[:, [part]], limits) > 0
+    for part in np.flatnonzero(own[:, OTHER] >= np.minimum(limits.least, limits.each * sizes)):
+        turned[part] |= _score(votes[:, [part]], sizes[[part]], limits) > 0
     return turned
 
 
-def _score(votes: np.ndarray, limits: StateThresholds) -> int:
-    """Return how much speaks for another state, by votes (images, parts, 3); 0: not enough."""
-    counts = votes.sum(1)
-    other, all_of_them = int(counts[:, OTHER].sum()), int(counts.sum())
-    enough = (other >= max(limits.least, limits.share * all_of_them,
+def _score(votes: np.ndarray, sizes: np.ndarray, limits: StateThresholds) -> float:
+    """
+    Return how much speaks for another state; 0: not enough.
+
+    votes (images, parts, 3); sizes (parts,): of how many samples the other state is known.
+    """
+    counts, size = votes.sum(1), float(sizes.sum())
+    other, all_of_them = float(counts[:, OTHER].sum()), float(counts.sum())
+    enough = (other >= max(min(limits.least, limits.each * size), limits.share * all_of_them,
                            limits.times * counts[:, STAYS].sum())
-              and (counts[:, OTHER] >= limits.least_an_image).sum() >= limits.images)
+              and (counts[:, OTHER] >= min(limits.least_an_image, size / 2)).sum()
+              >= limits.images and size > 0)
     return 2 * other - all_of_them if enough else 0
 
 
@@ -193,8 +203,8 @@ def _look(shot: Shot) -> Look:
 
 def _weigh(things: Things, other: np.ndarray, look: Look, camera: Intrinsics,
            limits: StateThresholds) -> tuple[np.ndarray, np.ndarray]:
-    """Return votes int32 (parts, 3), and where the image gives them, bool (3, h, w)."""
-    votes = np.zeros((len(other), 3), np.int32)
+    """Return votes float32 (parts, 3), and where the image gives them, bool (3, h, w)."""
+    votes = np.zeros((len(other), 3), np.float32)
     said = np.zeros((3, *look.depth.shape), bool)
     weigh(things.points, things.colours, things.depths, things.part, other, look,
           Pinhole(*map(np.float32, (camera.fx, camera.fy, camera.cx, camera.cy))),

@@ -1,10 +1,16 @@
 """What the figures of a flat that changes are made of."""
+import hashlib
+import json
 from pathlib import Path
 
 from neo_ros.benchmark import lives
-from neo_ros.benchmark.lives import false_changes, RULES, Walks, walks_of
+from neo_ros.benchmark.lives import (
+    become_a_day_older, false_changes, RULES, Walks, walks_of, write_rows)
 from neo_ros.flat.visits import CHAIRS, Visit
-from neo_ros.geometry import Intrinsics
+from neo_ros.geometry import CameraPose, Intrinsics
+from neo_ros.memory.journal import journal_path, read_journal, write_journal
+from neo_ros.memory.patch import Patch
+from neo_ros.memory.turn import PAUSE_NS, Turn
 import numpy as np
 import pytest
 
@@ -41,3 +47,26 @@ def test_a_false_change_was_right_before_and_is_in_the_ring() -> None:
     walks = Walks(truth, np.eye(4)[None], np.zeros(1, int))
     before = Walks(old, walks.T, walks.walk)
     assert false_changes(walks, before, [shown[0]], [taught[0]], ring) == pytest.approx(3 / 11)
+
+
+def test_what_was_learnt_on_a_visit_is_older_on_the_next(tmp_path: Path) -> None:
+    memory = tmp_path / 'flat.memory'
+    memory.write_bytes(b'a memory')
+    checksum, now = hashlib.sha256(b'a memory').hexdigest(), 10 ** 18
+    seen = Patch.of(CameraPose(np.eye(4)), CAMERA, np.zeros((8, 8, 3), np.uint8),
+                    np.ones((8, 8), np.float32), now, 3)
+    write_journal(journal_path(memory), checksum,
+                  [seen, Turn(np.zeros(1, np.uint32), now + 1, 4)])
+    become_a_day_older(memory.with_suffix('.onnx'))
+    patch, turn = read_journal(journal_path(memory), checksum)
+    assert now - patch.stamp_ns > PAUSE_NS and turn.stamp_ns - patch.stamp_ns == 1
+    assert isinstance(patch, Patch) and patch.to_bytes()[8:] == seen.to_bytes()[8:]
+
+
+def test_rows_that_were_not_measured_again_stay(tmp_path: Path) -> None:
+    out = tmp_path / 'rows.json'
+    first = [{'scene': 'flat', 'visit': 1, 'mode': mode, 'x': 0} for mode in ('none', 'update')]
+    write_rows(out, first)
+    write_rows(out, [{**first[0], 'x': 1}, {**first[0], 'visit': 2}])
+    assert json.loads(out.read_text()) == [
+        {**first[0], 'x': 1}, first[1], {**first[0], 'visit': 2}]

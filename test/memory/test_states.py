@@ -9,7 +9,9 @@ from neo_ros.memory.changes import Changes
 from neo_ros.memory.contradiction import contradicted, contradiction
 from neo_ros.memory.patch import PARTS, Patch
 from neo_ros.memory.rendering import MemoryRenderer
-from neo_ros.memory.states import _turned, find_turn, parts_of, StateThresholds, Things
+from neo_ros.memory.state_kernels import OTHER
+from neo_ros.memory.states import (
+    _look, _turned, _weigh, find_turn, parts_of, StateThresholds, Things)
 from neo_ros.memory.stereo import Shot
 from neo_ros.memory.turn import Turn
 import numpy as np
@@ -121,8 +123,28 @@ def test_a_part_may_turn_alone() -> None:
     things = np.full(3 * PARTS, -1)
     things[::PARTS] = 0
     votes = np.zeros((3, 3 * PARTS, 3), np.int32)
-    votes[:, ::PARTS] = [[200, 10, 0], [0, 900, 0], [30, 0, 0]]
+    votes[:, ::PARTS] = [[200, 10, 0], [0, 900, 0], [2, 0, 0]]
     assert np.flatnonzero(_turned(votes, things, Changes(PATCHES), LIMITS)).tolist() == [0]
+
+
+def test_many_samples_in_one_pixel_are_one_witness() -> None:
+    things, other = Things([learnt(planar(2.6, 1.8, 0))]), np.full(PARTS, -1, np.int8)
+    other[0] = 1
+    near, far = (_weigh(things, other, _look(shots(NOWHERE, 1.8, [planar(x, 1.8, 0)])[0]),
+                        SOURCE, LIMITS)[0][0, OTHER] for x in (2.6, 1.6))
+    # A metre farther away the wall behind the board has a third of the pixels.
+    assert near >= LIMITS.least and 0.2 * near < far < 0.5 * near
+
+
+def test_few_samples_turn_if_images_say_so() -> None:
+    sliver = learnt(DRIVE[10], slice(30, 33))
+    changes = Changes([sliver])
+    count = len(sliver.samples.parts)
+    assert LIMITS.each * count < LIMITS.least / 2
+    turn = find_turn(shots(NOWHERE, 1.8, LOOKS), changes, SOURCE, 7, 1)
+    assert turn is not None and turn.parts.tolist() == [0]
+    assert find_turn(shots(NOWHERE, 1.8, LOOKS[:1]), changes, SOURCE, 7, 1) is None
+    assert find_turn(shots(1.8, 1.8, LOOKS), changes, SOURCE, 7, 1) is None
 
 
 def test_what_lies_apart_is_of_two_parts() -> None:
