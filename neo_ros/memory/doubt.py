@@ -63,10 +63,11 @@ class Doubt:
             candidates.append(stays)
         against = self._against(image, candidates)
         best = int(np.argmin(against))
-        if best > 0:
+        asked = 0
+        while best != asked and len(candidates) <= 2 * self._limits.most_rivals:
             # What was found may lie a little off, as landmarks do, and look worse than it is: its
             # twin leads to where exactly it would be.
-            winner = candidates[best]
+            asked, winner = best, candidates[best]
             candidates += self._rivals(image, winner, self._twins.of(winner.pose))
             against = self._against(image, candidates)
             best = int(np.argmin(against))
@@ -172,8 +173,9 @@ class Doubt:
             if any(not is_elsewhere(start, rival.pose, limits) for rival in rivals):
                 continue
             # Not as strictly as what is searched for: a little off, a twin agrees a little less.
-            sight = replace(looker.look(image, looker.aligner.align(
-                image.photo, start, rounds=2)), found='searched')
+            pose = looker.aligner.align(image.photo, start, rounds=1)
+            pose = looker.aligner.align(image.photo, pose, rounds=1, near=True)
+            sight = replace(looker.look(image, pose), found='searched')
             if sight.believed and all(self._is_elsewhere(sight, other)
                                       for other in (found, *rivals)):
                 rivals.append(sight)
