@@ -11,6 +11,7 @@ import json
 from pathlib import Path
 from typing import Annotated, Any, Optional
 
+from neo_ros.baking.keyframes import MemoryConfig
 from neo_ros.benchmark.building import look_for, measure_search, write_rows
 from neo_ros.evaluation.baselines import NeoModel
 from neo_ros.evaluation.evaluate import evaluate, TruthFrames
@@ -27,6 +28,7 @@ from neo_ros.training.tiles import tiles_of
 import typer
 
 STEPS = 1000  # of a room's field, and of a tile's
+APART = 0.6  # metres from any place to a keyframe: a few hundred on the largest floor
 SEED = 1
 LAYOUT, ONE_FIELD = 'trained', 'trained as one field'
 # Metres beyond which no floor is cut.
@@ -37,7 +39,8 @@ def floor_experiment(rooms: int, tiled: bool, one_field: bool = False) -> Experi
     """Return how a floor is trained: the same steps a room, or a tile; the network for minutes."""
     field = FieldConfig(steps=STEPS if tiled and not one_field else STEPS * rooms,
                         tile=_ALL if one_field else None)
-    return Experiment(field=field, outpaint=OutpaintConfig(minutes=3))
+    return Experiment(field=field, outpaint=OutpaintConfig(minutes=3),
+                      memory=MemoryConfig(distance=APART))
 
 
 def measure_floor(work: Path, rooms: int, one_field: bool = False, size: int = 128,
