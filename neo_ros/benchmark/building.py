@@ -215,7 +215,8 @@ def main(work: Annotated[Path, typer.Option(help='Keeps buildings and memories.'
             raise typer.BadParameter(f'expected one of {", ".join(LAYOUTS)}, got {name}')
         rows = measure_layout(name, LAYOUTS[name], work, searches)
         known = [row for row in known if row['layout'] != name] + rows
-        known.sort(key=lambda row: list(LAYOUTS).index(row['layout']))
+        # Floors that were trained come last, see `floors.py`.
+        known.sort(key=lambda row: [*LAYOUTS, row['layout']].index(row['layout']))
         write_rows(out, known)
         for row in rows:
             print({key: value for key, value in row.items() if value is not None}, flush=True)
