@@ -41,7 +41,7 @@ def changed_experiments(settings: Any) -> Iterator[tuple[str, Any]]:
     """Yield the name of every setting, and `settings` with that one changed."""
     changes = {'sh_degree': 1, 'precision': 'fp32', 'device': 'cpu', 'training_view': 'source',
                'name': 'lama', 'area': 'photos', 'minutes': 5.0, 'camera_height': 1.5,
-               'interval': 0.3, 'near': 0.3, 'sharp_only': True, 'average': 0.9,
+               'interval': 0.3, 'near': 0.3, 'tile': 4.0, 'sharp_only': True, 'average': 0.9,
                'view': ViewConfig((8, 8), (16, 16))}
     for entry in fields(settings):
         value = getattr(settings, entry.name)
@@ -64,8 +64,8 @@ def test_the_old_name_of_a_setting_is_read_and_hashes_are_those_of_before(
     settings = asdict(old)
     settings['network']['memory'] = settings['network'].pop('hidden')
     for part, name in (('field', 'depth'), ('field', 'shrink'), ('field', 'vignetting'),
-                       ('field', 'sharpness'), ('field', 'robust'), ('network', 'shrink'),
-                       ('memory', 'minutes')):
+                       ('field', 'sharpness'), ('field', 'robust'), ('field', 'tile'),
+                       ('network', 'shrink'), ('memory', 'minutes')):
         del settings[part][name]
     text = json.dumps(settings, sort_keys=True)
     assert old.config_hash == hashlib.sha256(text.encode()).hexdigest()[:12]
