@@ -9,7 +9,6 @@ search, not a field. `before` is the search that believes the best place it find
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
-import hashlib
 import json
 import multiprocessing
 from pathlib import Path
@@ -23,7 +22,7 @@ from neo_ros.flat.building_plan import BuildingPlan
 from neo_ros.flat.building_routes import door_walks
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
 from neo_ros.geometry.camera_pose import rotation_angle
-from neo_ros.machine.files import whole_file
+from neo_ros.machine.files import sha256_of, whole_file
 from neo_ros.machine.host import commit, core_count, host
 from neo_ros.memory.scene_guide import SceneGuide
 from neo_ros.memory.scene_memory import SceneMemory
@@ -97,7 +96,7 @@ def measure_search(layout: str, building: Building, path: Path, expansion: ViewE
                    views: Sequence[tuple[np.ndarray, CameraPose]], rivals: bool = True,
                    rules: BuildingRules = BuildingRules()) -> dict[str, Any]:
     """Search by images in the memory of a file, walk through doors; return the row of it."""
-    sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
+    sha256 = sha256_of(path)
     # In a process of its own: the building is no part of it.
     with ProcessPoolExecutor(1, multiprocessing.get_context('spawn')) as other:
         resident = other.submit(_resident_mb, path, sha256, expansion).result()

@@ -4,8 +4,7 @@ Is a large floor as good as one room? Floors of a building, from photos to a mod
     python -m neo_ros.benchmark.floors --work FOLDER [--rooms N ...]
 
 Each floor is photographed as a mapping robot does, and trained with the same steps a room; from
-two tiles' width on that is tile by tile, see `field/tiles.py`. `--one-field` fits a floor as one
-field with as many steps in all, to compare.
+two tiles' width on that is tile by tile, see `field/tiles.py`.
 """
 import json
 from pathlib import Path
@@ -30,20 +29,17 @@ import typer
 STEPS = 1000  # of a room's field, and of a tile's
 APART = 0.6  # metres from any place to a keyframe: a few hundred on the largest floor
 SEED = 1
-LAYOUT, ONE_FIELD = 'trained', 'trained as one field'
-# Metres beyond which no floor is cut.
-_ALL = 1000.0
+LAYOUT = 'trained'
 
 
-def floor_experiment(rooms: int, tiled: bool, one_field: bool = False) -> Experiment:
+def floor_experiment(rooms: int, tiled: bool) -> Experiment:
     """Return how a floor is trained: the same steps a room, or a tile; the network for minutes."""
-    field = FieldConfig(steps=STEPS if tiled and not one_field else STEPS * rooms,
-                        tile=_ALL if one_field else None)
+    field = FieldConfig(steps=STEPS if tiled else STEPS * rooms)
     return Experiment(field=field, outpaint=OutpaintConfig(minutes=3),
                       memory=MemoryConfig(distance=APART))
 
 
-def measure_floor(work: Path, rooms: int, one_field: bool = False, size: int = 128,
+def measure_floor(work: Path, rooms: int, size: int = 128,
                   searches: int = 100, progress: StageProgress = no_stage_progress
                   ) -> dict[str, Any]:
     """Train on a floor, as far as `work` has nothing of it, and return the row of it."""
@@ -52,18 +48,17 @@ def measure_floor(work: Path, rooms: int, one_field: bool = False, size: int = 1
     write_building_scene(folder, plan, image_size=size, progress=progress)
     scene = read_scene(folder)
     tiles = len(tiles_of(scene, Experiment()))
-    run = train(folder, floor_experiment(rooms, tiles > 1, one_field),
-                work / f'run_{rooms}{"_one_field" * one_field}', progress)
+    run = train(folder, floor_experiment(rooms, tiles > 1), work / f'run_{rooms}', progress)
     model = NeoModel(run.model_path, threads=1)
     scores, = evaluate(scene.name, TruthFrames(scene.test, run.expansion), [model],
                        progress=lambda done: progress('scoring', done, len(scene.test or ())))
     building = open_building(plan, folder / BUILDING_LIGHT)
-    row = measure_search(ONE_FIELD if one_field else LAYOUT, building, run.memory_path,
-                         run.expansion, look_for(building, run.expansion.source, searches))
+    row = measure_search(LAYOUT, building, run.memory_path, run.expansion,
+                         look_for(building, run.expansion.source, searches))
     return {**row, 'guided_ring_psnr': round(scores.estimates['ring_psnr'].mean, 2),
             'oracle_ring_psnr': round(run.figures['oracle_ring_psnr'], 2),
             'guided_share': round(scores.estimates['guided'].mean, 4),
-            'tiles': 1 if one_field else tiles, 'photos': len(scene.train),
+            'tiles': tiles, 'photos': len(scene.train),
             'train_minutes': round(run.seconds / 60, 1)}
 
 
@@ -76,21 +71,19 @@ def _say(stage: str, done: int, total: int, note: str = '') -> None:
 def main(work: Annotated[Path, typer.Option(help='Keeps scenes and trainings.')],
          rooms: Annotated[Optional[list[int]], typer.Option(
              help='Of a floor; may be given again. Default: 1, 3 and 12.')] = None,
-         one_field: Annotated[bool, typer.Option(
-             '--one-field', help='Fit one field to all of a floor, to compare.')] = False,
          searches: Annotated[int, typer.Option(help='In each building.', min=1)] = 100,
          out: Annotated[Path, typer.Option(help='JSON file of the rows; others stay.')] = Path(
              'results/building.json')) -> None:
     """Train on floors and measure them; a room takes some minutes, a break costs one at most."""
     for count in rooms or (1, 3, 12):
-        row = measure_floor(work, count, one_field, searches=searches, progress=_say)
+        row = measure_floor(work, count, searches=searches, progress=_say)
         known = json.loads(out.read_text()) if out.exists() else []
         known = [old for old in known if (old['layout'], old['rooms']) != (
             row['layout'], row['rooms'])] + [row]
         one_room = next((old['guided_ring_psnr'] for old in known
                          if (old['layout'], old['rooms']) == (LAYOUT, 1)), None)
         for new in known:
-            if new['layout'] in (LAYOUT, ONE_FIELD):
+            if new['layout'] == LAYOUT:
                 new['one_room_ring_psnr'] = one_room
         write_rows(out, known)
         print(row, flush=True)

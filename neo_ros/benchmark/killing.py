@@ -1,6 +1,5 @@
 """Start processes and kill them, and look at what is left with others."""
 from collections.abc import Callable
-import hashlib
 import json
 from pathlib import Path
 import subprocess
@@ -9,6 +8,7 @@ import time
 from typing import Any, NamedTuple
 
 from neo_ros.errors import NeoError
+from neo_ros.machine.files import sha256_of
 from neo_ros.memory.learning import Learn
 
 ALWAYS: Callable[[], bool] = lambda: True
@@ -86,7 +86,7 @@ def find(model: Path) -> Found | None:
 
 def digests(folder: Path) -> dict[str, str]:
     """Return the SHA-256 of each file below a folder."""
-    return {str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
+    return {str(path.relative_to(folder)): sha256_of(path)
             for path in sorted(folder.rglob('*')) if path.is_file()}
 
 

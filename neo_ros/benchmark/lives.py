@@ -16,7 +16,6 @@ import argparse
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
-import hashlib
 import json
 from pathlib import Path
 import shutil
@@ -31,7 +30,7 @@ from neo_ros.flat.demo_flat import build_demo_flat, sample_training_poses, walki
 from neo_ros.flat.visits import (
     CHAIRS, DOOR_PLACE, PLANT, somebody, Visit, visited_flat, VISITS, with_more)
 from neo_ros.geometry import CameraPose, Intrinsics
-from neo_ros.machine.files import write_bytes
+from neo_ros.machine.files import sha256_of, write_bytes
 from neo_ros.machine.host import commit, host
 from neo_ros.machine.processes import map_in_processes
 from neo_ros.memory.contradiction import contradiction
@@ -125,7 +124,7 @@ def become_a_day_older(model: Path) -> None:
     be of one visit with what is learnt on the next.
     """
     memory = model.with_suffix('.memory')
-    path, checksum = journal_path(memory), hashlib.sha256(memory.read_bytes()).hexdigest()
+    path, checksum = journal_path(memory), sha256_of(memory)
     write_journal(path, checksum, [replace(record, stamp_ns=record.stamp_ns - DAY_NS)
                                    for record in read_journal(path, checksum)])
 

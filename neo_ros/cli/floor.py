@@ -4,9 +4,6 @@ from typing import Annotated, Any, Optional
 
 import typer
 
-# Metres from a map's camera height within which photos are of its storey.
-_STOREY = 1.5
-
 
 def floor(
     scene: Annotated[Path, typer.Argument(help='Scene folder, made by neo import.')],
@@ -14,7 +11,8 @@ def floor(
         metavar='MAP', help='YAML file of a map_server map, or an image whose bright pixels are '
                             'free floor.')],
     camera_height: Annotated[Optional[float], typer.Option(
-        help="z of the robot's camera, metres; default: the photos' median.")] = None,
+        help="z of the robot's camera, metres; default: the median of its storey's photos.",
+    )] = None,
     resolution: Annotated[Optional[float], typer.Option(
         help='Images only: metres per pixel.')] = None,
     origin: Annotated[Optional[tuple[float, float, float]], typer.Option(
@@ -32,7 +30,6 @@ def floor(
     """
     from neo_ros.captures.report import REPORT_FILE, write_capture_report
     from neo_ros.cli.progress import stage_progress
-    from neo_ros.errors import ConfigError
     from neo_ros.scenes.scene import floor_file, read_scene
     from neo_ros.scenes.walkable import write_walkable
     import numpy as np
@@ -41,18 +38,15 @@ def floor(
 
     found = read_scene(scene)
     _check_upright(scene, found)
-    if storey > len(found.upper) + (found.walkable is not None):
-        raise ConfigError(f'--storey: expected the maps of the storeys below {storey} first')
-    positions = found.train.T_world_cam[:, :3, 3]
-    height = _camera_height(found, storey) if camera_height is None else camera_height
+    own = _photos_of_storey(found, storey)
+    height = float(np.median(own[:, 2])) if camera_height is None else camera_height
     walkable = _read_floor(floor_map, resolution, origin, height)
     target = floor_file(scene, storey)
     write_walkable(target, walkable)
     with stage_progress() as show:
         write_capture_report(scene, read_scene(scene), (),
                              lambda done, total: show('capture report', done, total))
-    own = positions[np.abs(positions[:, 2] - height) < _STOREY]
-    share = float(walkable.contains(own[:, :2]).mean()) if len(own) else 0.0
+    share = float(walkable.contains(own[:, :2]).mean())
     rich.print(f'{walkable.area:.1f} m2 of free floor; {share:.0%} of the photos stand on it; '
                f'camera at {height:.2f} m')
     if share < 0.5:
@@ -60,16 +54,20 @@ def floor(
     rich.print(f'Written: {escape(str(target))} and {REPORT_FILE}')
 
 
-def _camera_height(found: Any, storey: int) -> float:
-    """Return the median z of the photos; of a building they are of several storeys."""
+def _photos_of_storey(found: Any, storey: int) -> Any:
+    """Return where the photos of a storey were taken, (N, 3); refuse one that comes too early."""
     from neo_ros.errors import ConfigError
+    from neo_ros.scenes.storeys import storey_borders
     import numpy as np
 
-    heights = found.train.T_world_cam[:, 2, 3]
-    if storey or np.diff(np.sort(heights), prepend=heights.min()).max() > _STOREY:
-        raise ConfigError('--camera-height: expected metres, for the photos are of several '
-                          'storeys, or it is another one than the first')
-    return float(np.median(heights))
+    positions = found.train.T_world_cam[:, :3, 3]
+    storeys = np.searchsorted(storey_borders(positions[:, 2]), positions[:, 2])
+    if storey > storeys.max():
+        raise ConfigError(f'--storey: expected 0 to {storeys.max()}, for the photos are of '
+                          f'{storeys.max() + 1} storeys, got {storey}')
+    if storey > len(found.upper) + (found.walkable is not None):
+        raise ConfigError(f'--storey: expected the maps of the storeys below {storey} first')
+    return positions[storeys == storey]
 
 
 def _check_upright(scene: Path, found: Any) -> None:

@@ -3,7 +3,8 @@ from pathlib import Path
 
 from neo_ros.errors import ConfigError
 from neo_ros.field.config import FieldConfig
-from neo_ros.field.fitting import FieldTrainer, FineBox, FitRules
+from neo_ros.field.extent import FineBox
+from neo_ros.field.fitting import FieldTrainer, FitRules
 from neo_ros.field.mesh_field import MeshField
 from neo_ros.field.radiance_field import FittedField, RadianceField
 from neo_ros.field.torch_field import torch_device, TorchField

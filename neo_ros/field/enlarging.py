@@ -2,7 +2,8 @@
 import math
 
 from neo_ros.errors import SceneError
-from neo_ros.field.voxel_field import AIR_KEPT, dilated, lattice_box, numbered, VoxelField
+from neo_ros.field.grid_points import dilated, lattice_box, numbered
+from neo_ros.field.voxel_field import AIR_KEPT, VoxelField
 import numpy as np
 
 # Grid points that a larger field may have, or so many times as many as it had: a point takes 6

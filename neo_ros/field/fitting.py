@@ -8,11 +8,13 @@ from typing import Any
 from neo_ros.errors import SceneError
 from neo_ros.field.camera_model import CameraModel, photo_shares
 from neo_ros.field.config import FieldConfig, fit_near
+from neo_ros.field.extent import content_box, FineBox, nearest_content
 from neo_ros.field.fitting_kernels import (
     adam_step, Batch, differentiate_rays, LossWeights, SampleSlopes, scatter_gradients)
+from neo_ros.field.grid_points import packed, unpacked
 from neo_ros.field.radiance_field import FittedField
 from neo_ros.field.rendering import render_rays
-from neo_ros.field.voxel_field import packed, unpacked, VoxelField
+from neo_ros.field.voxel_field import VoxelField
 from neo_ros.geometry import Intrinsics
 from neo_ros.pictures.depth import MM_PER_M
 from neo_ros.pictures.usable import draw_usable
@@ -36,19 +38,6 @@ class FitRules:
     nearest_percent: float = 5
     most_near: float = 0.5
     near_pixels: int = 400          # pixels of each photo that are asked for it
-
-
-@dataclass(frozen=True)
-class FineBox:
-    """
-    Where a fit's fine voxels may lie, low and high (3,) metres, and how large they are.
-
-    They are on the lattice of `VoxelField.on_lattice`; what lies outside is in the shell.
-    """
-
-    low: np.ndarray
-    high: np.ndarray
-    edge: float
 
 
 class FieldTrainer:
@@ -263,46 +252,17 @@ class FieldTrainer:
             arrays['first'], arrays['second'], arrays['updates'])
 
     def content_box(self) -> tuple[np.ndarray, np.ndarray]:
-        """
-        Find the inner box from what a coarse field shows: centre and half extent (3,).
-
-        Surfaces that the photos see lie inside, up to a few percent that may be a view through
-        a window; those are left to the contracted shell.
-        """
+        """Find the inner box from what a coarse field shows: centre and half extent (3,)."""
         *_, rays_o, rays_d = self.sample_rays()
-        rendering = render_rays(self.placed, rays_o, rays_d)
-        points = rays_o + rendering.depth[:, None] * rays_d
-        inside = np.abs(self.field.grid_position(points)).max(-1) * (1 + self.field.shell) < 1
-        points = points[inside & (rendering.opacity > 0.9)]
-        if len(points) < 100:
-            centre, half_extent = self.field.centre, self.field.half_extent
-        else:
-            low = np.minimum(np.percentile(points, 2, axis=0), self.origins.min(0))
-            high = np.maximum(np.percentile(points, 98, axis=0), self.origins.max(0))
-            pad = 0.04 * (high - low).max()
-            centre, half_extent = (low + high) / 2, (high - low) / 2 + pad
-        if self.fine is None:
-            return centre, half_extent
-        low = np.maximum(centre - half_extent, self.fine.low)
-        high = np.minimum(centre + half_extent, self.fine.high)
-        return (low + high) / 2, (high - low) / 2
+        return content_box(self.field, render_rays(self.placed, rays_o, rays_d), rays_o, rays_d,
+                           self.origins, self.fine)
 
     def empty_distance(self) -> float:
-        """
-        Find how many metres before the lens are empty, from what a coarse field shows.
-
-        A finer one has blobs there: what one photo alone shows is fitted best right before its
-        lens, and hides the room from poses beside it.
-        """
-        rules, nearest = self.rules, math.inf
-        stride = max(int(math.sqrt(self.images[0, ..., 0].size / rules.near_pixels)), 1)
-        for rays_o, rays_d in self.photo_rays(stride):
-            shown = render_rays(self.placed, rays_o, rays_d)
-            depth = np.where(shown.opacity > 0.9, shown.depth, np.inf)
-            nearest = min(nearest, float(np.percentile(
-                depth, rules.nearest_percent, method='lower')))
-        found = min(rules.near_share * nearest, rules.most_near)
-        return found if nearest < math.inf else self.view_near
+        """Find how many metres before the lens are empty, from what a coarse field shows."""
+        stride = max(int(math.sqrt(self.images[0, ..., 0].size / self.rules.near_pixels)), 1)
+        nearest = nearest_content(self.placed, self.photo_rays(stride), self.rules.nearest_percent)
+        return (min(self.rules.near_share * nearest, self.rules.most_near)
+                if nearest < math.inf else self.view_near)
 
     def finished(self) -> VoxelField:
         """

@@ -6,8 +6,8 @@ from typing import ClassVar
 from zipfile import BadZipFile
 
 from neo_ros.errors import ConfigError
+from neo_ros.field.field_file import write_field
 from neo_ros.field.mesh_file import ColouredMesh, NEEDS
-from neo_ros.field.voxel_field import write_field
 import numpy as np
 import torch
 

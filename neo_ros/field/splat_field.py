@@ -7,9 +7,10 @@ keeps its mass.
 """
 import math
 
+from neo_ros.field.grid_points import dilated, numbered
 from neo_ros.field.splat_file import GREY, Splats
 from neo_ros.field.splat_kernels import add_splats, REACH
-from neo_ros.field.voxel_field import AIR_KEPT, dilated, numbered, VoxelField
+from neo_ros.field.voxel_field import AIR_KEPT, VoxelField
 from numba import get_num_threads
 import numpy as np
 

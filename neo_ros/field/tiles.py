@@ -5,15 +5,17 @@ Every tile has voxels as fine as a single room's. They lie on one lattice, so th
 fields of all tiles blurs nothing: a view through a door shows both tiles as they were fitted.
 Mega-NeRF (Turki et al., CVPR 2022) cuts space likewise, and shows a part the rays that cross it.
 """
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 import math
 from pathlib import Path
 
 from neo_ros.field.config import FieldConfig
 from neo_ros.field.enlarging import seen_at
-from neo_ros.field.voxel_field import AIR_KEPT, dilated, numbered, VoxelField
+from neo_ros.field.grid_points import dilated, numbered
+from neo_ros.field.voxel_field import AIR_KEPT, VoxelField
 from neo_ros.geometry import Intrinsics
+from neo_ros.scenes.storeys import storey_borders
 import numpy as np
 
 
@@ -22,7 +24,6 @@ class TileRules:
     """How a floor is cut; metres."""
 
     most: float = 6.0     # that photos of a tile stand apart, where `field.tile` says nothing
-    storeys: float = 1.5  # between photos one above the other: they are of two storeys
     gap: float = 0.5      # around a border within which the fewest photos stand
     overlap: float = 0.5  # around a tile that its voxels cover: rays through it end there, mostly
     reach: float = 1.0    # around a tile, from where photos still look into it
@@ -56,34 +57,23 @@ def cut_floor(positions: np.ndarray, most: float, rules: TileRules = TileRules()
     It is cut between storeys, and where the fewest photos stand: in doors and narrow places.
     Storeys less than two tiles wide are one.
     """
-    whole = Tile((-math.inf,) * 3, (math.inf,) * 3)
+    borders = [-math.inf, *storey_borders(positions[:, 2]), math.inf]
     tiles = []
-    for storey in _cut_where(whole, positions, lambda own: _between_storeys(own, rules)):
-        own = positions[storey.holds(positions)]
-        wide = np.ptp(own[:, :2], axis=0).max() >= 2 * most
-        tiles += (_cut_where(storey, positions, lambda own: _narrow_place(own, most, rules))
-                  if wide else [storey])
+    for low, high in zip(borders, borders[1:]):
+        storey = Tile((-math.inf, -math.inf, low), (math.inf, math.inf, high))
+        wide = np.ptp(positions[storey.holds(positions), :2], axis=0).max() >= 2 * most
+        tiles += _cut(storey, positions, most, rules) if wide else [storey]
     return tiles
 
 
-def _cut_where(tile: Tile, positions: np.ndarray,
-               border_of: Callable[[np.ndarray], tuple[int, float] | None]) -> list[Tile]:
-    """Cut a tile until border_of(positions in it) names no axis and place more."""
-    border = border_of(positions[tile.holds(positions)])
+def _cut(tile: Tile, positions: np.ndarray, most: float, rules: TileRules) -> list[Tile]:
+    border = _narrow_place(positions[tile.holds(positions)], most, rules)
     if border is None:
         return [tile]
     axis, place = border
     below, above = (replace(tile, **{end: (*ends[:axis], place, *ends[axis + 1:])})
                     for end, ends in (('high', tile.high), ('low', tile.low)))
-    return [*_cut_where(below, positions, border_of), *_cut_where(above, positions, border_of)]
-
-
-def _between_storeys(positions: np.ndarray, rules: TileRules) -> tuple[int, float] | None:
-    z = np.sort(positions[:, 2])
-    gaps = np.diff(z)
-    if not len(gaps) or gaps.max() < rules.storeys:
-        return None
-    return 2, float(z[gaps.argmax()] + gaps.max() / 2)
+    return [*_cut(below, positions, most, rules), *_cut(above, positions, most, rules)]
 
 
 def _narrow_place(positions: np.ndarray, most: float, rules: TileRules

@@ -11,7 +11,8 @@ import time
 from typing import Any
 
 from neo_ros.field.config import FieldConfig
-from neo_ros.field.fitting import FieldTrainer, FineBox, FitRules
+from neo_ros.field.extent import FineBox
+from neo_ros.field.fitting import FieldTrainer, FitRules
 from neo_ros.field.fitting_kernels import DEPTH_SHARE
 from neo_ros.field.kernels import MIN_WEIGHT
 from neo_ros.field.torch_field import (

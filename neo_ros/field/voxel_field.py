@@ -5,7 +5,7 @@ In the line of DirectVoxGO (Sun et al., CVPR 2022): raw density is interpolated 
 activated after, so that surfaces may lie between voxels. Colour is spherical harmonics instead
 of an MLP: on a CPU that is what makes the field fit in minutes.
 """
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 import math
 from pathlib import Path
@@ -13,7 +13,8 @@ from typing import Any, ClassVar
 
 from neo_ros.errors import SceneError
 from neo_ros.field import kernels
-from neo_ros.machine.files import whole_file
+from neo_ros.field.field_file import check_shapes, write_field
+from neo_ros.field.grid_points import dilated, lattice_box, numbered, packed, unpacked
 import numpy as np
 import torch
 
@@ -268,7 +269,7 @@ class VoxelField:
         try:
             with np.load(path) as data:
                 arrays = dict(data)
-            _check_shapes(arrays)
+            check_shapes(arrays)
             shape = tuple(int(n) for n in arrays['shape'])
             shell, step, near, initial_alpha = (float(value) for value in arrays['settings'])
             result = cls(arrays['grid'], shape, arrays['centre'],  # type: ignore[arg-type]
@@ -282,68 +283,3 @@ class VoxelField:
                              'field again') from error
         result.update_occupancy()
         return result
-
-
-def write_field(path: Path, **arrays: Any) -> None:
-    """Write arrays as .npz; a kill or a full disk in between leaves the old file whole."""
-    try:
-        with whole_file(path) as partial, partial.open('wb') as file:
-            np.savez(file, **arrays)
-    except OSError as error:
-        raise SceneError(f'{path}: cannot write the field: {error.strerror}') from error
-
-
-def _check_shapes(arrays: dict[str, np.ndarray]) -> None:
-    """Raise ValueError where arrays of a file do not fit: kernels would read beyond their ends."""
-    shape = arrays['shape'].tolist()
-    if np.shape(shape) != (3,) or min(shape) < 2:
-        raise ValueError(f'shape: expected three numbers, 2 or more, got {shape}')
-    points = math.prod(shape)
-    rows = int(np.unpackbits(arrays['kept'])[:points].sum())
-    bits = math.ceil(points / 8)
-    shapes: dict[str, list[tuple[int, ...]]] = {
-        'kept': [(bits,)], 'seen': [(bits,)], 'centre': [(3,)], 'half_extent': [(3,)],
-        'settings': [(4,)], 'grid': [(rows, 1 + 3 * terms) for terms in (1, 4, 9)]}
-    for name, fitting in shapes.items():
-        if arrays[name].shape not in fitting:
-            raise ValueError(f'{name}: expected the shape {" or ".join(map(str, fitting))}, got '
-                             f'{arrays[name].shape}')
-
-
-def lattice_box(low: np.ndarray, high: np.ndarray, edge: float | np.ndarray,
-                origin: float | np.ndarray, shell: float
-                ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """
-    Return the grid with points at origin + n edge, metres, whose inner box holds low to high (3,).
-
-    These are, (3,) each: the number of its first point, its cells, and centre and half extent of
-    the inner box.
-    """
-    cells = np.ceil((high - low) * (1 + shell) / edge + 2 + shell).astype(int)
-    half_extent = cells * edge / (2 * (1 + shell))
-    first = np.floor((low - shell * half_extent - origin) / edge).astype(int)
-    return first, cells, origin + first * edge + (1 + shell) * half_extent, half_extent
-
-
-def dilated(cells: np.ndarray, around: int) -> np.ndarray:
-    """Mark the corners of cells (X, Y, Z) and of so many `around` them: bool (X, Y, Z)."""
-    from scipy.ndimage import maximum_filter
-    # A cell stands at its lowest corner: the window begins one further below than it ends above.
-    size = 2 * around + 2
-    return maximum_filter(cells.view(np.uint8), size, mode='constant').view(np.bool_)
-
-
-def numbered(kept: np.ndarray) -> np.ndarray:
-    """Return `row_of` of a field that keeps these points."""
-    flat = kept.ravel()
-    return np.where(flat, np.cumsum(flat, dtype=np.int32) - 1, -1)
-
-
-def packed(row_of: np.ndarray) -> np.ndarray:
-    """Return which points are kept, a bit each."""
-    return np.packbits(row_of >= 0)
-
-
-def unpacked(kept: np.ndarray, shape: Sequence[int]) -> np.ndarray:
-    """Return `row_of` of what `packed` made."""
-    return numbered(np.unpackbits(kept, count=math.prod(shape)).view(np.bool_))

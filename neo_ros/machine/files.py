@@ -2,6 +2,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 import errno
+import hashlib
 import os
 from pathlib import Path
 import shutil
@@ -84,6 +85,12 @@ def write_bytes(path: Path, content: bytes) -> None:
             partial.write_bytes(content)
     except OSError as error:
         raise _cannot_write(path, error) from error
+
+
+def sha256_of(path: Path) -> str:
+    """Return the SHA-256 of a file, hex digits; it is never wholly in memory."""
+    with path.open('rb') as file:
+        return hashlib.file_digest(file, 'sha256').hexdigest()
 
 
 def share_file(source: Path, target: Path) -> None:

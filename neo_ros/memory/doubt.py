@@ -137,18 +137,20 @@ class Doubt:
         rivals = [rival for rival in self._rivals(image, only.sight, self._starts(
             image, only.sight)) if all(
                 is_elsewhere(rival.pose, pose, self._limits) for pose in refuted)]
-        shares = self._against(image, [only.sight, *rivals])
-        return [Hypothesis(rival, np.eye(4), only.against + float(share - shares[0]))
-                for rival, share in zip(rivals, shares[1:])
-                if share - shares[0] < self._limits.decisive]
+        return [Hypothesis(rival, np.eye(4), only.against + against)
+                for rival, against in self._equal(image, only.sight, rivals)]
 
     def equals(self, image: CameraImage, here: Sight, starts: Sequence[CameraPose]
                ) -> list[Sight]:
         """Return what is seen from places near some starts that an image does not tell apart."""
-        rivals = self._rivals(image, here, starts)
-        shares = self._against(image, [here, *rivals])
-        return [rival for rival, share in zip(rivals, shares[1:])
-                if share - shares[0] < self._limits.decisive]
+        return [rival for rival, _ in self._equal(image, here, self._rivals(image, here, starts))]
+
+    def _equal(self, image: CameraImage, here: Sight, rivals: list[Sight]
+               ) -> list[tuple[Sight, float]]:
+        """Return the rivals that an image does not refute, and how much more speaks against."""
+        own, *shares = self._against(image, [here, *rivals]).tolist()
+        return [(rival, share - own) for rival, share in zip(rivals, shares)
+                if share - own < self._limits.decisive]
 
     def _starts(self, image: CameraImage, found: Sight, elsewhere: Sequence[CameraPose] = ()
                 ) -> list[CameraPose]:

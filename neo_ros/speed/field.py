@@ -6,11 +6,12 @@ import math
 from neo_ros.field.config import FieldConfig, FIT_NEAR
 from neo_ros.field.device import field_trainer, on_device
 from neo_ros.field.fitting import FieldTrainer, STAGES
+from neo_ros.field.grid_points import packed
 from neo_ros.field.panorama import render_panorama, view_band
 from neo_ros.field.radiance_field import RadianceField
 from neo_ros.field.rendering import render_view, to_uint8
 from neo_ros.field.view_cutting import view_cutter
-from neo_ros.field.voxel_field import packed, VoxelField
+from neo_ros.field.voxel_field import VoxelField
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.machine.host import Machine
 from neo_ros.speed.record import Effort, Record, time_calls, Work

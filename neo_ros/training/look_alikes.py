@@ -1,7 +1,6 @@
 """Which places of a scene a robot cannot tell apart: for the report of a training."""
-import hashlib
-
 from neo_ros.geometry import CameraPose
+from neo_ros.machine.files import sha256_of
 from neo_ros.memory.rendering import MemoryRenderer
 from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.reports.report import Section, Strip, Text
@@ -17,7 +16,7 @@ def look_alike_sections(run: TrainingRun) -> list[Section]:
     if run.experiment.memory is None:
         return []
     path = run.memory_path
-    memory = SceneMemory.read(path, hashlib.sha256(path.read_bytes()).hexdigest())
+    memory = SceneMemory.read(path, sha256_of(path))
     twins, renderer = memory.twins, MemoryRenderer(memory)
     if not len(twins):
         return []

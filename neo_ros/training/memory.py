@@ -1,7 +1,6 @@
 """Beyond the paper: the scene memory that guides a run's network, with its landmarks."""
 from dataclasses import asdict, replace
 import glob
-import hashlib
 import json
 import math
 from pathlib import Path
@@ -14,7 +13,7 @@ from neo_ros.baking.landmarks import find_landmarks
 from neo_ros.baking.twin_search import find_twins
 from neo_ros.errors import ModelError
 from neo_ros.field.radiance_field import RadianceField
-from neo_ros.machine.files import write_bytes
+from neo_ros.machine.files import sha256_of, write_bytes
 from neo_ros.machine.progress import of_stage
 from neo_ros.runtime.model_card import MemoryFile, read_model_card, write_model_card
 from neo_ros.training.run import TrainingRun
@@ -57,7 +56,7 @@ def name_memory(run: TrainingRun) -> None:
     if run.experiment.memory is None:
         return
     path = run.memory_path
-    file = MemoryFile(file=path.name, sha256=hashlib.sha256(path.read_bytes()).hexdigest())
+    file = MemoryFile(file=path.name, sha256=sha256_of(path))
     news: dict[str, Any] = {'memory': file, 'trained_seconds': run.seconds}
     write_model_card(run.model_path, replace(read_model_card(run.model_path), **news))
     # What `neo export` wrote beside the model is guided by the same memory.

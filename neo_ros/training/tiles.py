@@ -8,7 +8,7 @@ from neo_ros.errors import NeoError
 from neo_ros.experiment import Experiment
 from neo_ros.field.config import FieldConfig
 from neo_ros.field.device import field_trainer
-from neo_ros.field.fitting import FineBox
+from neo_ros.field.extent import FineBox
 from neo_ros.field.tiles import cut_floor, joined, photos_of, Tile, tile_edge, TileRules
 from neo_ros.field.voxel_field import VoxelField
 from neo_ros.machine.files import make_output_folder
@@ -25,10 +25,14 @@ TILES = 'tiles'
 
 def tiles_of(scene: Scene, experiment: Experiment) -> list[Tile]:
     """Return the tiles that a scene's field is fitted by: one where it is no large floor."""
-    most = experiment.field.tile
-    if most is None:
-        most = TileRules.most if scene.walkable is not None else math.inf
+    most = _most(experiment.field)
+    if experiment.field.tile is None and scene.walkable is None:
+        most = math.inf
     return cut_floor(scene.train.T_world_cam[:, :3, 3], most)
+
+
+def _most(config: FieldConfig) -> float:
+    return TileRules.most if config.tile is None else config.tile
 
 
 @dataclass(frozen=True)
@@ -64,7 +68,7 @@ class _TileFit:
 def tile_jobs(out: Path, tiles: Sequence[Tile], photos: PosedImages, experiment: Experiment,
               config: FieldConfig, writes: bool = True) -> list[TileJob]:
     """Return what is to be done for the tiles of a run in the folder `out`."""
-    edge = tile_edge(config, TileRules.most if config.tile is None else config.tile)
+    edge = tile_edge(config, _most(config))
     folder = (out / TILES).absolute()
     return [TileJob(folder / f'{number:04d}.npz', tile, edge, photos, experiment.field_scale,
                     config, experiment.seed, writes) for number, tile in enumerate(tiles)]

@@ -9,8 +9,9 @@ from neo_ros.field import kernels
 from neo_ros.field.config import FieldConfig
 from neo_ros.field.enlarging import enlarged, filled
 from neo_ros.field.fitting import FieldTrainer
+from neo_ros.field.grid_points import dilated
 from neo_ros.field.rendering import render_rays, world_rays
-from neo_ros.field.voxel_field import AIR_KEPT, dilated, VoxelField
+from neo_ros.field.voxel_field import AIR_KEPT, VoxelField
 from neo_ros.geometry import CameraPose
 from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.updating.changed_space import ChangedPlace, ChangedSpace

@@ -1,4 +1,5 @@
 """The command line: its help, its errors, and the way from a scene to a replayed bag."""
+from dataclasses import replace
 import json
 from pathlib import Path
 import re
@@ -7,7 +8,9 @@ import sys
 
 import neo_ros
 from neo_ros.cli.main import app, main
+from neo_ros.geometry import CameraPose
 from neo_ros.scenes.scene import read_scene
+from neo_ros.scenes.transforms_json import write_transforms
 from neo_ros.training.run import TrainingRun
 import numpy as np
 import pytest
@@ -111,21 +114,27 @@ def test_each_storey_of_a_building_has_its_map(
         tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
         ) -> None:
     scene, bright = tmp_path / 'scene', ['--resolution', '0.1', '--origin', '-3', '-3', '0']
-    write_capture(scene, 3)
+    capture = write_capture(scene, 21)
+    # Eleven photos below, ten above, as high as a robot's camera is on either.
+    write_transforms(scene / 'transforms_train.json', replace(capture, poses=tuple(
+        CameraPose.from_planar(pose.position[0], pose.position[1], 1.5 + 3 * (number > 10), 0.0)
+        for number, pose in enumerate(capture.poses))))
     write_picture(tmp_path / 'map.png', np.full((60, 60, 3), 255, np.uint8))
 
     def floor(*options: str) -> int:
         return run_main(monkeypatch, 'floor', scene, tmp_path / 'map.png', *bright, *options)
 
-    assert floor('--storey', '1', '--camera-height', '4.5') == 2
-    assert '--storey: expected the maps of the storeys below 1 first' in capsys.readouterr().err
-    assert floor() == 0
-    assert floor('--storey', '1') == 2
-    assert '--camera-height: expected metres' in capsys.readouterr().err
-    assert floor('--storey', '1', '--camera-height', '4.5') == 0
+    for storey, message in (('1', 'expected the maps of the storeys below 1 first'),
+                            ('2', 'expected 0 to 1, for the photos are of 2 storeys, got 2')):
+        assert floor('--storey', storey) == 2
+        assert f'--storey: {message}' in capsys.readouterr().err
+    assert floor() == floor('--storey', '1') == 0
+    assert '100% of the photos stand on it; camera at 4.50 m' in capsys.readouterr().out
     found = read_scene(scene)
     assert found.walkable is not None and found.walkable.camera_height == 1.5
     assert [above.camera_height for above in found.upper] == [4.5]
+    assert floor('--storey', '1', '--camera-height', '4.2') == 0
+    assert read_scene(scene).upper[0].camera_height == 4.2
 
 
 @pytest.mark.parametrize('arguments', [

@@ -3,7 +3,8 @@ import json
 from pathlib import Path
 
 from neo_ros.documents import results
-from neo_ros.documents.results import Column, Rows, rows, sources, stated, suite
+from neo_ros.documents.results import rows, sources, stated, suite
+from neo_ros.documents.tables import Column, Rows
 from neo_ros.errors import NeoError
 import pytest
 

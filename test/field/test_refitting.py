@@ -1,7 +1,8 @@
 """A fitted field changes where it may, and nowhere else."""
 from neo_ros.field.config import FieldConfig
 from neo_ros.field.fitting import FieldTrainer
-from neo_ros.field.voxel_field import dilated, VoxelField
+from neo_ros.field.grid_points import dilated
+from neo_ros.field.voxel_field import VoxelField
 from neo_ros.geometry import Intrinsics
 import numpy as np
 

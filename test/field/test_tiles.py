@@ -3,7 +3,8 @@ import math
 from pathlib import Path
 
 from neo_ros.field.config import FieldConfig
-from neo_ros.field.fitting import FieldTrainer, FineBox
+from neo_ros.field.extent import FineBox
+from neo_ros.field.fitting import FieldTrainer
 from neo_ros.field.rendering import render_rays, render_view, to_uint8
 from neo_ros.field.tiles import cut_floor, joined, photos_of, Tile, tile_edge, TileRules
 from neo_ros.field.voxel_field import VoxelField
@@ -52,8 +53,9 @@ def test_small_scenes_are_one_tile(most: float) -> None:
 def test_storeys_are_tiles_of_their_own() -> None:
     lower, upper = cut_floor(positions((0, 0, 5, 5, 1.5), (1, 1, 5, 5, 4.5)), 6.0)
     assert lower.high[2] == upper.low[2] == pytest.approx(3.0)
-    # A camera that is held higher and lower is on one.
-    assert len(cut_floor(positions((0, 0, 5, 5, 0.9), (0, 0, 5, 5, 2.0)), 6.0)) == 1
+    # A camera that is held higher and lower is on one, and so is a photo whose pose is wrong.
+    for other in ((0, 0, 5, 5, 2.0), (0, 0, 0.5, 0.5, -4.0)):
+        assert len(cut_floor(positions((0, 0, 5, 5, 0.9), other), 6.0)) == 1
 
 
 def test_rays_cross_a_tile_or_do_not() -> None:

@@ -1,0 +1,44 @@
+"""The points of a grid: where they lie, and which of them a sparse field keeps."""
+from collections.abc import Sequence
+import math
+
+import numpy as np
+
+
+def lattice_box(low: np.ndarray, high: np.ndarray, edge: float | np.ndarray,
+                origin: float | np.ndarray, shell: float
+                ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """
+    Return the grid with points at origin + n edge, metres, whose inner box holds low to high (3,).
+
+    These are, (3,) each: the number of its first point, its cells, and centre and half extent of
+    the inner box.
+    """
+    cells = np.ceil((high - low) * (1 + shell) / edge + 2 + shell).astype(int)
+    half_extent = cells * edge / (2 * (1 + shell))
+    first = np.floor((low - shell * half_extent - origin) / edge).astype(int)
+    return first, cells, origin + first * edge + (1 + shell) * half_extent, half_extent
+
+
+def dilated(cells: np.ndarray, around: int) -> np.ndarray:
+    """Mark the corners of cells (X, Y, Z) and of so many `around` them: bool (X, Y, Z)."""
+    from scipy.ndimage import maximum_filter
+    # A cell stands at its lowest corner: the window begins one further below than it ends above.
+    size = 2 * around + 2
+    return maximum_filter(cells.view(np.uint8), size, mode='constant').view(np.bool_)
+
+
+def numbered(kept: np.ndarray) -> np.ndarray:
+    """Return `row_of` of a field that keeps these points."""
+    flat = kept.ravel()
+    return np.where(flat, np.cumsum(flat, dtype=np.int32) - 1, -1)
+
+
+def packed(row_of: np.ndarray) -> np.ndarray:
+    """Return which points are kept, a bit each."""
+    return np.packbits(row_of >= 0)
+
+
+def unpacked(kept: np.ndarray, shape: Sequence[int]) -> np.ndarray:
+    """Return `row_of` of what `packed` made."""
+    return numbered(np.unpackbits(kept, count=math.prod(shape)).view(np.bool_))
