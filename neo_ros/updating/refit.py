@@ -73,7 +73,8 @@ def refit(field: VoxelField, space: ChangedSpace, compared: ComparedPhotos, conf
     narrower.grid[narrower.row_of[rows]] = fitted.grid[fitted.row_of[rows]]
     narrower.update_occupancy()
     usable[:] = space.reached_by(field, compared, beyond)
-    usable[:compared.old] &= agreeing(narrower, compared, usable)[:compared.old]
+    usable[:compared.old] &= (agreeing(narrower, compared, usable) & ~hidden_now(
+        field, narrower, space, compared))[:compared.old]
     trainer.change_only(narrower, points)
     fit_until(trainer, 1.0, progress)
     usable[:compared.old] = False
@@ -188,6 +189,18 @@ def agreeing(field: VoxelField, compared: ComparedPhotos, reached: np.ndarray) -
         shown[pixels] = 255 * render_rays(field, origin, rays[pixels]).image / gain
         pixels &= ~contradicted(contradiction(image, shown, pixels))
     return agree
+
+
+def hidden_now(field: VoxelField, fitted: VoxelField, space: ChangedSpace,
+               compared: ComparedPhotos) -> np.ndarray:
+    """
+    Tell which pixels show what is behind matter that came: bool (N, h, w).
+
+    Photos of before seem to agree beside slats and legs, and would wear these away.
+    """
+    came = ndimage.binary_dilation(fitted.matter & ~field.matter & space.cells,
+                                   np.ones((3, 3, 3))) & space.cells
+    return ChangedSpace(came, []).reached_by(field, compared, BakingRules.one_surface)
 
 
 def _finished(field: VoxelField, fitted: VoxelField, space: ChangedSpace, reached: np.ndarray,

@@ -7,6 +7,7 @@ from neo_ros.field.voxel_field import VoxelField
 from neo_ros.geometry import CameraPose
 from neo_ros.updating.changed_space import ChangedSpace, find_changed_space
 from neo_ros.updating.compared_photos import compare, ComparedPhotos
+from neo_ros.updating.refit import hidden_now
 import numpy as np
 import pytest
 
@@ -108,3 +109,17 @@ def test_rays_meet_cells_up_to_their_reach(reach: float, met: bool) -> None:
     rays = np.array([[1.0, 0, 0], [-1.0, 0, 0], [0, 1.0, 0]], np.float32)
     found = space.met_by(field, origin, rays, np.full(3, reach, np.float32))
     assert found.tolist() == [met, False, False]
+
+
+def test_what_came_hides_what_photos_of_before_show() -> None:
+    before, found = empty_field(), compared(AWAY, AWAY, AWAY)
+    after = before.with_air()
+    x, y, z = np.moveaxis(after.world_points(), -1, 0)
+    post = (abs(x - AFTER[0]) < 0.2) & (abs(y - AFTER[1]) < 0.2) & (z > 0.5) & (z < 2)
+    after.grid[after.row_of[post.ravel()], 0] = 20
+    everywhere = ChangedSpace(np.ones(before.shape, bool), [])
+    hidden = hidden_now(before, after, everywhere, found)[:found.old]
+    stands = np.stack([look(pose, SOURCE, AFTER)[2] for pose in drive(40)[1::2]])
+    assert hidden[stands].mean() > 0.8 and hidden[~stands].mean() < 0.2
+    # What was there before hides nothing anew.
+    assert not hidden_now(after, after, everywhere, found).any()
