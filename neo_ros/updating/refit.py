@@ -73,8 +73,7 @@ def refit(field: VoxelField, space: ChangedSpace, compared: ComparedPhotos, conf
     narrower.grid[narrower.row_of[rows]] = fitted.grid[fitted.row_of[rows]]
     narrower.update_occupancy()
     usable[:] = space.reached_by(field, compared, beyond)
-    usable[:compared.old] &= (agreeing(narrower, compared, usable) & ~hidden_now(
-        field, narrower, space, compared))[:compared.old]
+    usable[:compared.old] &= still_right(field, narrower, space, compared, usable)[:compared.old]
     trainer.change_only(narrower, points)
     fit_until(trainer, 1.0, progress)
     usable[:compared.old] = False
@@ -177,7 +176,22 @@ def _seen_differently(one: VoxelField, other: VoxelField, reached: np.ndarray,
     return _Seen(*counts.reshape(3, *one.shape))
 
 
-def agreeing(field: VoxelField, compared: ComparedPhotos, reached: np.ndarray) -> np.ndarray:
+def still_right(before: VoxelField, after: VoxelField, space: ChangedSpace,
+                compared: ComparedPhotos, reached: np.ndarray) -> np.ndarray:
+    """
+    Tell which of the reached pixels show what an updated field shows there: bool (N, h, w).
+
+    Photos of before that show what is behind matter that came seem to agree beside slats and legs;
+    they would wear these away, and paint them in the colours of the floor.
+    """
+    came = ndimage.binary_dilation(after.matter & ~before.matter & space.cells,
+                                   np.ones((3, 3, 3))) & space.cells
+    behind = ChangedSpace(came, []).reached_by(before, compared, BakingRules.one_surface)
+    behind[compared.old:] = False
+    return _agreeing(after, compared, reached & ~behind)
+
+
+def _agreeing(field: VoxelField, compared: ComparedPhotos, reached: np.ndarray) -> np.ndarray:
     """Tell which of the reached pixels show what the field shows there: bool (N, h, w)."""
     photos, agree = compared.photos, reached.copy()
     for image, T, gain, pixels in zip(photos.images, photos.T_world_cam, compared.gains, agree):
@@ -189,18 +203,6 @@ def agreeing(field: VoxelField, compared: ComparedPhotos, reached: np.ndarray) -
         shown[pixels] = 255 * render_rays(field, origin, rays[pixels]).image / gain
         pixels &= ~contradicted(contradiction(image, shown, pixels))
     return agree
-
-
-def hidden_now(field: VoxelField, fitted: VoxelField, space: ChangedSpace,
-               compared: ComparedPhotos) -> np.ndarray:
-    """
-    Tell which pixels show what is behind matter that came: bool (N, h, w).
-
-    Photos of before seem to agree beside slats and legs, and would wear these away.
-    """
-    came = ndimage.binary_dilation(fitted.matter & ~field.matter & space.cells,
-                                   np.ones((3, 3, 3))) & space.cells
-    return ChangedSpace(came, []).reached_by(field, compared, BakingRules.one_surface)
 
 
 def _finished(field: VoxelField, fitted: VoxelField, space: ChangedSpace, reached: np.ndarray,

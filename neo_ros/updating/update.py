@@ -30,7 +30,7 @@ from neo_ros.updating.growth import grow, Growth, stand_outside
 from neo_ros.updating.more_photos import write_more_photos
 from neo_ros.updating.new_keyframes import joined_floor, new_floor, new_positions, with_place
 from neo_ros.updating.placing import place_lost
-from neo_ros.updating.refit import agreeing, refit
+from neo_ros.updating.refit import refit, still_right
 from neo_ros.updating.tuned_network import CHECKPOINT, tune_network
 from neo_ros.updating.update_report import update_sections
 from neo_ros.updating.update_run import UpdateRun
@@ -109,7 +109,7 @@ def update_once(run: UpdateRun, bag: Path, out: Path, options: UpdateOptions,
     drive, compared, growth = _grown(run, field, before, drive, options.minutes, progress)
     if growth is not None:
         field = growth.field
-    space = find_changed_space(field, compared)
+    old, space = field, find_changed_space(field, compared)
     if space.places:
         field, space = refit(field, space, compared, run.experiment.field, run.experiment.seed,
                              options.minutes, of_stage(progress, 'field'))
@@ -118,7 +118,8 @@ def update_once(run: UpdateRun, bag: Path, out: Path, options: UpdateOptions,
         space = growth.joined(space)
     if not space.places:
         return None
-    photos, seen, gains, chosen = _photos_that_see(run, field, space, drive, compared)
+    photos, seen, gains, chosen = _photos_that_see(run, old, field, space, drive,
+                                                   compared)
     after, scene = before.replaced(
         bake_changes(field, space, before, photos, seen, gains, of_stage(progress, 'keyframes')),
         landmarks), run.scene
@@ -173,8 +174,8 @@ def _grown(run: UpdateRun, field: VoxelField, before: SceneMemory, drive: Drive,
     return longer, compared, growth
 
 
-def _photos_that_see(run: UpdateRun, field: VoxelField, space: ChangedSpace, drive: Drive,
-                     compared: ComparedPhotos
+def _photos_that_see(run: UpdateRun, old: VoxelField, field: VoxelField, space: ChangedSpace,
+                     drive: Drive, compared: ComparedPhotos
                      ) -> tuple[Photos, np.ndarray, np.ndarray, list[int]]:
     """
     Return photos that see changed space, how far, gains, and which ones; last are all new ones.
@@ -186,7 +187,7 @@ def _photos_that_see(run: UpdateRun, field: VoxelField, space: ChangedSpace, dri
     assert compared.photos.usable is not None
     reached[compared.old:] = compared.photos.usable[compared.old:]
     chosen = [index for index, pixels in enumerate(reached) if pixels.any()]
-    agree = agreeing(field, compared, reached)
+    agree = still_right(old, field, space, compared, reached)
     photos, masks = zip(*(run.photo(drive, index) for index in chosen))
     camera = run.camera
     seen, usable = compared.depth[chosen], np.stack(masks)
