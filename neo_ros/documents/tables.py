@@ -209,5 +209,6 @@ TABLES: dict[str, Rows] = {
 # Over all scenes of a suite: the key of a row, its format and a factor.
 MEASURES = {
     'ring_psnr': (DB, 1.0), 'ring_lpips_vgg': (RATIO, 1.0), 'ring_ssim': (RATIO, 1.0),
+    'whole_psnr': (DB, 1.0), 'whole_ssim': (RATIO, 1.0), 'whole_lpips_vgg': (RATIO, 1.0),
     'oracle_gap_closed': ('{:.0f} %', 100.0), 'warping_error': ('{:.2f}', 1e3),
     'latency_ms_median': (MS, 1.0), 'train_minutes': ('{:.1f}', 1.0), 'model_mb': ('{:.1f}', 1.0)}
