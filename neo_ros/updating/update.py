@@ -180,7 +180,8 @@ def _photos_that_see(run: UpdateRun, old: VoxelField, field: VoxelField, space: 
     """
     Return photos that see changed space, how far, gains, and which ones; last are all new ones.
 
-    Pixels of photos of before that show what is there no more are not usable.
+    Pixels of photos of before that show what is there no more are not usable. Those that show what
+    is behind something new are.
     """
     rules, small = BakingRules(), compared.photos.intrinsics
     reached = space.reached_by(field, compared, rules.one_surface)
@@ -197,7 +198,11 @@ def _photos_that_see(run: UpdateRun, old: VoxelField, field: VoxelField, space: 
         now = render_rays(field, origin, rays[pixels])
         seen[place][pixels] = np.where(now.coverage > rules.least_coverage, now.depth, 0)
         if index < compared.old:
-            wrong = pixels & ~agree[index]
+            wrong, depth = pixels & ~agree[index], compared.depth[index]
+            still = wrong & (depth > 0)
+            still[still] = ~space.holds(field, origin + depth[still][:, None] * rays[still])
+            seen[place][still] = depth[still]
+            wrong &= ~still
             seen[place][wrong] = 0
             usable[place] &= ~_enlarged(wrong, camera.width, camera.height)
     return (Photos(np.stack(photos), camera, compared.photos.T_world_cam[chosen], usable), seen,
