@@ -73,7 +73,7 @@ def refit(field: VoxelField, space: ChangedSpace, compared: ComparedPhotos, conf
     narrower.grid[narrower.row_of[rows]] = fitted.grid[fitted.row_of[rows]]
     narrower.update_occupancy()
     usable[:] = space.reached_by(field, compared, beyond)
-    usable[:compared.old] &= still_right(field, narrower, space, compared, usable)[:compared.old]
+    usable[:compared.old] = still_right(field, narrower, space, compared, usable)
     trainer.change_only(narrower, points)
     fit_until(trainer, 1.0, progress)
     usable[:compared.old] = False
@@ -179,30 +179,26 @@ def _seen_differently(one: VoxelField, other: VoxelField, reached: np.ndarray,
 def still_right(before: VoxelField, after: VoxelField, space: ChangedSpace,
                 compared: ComparedPhotos, reached: np.ndarray) -> np.ndarray:
     """
-    Tell which of the reached pixels show what an updated field shows there: bool (N, h, w).
+    Tell which reached pixels of the photos of before show what an updated field shows there.
 
-    Photos of before that show what is behind matter that came seem to agree beside slats and legs;
-    they would wear these away, and paint them in the colours of the floor.
+    reached bool (N, h, w), of all photos; returns bool (old, h, w). Pixels behind matter that came
+    do not: beside slats and legs they seem to agree, would wear these away, and paint them in the
+    colours of the floor.
     """
-    came = ndimage.binary_dilation(after.matter & ~before.matter & space.cells,
-                                   np.ones((3, 3, 3))) & space.cells
-    behind = ChangedSpace(came, []).reached_by(before, compared, BakingRules.one_surface)
-    behind[compared.old:] = False
-    return _agreeing(after, compared, reached & ~behind)
-
-
-def _agreeing(field: VoxelField, compared: ComparedPhotos, reached: np.ndarray) -> np.ndarray:
-    """Tell which of the reached pixels show what the field shows there: bool (N, h, w)."""
-    photos, agree = compared.photos, reached.copy()
-    for image, T, gain, pixels in zip(photos.images, photos.T_world_cam, compared.gains, agree):
-        if not pixels.any():
-            continue
-        origin, rays = world_rays(photos.intrinsics, CameraPose(T))
-        image = image.astype(np.float32)
+    photos, right = compared.photos, reached[:compared.old].copy()
+    came = ChangedSpace(ndimage.binary_dilation(
+        after.matter & ~before.matter & space.cells, np.ones((3, 3, 3))) & space.cells, [])
+    for index in map(int, np.flatnonzero(right.any((1, 2)))):
+        pixels = right[index]
+        origin, rays = world_rays(photos.intrinsics, compared.pose(index))
+        pixels[pixels] = ~came.met_by(
+            before, origin, rays[pixels],
+            (1 + BakingRules.one_surface) * compared.depth[index][pixels])
+        image, gain = photos.images[index].astype(np.float32), compared.gains[index]
         shown = image.copy()
-        shown[pixels] = 255 * render_rays(field, origin, rays[pixels]).image / gain
+        shown[pixels] = 255 * render_rays(after, origin, rays[pixels]).image / gain
         pixels &= ~contradicted(contradiction(image, shown, pixels))
-    return agree
+    return right
 
 
 def _finished(field: VoxelField, fitted: VoxelField, space: ChangedSpace, reached: np.ndarray,

@@ -118,8 +118,7 @@ def update_once(run: UpdateRun, bag: Path, out: Path, options: UpdateOptions,
         space = growth.joined(space)
     if not space.places:
         return None
-    photos, seen, gains, chosen = _photos_that_see(run, old, field, space, drive,
-                                                   compared)
+    photos, seen, gains, chosen = _photos_that_see(run, old, field, space, drive, compared)
     after, scene = before.replaced(
         bake_changes(field, space, before, photos, seen, gains, of_stage(progress, 'keyframes')),
         landmarks), run.scene
@@ -199,11 +198,12 @@ def _photos_that_see(run: UpdateRun, old: VoxelField, field: VoxelField, space: 
         seen[place][pixels] = np.where(now.coverage > rules.least_coverage, now.depth, 0)
         if index < compared.old:
             wrong, depth = pixels & ~agree[index], compared.depth[index]
-            still = wrong & (depth > 0)
-            still[still] = ~space.holds(field, origin + depth[still][:, None] * rays[still])
-            seen[place][still] = depth[still]
-            wrong &= ~still
-            seen[place][wrong] = 0
+            # A surface outside of the space did not change, whatever is before it now.
+            outside = wrong & (depth > 0)
+            outside[outside] = ~space.holds(
+                field, origin + depth[outside][:, None] * rays[outside])
+            wrong &= ~outside
+            seen[place][outside], seen[place][wrong] = depth[outside], 0
             usable[place] &= ~_enlarged(wrong, camera.width, camera.height)
     return (Photos(np.stack(photos), camera, compared.photos.T_world_cam[chosen], usable), seen,
             compared.gains[chosen], chosen)
