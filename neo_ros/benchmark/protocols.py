@@ -12,7 +12,8 @@ from pathlib import Path
 from neo_ros.errors import ConfigError, SceneError
 from neo_ros.evaluation.evaluate import protocol_of
 from neo_ros.experiment import Experiment, ViewConfig
-from neo_ros.geometry import ViewExpansion
+from neo_ros.geometry import Intrinsics, ViewExpansion
+from neo_ros.machine.files import write_bytes
 from neo_ros.outpaint.network import NetworkConfig
 from neo_ros.outpaint.networks import check_network
 from neo_ros.scenes.digests import list_digest
@@ -21,7 +22,9 @@ from neo_ros.scenes.scene import Scene
 import numpy as np
 
 PROTOCOLS = ('square', 'horizontal')
-SCALES = {'full': 1.0, 'half': 0.5, 'quarter': 0.25}  # relative to the scene's photos
+OWN_SPLIT = 'split.json'  # of a scene folder: the split that it was first scored on
+# Relative to the scene's photos.
+SCALES = {'full': 1.0, 'half': 0.5, 'quarter': 0.25, 'eighth': 0.125}
 # (patch, depth) of the network's grid, best first; sizes must be multiples of the coarsest cell.
 _GRIDS = ((16, 2), (8, 2), (8, 1), (4, 2), (2, 2), (4, 1), (2, 1), (1, 1))
 _LARGE = 256  # from this width of the wide view on, cells of 16 pixels are fine enough
@@ -50,6 +53,13 @@ def choose_view(scene: Scene, protocol: str, scale: float) -> ViewConfig | None:
         raise ConfigError(f'scale: photos of {photo.width}x{photo.height} pixels are too small '
                           f'for the {protocol} protocol at {scale}; choose a larger scale')
     return view
+
+
+def scale_within(photo: Intrinsics, longest: int) -> str:
+    """Return the largest scale that leaves a photo's longer side at most so many pixels."""
+    side = max(photo.width, photo.height)
+    return next((name for name, scale in SCALES.items() if side * scale <= longest),
+                list(SCALES)[-1])
 
 
 def split_walks(test: PosedImages) -> PosedImages:
@@ -112,7 +122,26 @@ def check_split(scene_name: str, found: dict[str, str], frozen_file: Path) -> No
     if scene_name not in frozen:
         raise SceneError(f'{scene_name}: expected one of the frozen scenes '
                          f'{", ".join(sorted(frozen))} of {frozen_file.name}')
-    wrong = [part for part, digest in frozen[scene_name].items() if found[part] != digest]
+    _compare(scene_name, found, frozen[scene_name], frozen_file)
+
+
+def check_own_split(scene: Path, found: dict[str, str], frozen_file: Path) -> None:
+    """
+    Compare a split with that of the scene folder's own note, split.json, or freeze it there.
+
+    A folder without a note may hold one of the shipped splits (frozen_file), and needs none.
+    Raises SceneError for a split that differs from the note, NeoError where none can be written.
+    """
+    note = scene / OWN_SPLIT
+    if note.is_file():
+        _compare(scene.name, found, json.loads(note.read_text()), note)
+    elif json.loads(frozen_file.read_text()).get(scene.name) != found:
+        write_bytes(note, (json.dumps(found, indent=1) + '\n').encode())
+
+
+def _compare(scene_name: str, found: dict[str, str], frozen: dict[str, str],
+             frozen_file: Path) -> None:
+    wrong = [part for part, digest in frozen.items() if found.get(part) != digest]
     if wrong:
         words = {'train': 'the training photos or their poses',
                  'test': 'the test frames, their poses or the input window',

@@ -4,7 +4,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from neo_ros.benchmark.page import write_benchmark_report
-from neo_ros.benchmark.protocols import check_split
+from neo_ros.benchmark.protocols import check_own_split, check_split
 from neo_ros.benchmark.scoring import run_benchmark, write_rows
 from neo_ros.benchmark.suites import config_folder, SPLITS_FILE
 from neo_ros.benchmark.tables import markdown
@@ -16,11 +16,12 @@ from neo_ros.machine.progress import StageProgress
 
 
 def run_jobs(jobs: dict[str, Job], names: Sequence[str], work: Path, rows_file: Path, title: str,
-             progress: StageProgress, frozen: bool = False) -> str:
+             progress: StageProgress, frozen: str = 'no') -> str:
     """
     Benchmark scenes one after the other; returns the tables.
 
-    jobs by scene name; `frozen` compares every scene with its frozen split before any work.
+    jobs by scene name; `frozen` compares every scene before any work with a frozen split: that of
+    its name that is shipped ('named'), or that which its folder notes ('noted'); 'no': with none.
     Leaves the rows in `rows_file`, written again after every method, TITLE.md and TITLE.html in
     `work`.
     """
@@ -33,8 +34,11 @@ def run_jobs(jobs: dict[str, Job], names: Sequence[str], work: Path, rows_file: 
         if 'guided' in names and benches[-1].base.memory is None:
             raise ConfigError(f'{name}: guided needs a scene memory, got the setting memory: '
                               'null; leave guided out of --methods, or that setting away')
-        if frozen:
+        if frozen == 'named':
             check_split(name, benches[-1].checksums, config_folder() / SPLITS_FILE)
+        elif frozen == 'noted':
+            check_own_split(Path(job.scene), benches[-1].checksums,
+                            config_folder() / SPLITS_FILE)
     benchmarks: list[list[MethodScores]] = []
     for bench in benches:
         benchmarks.append(run_benchmark(

@@ -5,7 +5,7 @@ from typing import Any
 from neo_ros.benchmark.methods import METHODS
 from neo_ros.benchmark.paper_figures import PAPER, PAPER_SCENES
 from neo_ros.evaluation.evaluate import MethodScores
-from neo_ros.evaluation.metrics import summarise
+from neo_ros.evaluation.metrics import Estimate, summarise
 
 # A table for each part of the wide image, with these columns.
 _PARTS = ('ring', 'seam', 'whole')
@@ -13,7 +13,8 @@ _MEASURES = {'psnr': 'PSNR, dB', 'ssim': 'SSIM', 'lpips_vgg': 'LPIPS VGG',
              'lpips_alex': 'LPIPS Alex'}
 NOTE = """\
 Means over the test frames; in brackets bootstrap 95 % intervals over the walks. Of two or three
-walks (RedKitchen has three) they are the range over the walks, not 95 %. *Ring*: pixels that the
+walks (RedKitchen has three) they are the range over the walks, not 95 %. In means over scenes they
+are taken over the scenes. *Ring*: pixels that the
 camera did not see; *seam*: the part of the ring within 1/16 of the camera's width.
 Pasted: the observed centre is in the wide image as the camera gave it, which lifts the whole
 scores; its difference to the truth is 0. Bold: the best PSNR of the table among the methods that
@@ -40,6 +41,8 @@ def markdown(benchmarks: Sequence[Sequence[MethodScores]]) -> str:
                   f'{row["n_frames"]} frames',
                   *(_score_table(results, part) for part in _PARTS), _cost_table(results),
                   *_remarks(results)]
+    if len(benchmarks) > 1:
+        parts += [f'### Mean over {len(benchmarks)} scenes', _mean_table(benchmarks)]
     protocols = dict.fromkeys(results[0].row['protocol'] for results in benchmarks)
     for protocol in protocols:
         parts += [f"### The paper's own figures, {protocol} protocol",
@@ -88,10 +91,29 @@ def _score_table(results: Sequence[MethodScores], part: str) -> str:
     return _table([part, *columns.values(), 'pasted'], rows)
 
 
+def _mean_table(benchmarks: Sequence[Sequence[MethodScores]]) -> str:
+    """Return the ring's scores of the methods that all scenes have; each scene counts alike."""
+    of_scene = [{result.method: result.estimates for result in results} for results in benchmarks]
+    columns = {f'ring_{measure}': words for measure, words in _MEASURES.items()}
+    rows = []
+    for method in of_scene[0]:
+        if not all(method in scene for scene in of_scene):
+            continue
+        scores = summarise([{'path_id': number, **{
+            score: scene[method][score].mean for score in columns if score in scene[method]}}
+            for number, scene in enumerate(of_scene)])
+        rows.append([method, *(_estimate(scores.get(score), score) for score in columns)])
+    return _table(['ring', *columns.values()], rows)
+
+
 def _score(result: MethodScores, score: str) -> str:
-    if score not in result.estimates:
+    return _estimate(result.estimates.get(score), score)
+
+
+def _estimate(estimate: Estimate | None, score: str) -> str:
+    if estimate is None:
         return ''
-    estimate, digits = result.estimates[score], 2 if score.endswith('psnr') else 3
+    digits = 2 if score.endswith('psnr') else 3
     text = f'{estimate.mean:.{digits}f}'
     if estimate.low is not None:
         text += f' ({estimate.low:.{digits}f} to {estimate.high:.{digits}f})'

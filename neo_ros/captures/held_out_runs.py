@@ -9,9 +9,10 @@ from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.transforms_json import read_transforms, write_transforms
 
 # Share of the photos that is held back, and how many are left out at both ends of a run: the
-# neighbours of a video's frame show nearly the same.
+# neighbours of a video's frame show nearly the same. A few photos lie farther apart: of 25 one.
 SHARE = 0.1
 GAP = 4
+GAP_SHARE = 1 / 25
 # The margins of the narrow view are multiples of so many pixels, as networks want it.
 CELL = 16
 
@@ -38,13 +39,14 @@ def split_runs(photos: PosedImages, count: int) -> tuple[PosedImages, PosedImage
     """Split photos, in the order they were taken, into those that are kept and runs for tests."""
     total = len(photos)
     length = max(int(SHARE * total / count), 2)
-    if total < 2 * count * (length + 2 * GAP):
+    gap = min(max(int(GAP_SHARE * total), 1), GAP)
+    if total < 2 * count * (length + 2 * gap):
         raise SceneError(
-            f'--test-runs: {count} runs of {length} photos, with {GAP} left out at both ends, '
+            f'--test-runs: {count} runs of {length} photos, with {gap} left out at both ends, '
             f'take more than half of the {total} photos; ask for fewer runs or record more')
     starts = [int((run + 0.5) * total / count - length / 2) for run in range(count)]
     held = {start + step: run for run, start in enumerate(starts) for step in range(length)}
-    apart = {index for start in starts for index in range(start - GAP, start + length + GAP)}
+    apart = {index for start in starts for index in range(start - gap, start + length + gap)}
     test = photos.subset(sorted(held))
     return (photos.subset([index for index in range(total) if index not in apart]),
             replace(test, path_ids=tuple(held[index] for index in sorted(held))))

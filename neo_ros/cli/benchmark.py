@@ -7,7 +7,8 @@ import typer
 
 def benchmark(
     suite: Annotated[Optional[str], typer.Option(
-        help='Run a whole suite of config/benchmark, for instance quarter.')] = None,
+        help='Run a whole suite of config/benchmark: quarter, full, or real, which takes every '
+        'scene folder in --scenes.')] = None,
     scene: Annotated[Optional[Path], typer.Option(
         help='Benchmark one scene folder, with wide truth in transforms_test.json.')] = None,
     test_scene: Annotated[Optional[Path], typer.Option(
@@ -17,7 +18,8 @@ def benchmark(
         help='square: photos are the view, grown to twice their size. horizontal: the middle '
         'half of the columns, grown to the photo. Default: square.')] = None,
     scale: Annotated[Optional[str], typer.Option(
-        help='full, half or quarter of the resolution of the photos. Default: quarter.')] = None,
+        help='full, half, quarter or eighth of the resolution of the photos. Default: '
+        'quarter.')] = None,
     config: Annotated[Optional[Path], typer.Option(
         help='Experiment file (YAML) with the settings for SCENE. Its view, scale, steps and '
         "minutes, and the network's name, patch and depth, are not read: they follow from "
@@ -30,7 +32,8 @@ def benchmark(
     frames: Annotated[Optional[int], typer.Option(
         min=1, help='Score only so many test frames, spread evenly; default: all.')] = None,
     scenes: Annotated[Optional[list[Path]], typer.Option(
-        help='Folder that holds the scene folders of a suite; may be given several times.',
+        help='Folder that holds the scene folders of a suite, for real also a scene folder; may '
+        'be given several times.',
     )] = None,
     out: Annotated[Optional[Path], typer.Option(
         help='File for the rows; default: results/NAME.json, where NAME is the suite or the '
@@ -89,7 +92,8 @@ def benchmark(
         if whole and out is None:
             make_output_folder(kept.parent)
         with bundled(bundle, rows_file, work) if bundle else nullcontext():
-            table = run_jobs(jobs, names, work, rows_file, name, show, frozen=scene is None)
+            table = run_jobs(jobs, names, work, rows_file, name, show, frozen=(
+                'no' if scene else 'noted' if plan.every else 'named'))
     print(table)  # As it is: rich would break its lines.
     if whole and out is None:
         _keep(table, rows_file, kept)

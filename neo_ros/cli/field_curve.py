@@ -7,7 +7,8 @@ import typer
 
 def field_curve(
     scene: Annotated[Path, typer.Argument(help='Scene folder with wide test frames.')],
-    scale: Annotated[str, typer.Option(help='full, half or quarter of the photos.')] = 'quarter',
+    scale: Annotated[str, typer.Option(
+        help='full, half, quarter or eighth of the photos.')] = 'quarter',
     minutes: Annotated[Optional[list[float]], typer.Option(
         help='Training time; may be repeated. Default: 1 and 5.', min=0.01)] = None,
     config: Annotated[Optional[Path], typer.Option(

@@ -3,11 +3,12 @@ from dataclasses import replace
 import json
 
 from neo_ros.benchmark.protocols import (
-    check_split, choose_view, fitting_network, split_checksums, split_walks)
+    check_own_split, check_split, choose_view, fitting_network, OWN_SPLIT, scale_within,
+    split_checksums, split_walks)
 from neo_ros.benchmark.suites import (
     config_folder, merged, prepare_demo, read_suite, SPLITS_FILE, suite_jobs)
 from neo_ros.benchmark.workbench import Job, Workbench
-from neo_ros.errors import ConfigError, SceneError
+from neo_ros.errors import ConfigError, NeoError, SceneError
 from neo_ros.experiment import Experiment, ViewConfig
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
 from neo_ros.machine.progress import no_stage_progress
@@ -93,6 +94,53 @@ def test_a_frozen_split_is_known_again_and_any_change_is_named(split, tmp_path):
         check_split('hall', checksums, frozen)
 
 
+def test_a_folder_notes_the_split_it_was_first_scored_on(split, tmp_path):
+    photos, test, stated = split
+    shipped = tmp_path / 'splits.json'
+    checksums = split_checksums(photos, test, stated)
+    shipped.write_text(json.dumps({tmp_path.name: checksums}))
+    check_own_split(tmp_path, checksums, shipped)
+    assert not (tmp_path / OWN_SPLIT).exists()  # It is a shipped one.
+    shipped.write_text('{}')
+    check_own_split(tmp_path, checksums, shipped)
+    assert json.loads((tmp_path / OWN_SPLIT).read_text()) == checksums
+    check_own_split(tmp_path, checksums, shipped)
+    fewer = split_checksums(photos.subset([0, 1]), test, stated)
+    with pytest.raises(SceneError, match='training photos.*split.json.*cannot be compared'):
+        check_own_split(tmp_path, fewer, shipped)
+    (tmp_path / OWN_SPLIT).unlink()
+    (tmp_path / OWN_SPLIT).mkdir()
+    with pytest.raises(NeoError, match='split.json: cannot write'):
+        check_own_split(tmp_path, checksums, shipped)
+
+
+def test_a_suite_of_every_scene_takes_what_it_is_given(tmp_path):
+    suite = read_suite('real')
+    for place, width in (('a/hall', 640), ('a/yard', 6000), ('b/kitchen', 320)):
+        camera = Intrinsics.from_hfov(width, 8, 1.0)
+        write_capture(tmp_path / place, 1, camera)
+        write_capture(tmp_path / place, 1, camera, 'transforms_test.json', 'test')
+    (tmp_path / 'a/notes').mkdir()
+    jobs = suite_jobs(suite, [tmp_path / 'b/kitchen', tmp_path / 'a'])
+    assert list(jobs) == ['kitchen', 'hall', 'yard']
+    assert [job.scale for job in jobs.values()] == ['full', 'half', 'eighth']
+    assert {(job.protocol, job.minutes, job.settings) for job in jobs.values()} == {
+        ('horizontal', 10, None)}
+    with pytest.raises(ConfigError, match='got hall, yard, hall, yard in'):
+        suite_jobs(suite, [tmp_path / 'a', tmp_path / 'a'])
+    with pytest.raises(ConfigError, match='got none in .*neo import'):
+        suite_jobs(suite, [tmp_path / 'a/notes'])
+    (tmp_path / 'a/yard/transforms_test.json').unlink()
+    with pytest.raises(ConfigError, match='yard: .*--test-runs 3'):
+        suite_jobs(suite, [tmp_path / 'a'])
+
+
+@pytest.mark.parametrize('size, longest, scale', [
+    ((320, 240), 320, 'full'), ((240, 321), 320, 'half'), ((8000, 9000), 100, 'eighth')])
+def test_the_largest_scale_within_so_many_pixels(size, longest, scale):
+    assert scale_within(Intrinsics.from_hfov(*size, 1.0), longest) == scale
+
+
 @pytest.mark.parametrize('name, scale, frames', [
     ('quarter', 'quarter', None), ('full', 'full', 50)])
 def test_the_shipped_suites_name_frozen_scenes(tmp_path, name, scale, frames):
@@ -163,7 +211,7 @@ def test_settings_are_laid_over_one_another():
 
 
 @pytest.mark.parametrize('changed, field', [
-    ({'scale': 'eighth'}, 'scale'), ({'minutes': 0.0}, 'budget-minutes')])
+    ({'scale': 'tenth'}, 'scale'), ({'minutes': 0.0}, 'budget-minutes')])
 def test_jobs_are_checked(changed, field):
     with pytest.raises(ConfigError, match=field):
         Job(**{'scene': '.', 'protocol': 'square', 'scale': 'full', 'minutes': 1.0, **changed})

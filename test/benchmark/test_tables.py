@@ -62,6 +62,14 @@ def test_the_gap_is_closed_by_lpips_too():
     assert '| guided |  |  |' in markdown([RESULTS])
 
 
+def test_the_mean_counts_each_scene_alike_and_methods_that_all_have():
+    easy = [scores('guided', [34] * 4, [0.2] * 4), scores('naive', [20] * 4)]
+    table = markdown([RESULTS, easy]).split('### Mean over 2 scenes')[1].split('###')[0]
+    rows = [line for line in table.splitlines() if line.startswith('|')]
+    assert rows[2:] == ['| guided | 29.50 (25.00 to 34.00) |  | 0.275 (0.200 to 0.350) |  |']
+    assert 'Mean over' not in markdown([RESULTS])
+
+
 def test_what_no_photo_covered_and_the_minutes_are_told():
     table = markdown([RESULTS])
     assert 'warping: no photo covered 25% of the ring' in table

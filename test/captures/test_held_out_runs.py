@@ -1,7 +1,7 @@
 """Runs of photos that are held back for tests."""
 import json
 
-from neo_ros.captures.held_out_runs import GAP, hold_out_runs, middle_columns, split_runs
+from neo_ros.captures.held_out_runs import hold_out_runs, middle_columns, split_runs
 from neo_ros.cli.main import app
 from neo_ros.errors import ConfigError, SceneError
 from neo_ros.geometry import Intrinsics
@@ -26,14 +26,20 @@ def test_runs_and_their_neighbours_are_kept_from_training(capture):
     assert held == [9, 10, 29, 30, 49, 50]
     assert test.path_ids == (0, 0, 1, 1, 2, 2)
     kept = [names.index(path.name) for path in train.image_paths]
-    assert min(abs(a - b) for a in kept for b in held) == GAP + 1
-    assert len(kept) == 60 - 3 * (2 + 2 * GAP)
+    assert min(abs(a - b) for a in kept for b in held) == 3
+    assert len(kept) == 60 - 3 * (2 + 2 * 2)
+
+
+def test_few_photos_lie_farther_apart(capture):
+    photos = read_transforms(capture / 'transforms_train.json').subset(range(30))
+    train, test = split_runs(photos, 3)
+    assert len(test) == 3 * 2 and len(train) == 30 - 3 * (2 + 2 * 1)
 
 
 def test_a_short_capture_is_refused(capture):
     photos = read_transforms(capture / 'transforms_train.json')
-    with pytest.raises(SceneError, match='more than half of the 60 photos'):
-        split_runs(photos, 4)
+    with pytest.raises(SceneError, match='6 runs .* 2 left out .* half of the 60 photos'):
+        split_runs(photos, 6)
 
 
 @pytest.mark.parametrize(('width', 'source'), [(320, 160), (640, 320), (1296, 656), (30, 28)])
@@ -52,7 +58,7 @@ def test_the_import_holds_runs_back_again_and_again(capture, tmp_path):
         assert '6 photos in 2 runs are test frames' in ' '.join(result.output.split())
     found = read_scene(scene)
     assert found.test is not None and found.expansion is not None
-    assert len(found.train) == 60 - 2 * (3 + 2 * GAP) and len(found.test) == 6
+    assert len(found.train) == 60 - 2 * (3 + 2 * 2) and len(found.test) == 6
     assert not set(found.train.image_paths) & set(found.test.image_paths)
     assert found.expansion.source.width < found.expansion.target.width
     # A scene is a capture, too: settings are tuned on runs of its training photos.
