@@ -12,7 +12,7 @@ from neo_ros.field.config import FieldConfig, FIT_NEAR
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.outpaint.fitting import OutpaintConfig
 from neo_ros.outpaint.network import NetworkConfig
-from neo_ros.outpaint.networks import fitting_expansion
+from neo_ros.outpaint.networks import fitted_expansion, fitting_expansion
 from neo_ros.scenes.pose_sampling import SamplingConfig
 from pydantic import TypeAdapter, ValidationError
 import yaml
@@ -105,9 +105,10 @@ class Experiment:
         camera is that of the photos; stated is what the scene's test frames say of themselves.
         """
         if self.view is not None:
-            stated = ViewExpansion.to_size(camera.middle(*self.view.source), *self.view.target)
+            wide = ViewExpansion.to_size(camera.middle(*self.view.source), *self.view.target)
+            return wide.scaled(self.scale)
         if stated is not None:
-            return stated.scaled(self.scale)
+            return fitted_expansion(stated, self.scale, self.network)
         return fitting_expansion(camera.scaled(self.scale), self.network)
 
 

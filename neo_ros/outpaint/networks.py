@@ -1,4 +1,5 @@
 """One interface, several networks: which one an experiment names, on which grid of cells."""
+from collections.abc import Sequence
 from dataclasses import replace
 import math
 
@@ -116,9 +117,8 @@ def fitting_expansion(camera: Intrinsics, config: NetworkConfig) -> ViewExpansio
         middle = camera.middle(times * small.source.width, times * small.source.height)
         return ViewExpansion(middle, *(times * side for side in (
             small.left, small.right, small.top, small.bottom)))
-    patches = [config.patch] if config.patch else range(1, min(camera.width, camera.height) + 1)
     found: list[tuple[tuple[int, ...], ViewExpansion]] = []
-    for patch in patches if config.name == 'neo_fast' else ():
+    for patch in _patches(camera, config) if config.name == 'neo_fast' else ():
         # It grows by half of its size at each side.
         unit = 2 * patch << (config.depth - 1)
         width, height = camera.width // unit * unit, camera.height // unit * unit
@@ -129,6 +129,59 @@ def fitting_expansion(camera: Intrinsics, config: NetworkConfig) -> ViewExpansio
     left, top = camera.width // 2, camera.height // 2
     whole = ViewExpansion(camera, left, camera.width - left, top, camera.height - top)
     return max(found, key=lambda item: item[0], default=((), whole))[1]
+
+
+def fitted_expansion(stated: ViewExpansion, scale: float, config: NetworkConfig
+                     ) -> ViewExpansion:
+    """
+    Return a stated view at a scale, its rims left out where the cells of neo_fast do not fit.
+
+    As few pixels as possible are left out, and what the camera's view loses the margins gain.
+    Raises GeometryError where no size gives whole pixels at that scale.
+    """
+    if config.name == 'neo_fast' and not _fits(stated, scale, config):
+        found = [(view, patch) for patch in _patches(stated.source.scaled(scale), config)
+                 if (view := _trimmed(stated, scale, config.shrink * patch << (config.depth - 1)))
+                 and (config.patch or _is_light(view.scaled(1 / config.shrink), patch, config))]
+        if found:
+            return max(found, key=lambda item: (
+                item[0].target.width * item[0].target.height, min(item[1], PATCH), -item[1]))[0]
+    return stated.scaled(scale)
+
+
+def _fits(stated: ViewExpansion, scale: float, config: NetworkConfig) -> bool:
+    sizes = (stated.source.width, stated.source.height, stated.left, stated.right, stated.top,
+             stated.bottom)
+    if any(abs(size * scale / config.shrink % 1) > 1e-6 for size in sizes):
+        return False
+    view = stated.scaled(scale / config.shrink)
+    common = math.gcd(*(round(size * scale / config.shrink) for size in sizes))
+    return any(common % (patch << (config.depth - 1)) == 0
+               and (config.patch or _is_light(view, patch, config))
+               for patch in _patches(view.source, config))
+
+
+def _patches(camera: Intrinsics, config: NetworkConfig) -> Sequence[int]:
+    return [config.patch] if config.patch else range(1, min(camera.width, camera.height) + 1)
+
+
+def _trimmed(stated: ViewExpansion, scale: float, unit: int) -> ViewExpansion | None:
+    """Return a stated view at a scale with all sizes in multiples of `unit`, if there is one."""
+    step = round(unit / scale)
+    source, target = stated.source, stated.target
+    width, height = source.width // step * step, source.height // step * step
+    if abs(step * scale - unit) > 1e-6 or not (width and height):
+        return None
+    # On whole pixels of that scale, too.
+    whole = max(round(1 / scale), 1)
+    left = (stated.left + (source.width - width) // 2) // whole * whole
+    top = (stated.top + (source.height - height) // 2) // whole * whole
+    sides = [side // step * step for side in (
+        left, target.width - left - width, top, target.height - top - height)]
+    if not any(sides):
+        return None
+    view = ViewExpansion(target.cropped(left, top, width, height), *sides)
+    return view.scaled(scale)
 
 
 def _is_light(expansion: ViewExpansion, patch: int, config: NetworkConfig) -> bool:

@@ -206,13 +206,17 @@ def _network_shrink(experiment: Experiment, scene: Scene, rules: PlanRules) -> i
     """Return the least whole number that brings the camera's view to the network's size."""
     whole = experiment.expansion(scene.train.intrinsics, scene.expansion)
     wanted = math.ceil(max(whole.source.width, whole.source.height) / rules.network_side)
-    if experiment.view is None and scene.expansion is None:
-        return wanted  # The view is chosen to fit.
+    if experiment.view is None:
+        if scene.expansion is None:
+            return wanted  # The view is chosen to fit.
+        whole, scale = scene.expansion, experiment.scale  # Not yet fitted to any cells.
+    else:
+        scale = 1.0
     sizes = (whole.source.width, whole.source.height, whole.left, whole.right, whole.top,
              whole.bottom)
     fitting = [shrink for shrink in range(1, 2 * wanted + 1)
-               if all(size % shrink == 0 for size in sizes)]
-    return min(fitting, key=lambda shrink: (abs(shrink - wanted), -shrink))
+               if all(size * scale % shrink == 0 for size in sizes)]
+    return min(fitting, key=lambda shrink: (abs(shrink - wanted), -shrink), default=wanted)
 
 
 def _fitting_rate(photos: PosedImages, base: Experiment, rules: PlanRules) -> float:

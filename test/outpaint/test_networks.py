@@ -4,15 +4,15 @@ from pathlib import Path
 from typing import Any
 
 from hypothesis import given, settings, strategies as st
-from neo_ros.errors import ConfigError
+from neo_ros.errors import ConfigError, GeometryError
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.outpaint.export import check_parity, export_onnx
 from neo_ros.outpaint.fourier import RealFourier
 from neo_ros.outpaint.mat import INVALID, Mat, WindowAttention
 from neo_ros.outpaint.network import NetworkConfig, Outpainter
 from neo_ros.outpaint.networks import (
-    at_full_size, AtFullSize, build_network, check_network, fitting_expansion, fitting_patch,
-    MOST_WEIGHTS, shrunk_expansion)
+    at_full_size, AtFullSize, build_network, check_network, fitted_expansion, fitting_expansion,
+    fitting_patch, MOST_WEIGHTS, shrunk_expansion)
 from neo_ros.runtime.fov_extrapolator import WideView
 from neo_ros.runtime.operators import ALLOWED_OPERATORS
 import numpy as np
@@ -156,6 +156,37 @@ def test_a_camera_of_any_size_gets_a_network_that_fits(
     with torch.device('meta'):
         middle = Outpainter(view, replace(config, patch=patch)).recall
     assert sum(weight.numel() for weight in middle.parameters()) < 1.01 * MOST_WEIGHTS
+
+
+@pytest.mark.parametrize('photo, margin, scale, shrink, source, target', [
+    ((320, 240), 80, 1.0, 1, (160, 240), (320, 240)),
+    ((320, 240), 80, 0.5, 2, (80, 120), (160, 120)),
+    ((1080, 1920), 256, 0.25, 1, (120, 480), (264, 480)),
+    ((1080, 1920), 256, 1.0, 8, (480, 1920), (1056, 1920)),
+    ((641, 479), 160, 0.5, 1, (160, 232), (320, 232)),
+    ((643, 481), 161, 0.5, 1, (160, 240), (320, 240))], ids=str)
+def test_a_stated_view_is_trimmed_only_where_no_cells_fit(
+        photo: tuple[int, int], margin: int, scale: float, shrink: int, source: tuple[int, int],
+        target: tuple[int, int]) -> None:
+    config = NetworkConfig(shrink=shrink)
+    camera = Intrinsics(*photo, 500, 500, photo[0] / 2, photo[1] / 2)
+    stated = ViewExpansion.inside(camera, margin, 0, photo[0] - 2 * margin, photo[1])
+    view = fitted_expansion(stated, scale, config)
+    assert (view.source.width, view.source.height) == source
+    assert (view.target.width, view.target.height) == target
+    assert view.source.fx == 500 * scale
+    small = shrunk_expansion(view, config)
+    check_network(small, NetworkConfig(patch=fitting_patch(small, config)))
+    # What is left still has its place in the photo, to the pixel.
+    off = camera.cx * scale - view.target.cx
+    assert off == pytest.approx(round(off)) and off + target[0] <= photo[0] * scale
+
+
+def test_no_size_that_fits_is_an_error() -> None:
+    stated = ViewExpansion.to_size(Intrinsics(7, 9, 9, 9, 3, 4), 15, 9)
+    with pytest.raises(GeometryError, match='whole pixels'):
+        fitted_expansion(stated, 0.3, NetworkConfig())
+    assert fitted_expansion(stated, 1, CONFIGS['lama']) == stated
 
 
 def test_other_networks_take_the_whole_camera() -> None:
