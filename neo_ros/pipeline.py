@@ -61,9 +61,10 @@ def train(scene_folder: Path, experiment: Experiment, out: Path,
     are kept in files instead of in memory. `field_of` is the folder of another run, whose field is
     taken; `geometry` is a mesh or splats that take its place. With `minutes` all of it takes so
     long: settings are chosen for camera and machine, see `training/time_plan.py`. `cluster` hands
-    the tiles of a large floor to Ray, see `training/tiles.py`. Raises NeoError for scenes and
-    settings that cannot be trained, where `out` holds a run of other settings, where the other
-    field is of other photos or settings, and where the geometry does not show what the photos do.
+    the tiles of a large floor and the keyframes to Ray, see `machine/ray_jobs.py`. Raises NeoError
+    for scenes and settings that cannot be trained, where `out` holds a run of other settings,
+    where the other field is of other photos or settings, and where the geometry does not show what
+    the photos do.
     """
     scene = read_upright_scene(scene_folder)
     with process_group() as rank:

@@ -1,34 +1,25 @@
 """
-Make the scene memory: panoramas with depth out of the field, with colours out of the photos.
+The keyframes of a scene memory: depth out of the field, colours out of the photos.
 
 The field knows where things are better than how they look: each point of a panorama takes its
 colour from the photos that saw it from nearly the same direction, and from the field where no
 photo agrees.
 """
-from collections.abc import Iterator
 from dataclasses import dataclass
 import math
-from pathlib import Path
-import time
-from zipfile import BadZipFile
 
 import cv2
 from neo_ros.baking.band_rendering import mesh_depth, render_band
-from neo_ros.baking.glances import glance_rotations, keyframe_glances, photo_glances
 from neo_ros.baking.kernels import colour_from_photos, FAR, PanoramaPixels, PhotoArrays
 from neo_ros.baking.plain_surfaces import (
-    dominant_directions, hand_held, move_to_planes, NO_DIRECTIONS, with_planes)
-from neo_ros.errors import ConfigError, NeoError
-from neo_ros.field.panorama import view_band
+    dominant_directions, move_to_planes, NO_DIRECTIONS, with_planes)
+from neo_ros.errors import ConfigError
 from neo_ros.field.radiance_field import RadianceField
 from neo_ros.field.rendering import render_rays, to_uint8, world_rays
-from neo_ros.geometry import Band, CameraPose, Intrinsics, ViewExpansion
+from neo_ros.geometry import Band, CameraPose, Intrinsics
 from neo_ros.machine.evenly import evenly
-from neo_ros.machine.files import whole_file
-from neo_ros.machine.progress import (
-    no_progress, no_stage_progress, of_stage, Progress, StageProgress)
-from neo_ros.memory.keyframe import compress, FINER, Keyframe
-from neo_ros.memory.scene_memory import Glances, SceneMemory
+from neo_ros.machine.progress import no_progress, Progress
+from neo_ros.memory.keyframe import FINER, Keyframe
 from neo_ros.scenes.pose_sampling import PoseSampler
 import numpy as np
 
@@ -78,57 +69,10 @@ class Photos:
     usable: np.ndarray | None = None
 
 
-def bake_memory(field: RadianceField, photos: Photos, expansion: ViewExpansion,
-                sampler: PoseSampler, config: MemoryConfig, seed: int, work: Path,
-                progress: StageProgress = no_stage_progress, rules: BakingRules = BakingRules(),
-                seconds: float = math.inf) -> SceneMemory:
-    """
-    Render and colour the keyframes of `keyframe_positions`, and take glances from them.
-
-    Finished keyframes lie in the folder `work`, and are not made again. In fewer `seconds` than
-    all of them take, the first are made: each is as far from the ones before as can be.
-    """
-    ends = time.monotonic() + seconds
-    random = np.random.default_rng([seed, 3])
-    band = view_band(expansion.target,
-                     np.stack([sampler.draw_rotation(random) for _ in range(500)]),
-                     sampler.yaw_range)
-    positions = keyframe_positions(sampler, photos, config.distance)
-    seen, gains = seen_by_photos(field, photos, rules, of_stage(progress, 'depth of photos'))
-    directions = NO_DIRECTIONS if hand_held(positions) else _put_on_planes(
-        photos, seen, rules, of_stage(progress, 'planes of photos'))
-    frames: list[tuple[bytes, bytes, Glances]] = []
-    clock = _BakingClock(ends - time.monotonic())
-    for index, position in enumerate(positions):
-        if index >= max(rules.least_keyframes, clock.possible(index, len(positions))):
-            break
-        path = work / f'{index:06d}.npz'
-        frame = _read_finished(path)
-        clock.finished += frame is not None
-        if frame is None:
-            # One is 70 MB for a camera of 640 pixels: it is compressed at once.
-            keyframe = bake_keyframe(field, photos, seen, gains, position, band,
-                                     keyframe_size(band, expansion.target.fx, rules), rules,
-                                     directions)
-            frame = (*compress(keyframe), keyframe_glances(
-                [keyframe], band, expansion.source, glance_rotations(sampler)))
-            _write_finished(path, *frame)
-        frames.append(frame)
-        progress('keyframes', index + 1, clock.possible(index + 1, len(positions)))
-    positions = positions[:len(frames)]
-    textures, depths, glances = zip(*frames)
-    glances = (*glances, photo_glances(
-        _of_scene_alone(field, photos, gains, rules), photos.intrinsics, photos.T_world_cam,
-        expansion.source))
-    return SceneMemory(positions, band, textures, depths, Glances(
-        np.concatenate([part.pictures for part in glances]),
-        np.concatenate([part.T_world_cam for part in glances])))
-
-
 def seen_by_photos(field: RadianceField, photos: Photos, rules: BakingRules = BakingRules(),
                    progress: Progress = no_progress) -> tuple[np.ndarray, np.ndarray]:
     """Return how far photos see, float32 (N, h, w) metres along the ray, and gains (N, 3)."""
-    camera = _seeing_camera(photos.intrinsics, rules)
+    camera = seeing_camera(photos.intrinsics, rules)
     seen = np.empty((len(photos.images), camera.height, camera.width), np.float32)
     gains = []
     for index, (image, T) in enumerate(zip(photos.images, photos.T_world_cam)):
@@ -142,19 +86,19 @@ def seen_by_photos(field: RadianceField, photos: Photos, rules: BakingRules = Ba
     return seen, np.stack(gains)
 
 
-def _seeing_camera(camera: Intrinsics, rules: BakingRules) -> Intrinsics:
+def seeing_camera(camera: Intrinsics, rules: BakingRules) -> Intrinsics:
     """Return the camera by which the depth of photos is kept, no finer than the field is."""
     return camera.scaled(min(rules.photo_focal / camera.fx, 1.0))
 
 
-def _put_on_planes(photos: Photos, seen: np.ndarray, rules: BakingRules, progress: Progress
-                   ) -> np.ndarray:
+def put_on_planes(photos: Photos, seen: np.ndarray, rules: BakingRules, progress: Progress
+                  ) -> np.ndarray:
     """
     Put what is plain in `seen` on planes, in place, see `with_planes`.
 
     Returns the directions that the surfaces of the scene face, see `dominant_directions`.
     """
-    camera = _seeing_camera(photos.intrinsics, rules)
+    camera = seeing_camera(photos.intrinsics, rules)
 
     def rays(index: int) -> np.ndarray:
         return world_rays(camera, CameraPose(photos.T_world_cam[index]))[1]
@@ -169,20 +113,6 @@ def _put_on_planes(photos: Photos, seen: np.ndarray, rules: BakingRules, progres
     return directions
 
 
-def _of_scene_alone(field: RadianceField, photos: Photos, gains: np.ndarray, rules: BakingRules
-                    ) -> Iterator[np.ndarray]:
-    """Yield the photos; what their masks leave out is shown as the field has it."""
-    camera = photos.intrinsics
-    small = _seeing_camera(camera, rules)
-    for index, (image, T) in enumerate(zip(photos.images, photos.T_world_cam)):
-        usable = None if photos.usable is None else photos.usable[index]
-        if usable is not None and not usable.all():
-            rendering = render_rays(field, *world_rays(small, CameraPose(T)))
-            shown = cv2.resize(rendering.image / gains[index], (camera.width, camera.height))
-            image = np.where(usable[..., None], image, to_uint8(shown))
-        yield image
-
-
 def clear_pixels(usable: np.ndarray, camera: Intrinsics) -> np.ndarray:
     """
     Return bool (h, w) of the camera's size: no pixel that a mask leaves out is near.
@@ -191,43 +121,6 @@ def clear_pixels(usable: np.ndarray, camera: Intrinsics) -> np.ndarray:
     """
     near = cv2.dilate((~usable).astype(np.float32), np.ones((5, 5), np.uint8))
     return cv2.resize(near, (camera.width, camera.height), interpolation=cv2.INTER_AREA) == 0
-
-
-class _BakingClock:
-    """Tells when the time for keyframes is over; those of before a break count as the others."""
-
-    def __init__(self, seconds: float) -> None:
-        self.seconds, self.finished = seconds, 0
-        self.started = time.monotonic()
-
-    def possible(self, made: int, wanted: int) -> int:
-        """Return how many keyframes there will be, of those `wanted`, after `made`."""
-        if math.isinf(self.seconds) or made == self.finished:
-            return wanted
-        each = (time.monotonic() - self.started) / (made - self.finished)
-        return min(max(int(self.seconds / each), made), wanted)
-
-
-def _write_finished(path: Path, texture: bytes, depth: bytes, glances: Glances) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(path) as partial, partial.open('wb') as file:
-            np.savez(file, texture=np.frombuffer(texture, np.uint8),
-                     depth=np.frombuffer(depth, np.uint8), pictures=glances.pictures,
-                     T_world_cam=glances.T_world_cam)
-    except OSError as error:
-        raise NeoError(f'{path}: cannot keep the keyframe: {error.strerror}; make room and give '
-                       'the same command again') from error
-
-
-def _read_finished(path: Path) -> tuple[bytes, bytes, Glances] | None:
-    """Read what `_write_finished` wrote; None where it is not there or damaged."""
-    try:
-        with np.load(path, allow_pickle=False) as data:
-            return (data['texture'].tobytes(), data['depth'].tobytes(),
-                    Glances(data['pictures'], data['T_world_cam']))
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile):
-        return None
 
 
 def keyframe_positions(sampler: PoseSampler, photos: Photos, distance: float) -> np.ndarray:

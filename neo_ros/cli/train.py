@@ -31,8 +31,9 @@ def train(
         'such as 0.01x,-0.01z,0.01y.')] = 'x,y,z',
     cluster: Annotated[bool, typer.Option(
         '--cluster',
-        help='Fit the tiles of a large floor side by side on Ray: on the cores of this machine, '
-        'or with RAY_ADDRESS on a cluster, all of whose machines need the same paths.',
+        help='Fit the tiles of a large floor and make keyframes side by side on Ray: on the '
+        'cores of this machine, or with RAY_ADDRESS on a cluster, all of whose machines need the '
+        'same paths.',
     )] = False,
 ) -> None:
     """

@@ -8,8 +8,9 @@ import shutil
 import time
 from typing import Any
 
-from neo_ros.baking.keyframes import bake_memory, MemoryConfig, Photos
+from neo_ros.baking.keyframes import MemoryConfig, Photos
 from neo_ros.baking.landmarks import find_landmarks
+from neo_ros.baking.memory_baking import bake_memory
 from neo_ros.baking.twin_search import find_twins
 from neo_ros.errors import ModelError
 from neo_ros.field.radiance_field import RadianceField
@@ -41,7 +42,7 @@ def memory_step(run: TrainingRun, field: RadianceField) -> None:
         memory = bake_memory(
             field, photos, run.expansion, make_sampler(run, field), config, run.experiment.seed,
             run.out / WORK / f'keyframes_{config.distance}',
-            run.progress, seconds=left)
+            run.progress, seconds=left, on_ray=run.out / 'field.npz' if run.cluster else None)
         memory.landmarks = landmarks
         memory.twins = find_twins(memory, run.expansion, of_stage(run.progress, 'look-alikes'))
         memory.write(path)

@@ -51,7 +51,7 @@ class TrainingRun:
     plan: TimePlan | None = None  # where the user gave minutes for all of it
     hold_out: HoldOutRules = HoldOutRules()
     geometry: GivenGeometry | None = None  # in the place of a fitted field
-    cluster: bool = False         # hands tiles to Ray
+    cluster: bool = False         # hands tiles and keyframes to Ray
 
     def __post_init__(self) -> None:
         if not self.cache_gb >= 0:  # nan is neither, and would be no limit.

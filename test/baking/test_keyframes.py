@@ -3,12 +3,12 @@ from pathlib import Path
 
 from box_room import BAND, cast, EXPANSION, HEIGHT, planar, SOURCE, view
 import cv2
-from neo_ros.baking import band_rendering, keyframes
+from neo_ros.baking import band_rendering, keyframes, memory_baking
 from neo_ros.baking.band_rendering import mesh_depth
 from neo_ros.baking.glances import glance_rotations
 from neo_ros.baking.kernels import colour_from_photos, PanoramaPixels, PhotoArrays
-from neo_ros.baking.keyframes import (
-    bake_memory, keyframe_positions, MemoryConfig, Photos)
+from neo_ros.baking.keyframes import keyframe_positions, MemoryConfig, Photos
+from neo_ros.baking.memory_baking import bake_memory
 from neo_ros.errors import ConfigError, NeoError
 from neo_ros.field.rendering import Rendering
 from neo_ros.field.voxel_field import VoxelField
@@ -204,6 +204,7 @@ def bake_with_post(work: Path, person: bool = False, masked: bool = False,
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(band_rendering, 'render_rays', stand_in_field)
         patch.setattr(keyframes, 'render_rays', stand_in_field)
+        patch.setattr(memory_baking, 'render_rays', stand_in_field)
         memory = bake_memory(field, photos, EXPANSION, sampler, MemoryConfig(), 0, work)
     return memory
 
@@ -219,7 +220,7 @@ def test_finished_keyframes_are_not_baked_again(
     assert bake_with_post(tmp_path / 'work').write(tmp_path / 'a') == whole
     finished, = (tmp_path / 'work').iterdir()
     with monkeypatch.context() as patch:
-        patch.setattr(keyframes, 'bake_keyframe', lambda *arguments: 1 / 0)
+        patch.setattr(memory_baking, 'bake_keyframe', lambda *arguments: 1 / 0)
         assert bake_with_post(tmp_path / 'work').write(tmp_path / 'b') == whole
     finished.write_bytes(finished.read_bytes()[:1000])
     assert bake_with_post(tmp_path / 'work').write(tmp_path / 'c') == whole

@@ -14,6 +14,7 @@ from neo_ros.training.time_plan import plan_training
 import numpy as np
 import pytest
 from tiny_training import TINY
+from worker_killing import first_worker_killed
 
 pytestmark = pytest.mark.slow
 
@@ -92,6 +93,18 @@ def test_a_cluster_fits_the_same_bits(scene: Scene, whole: Path, tmp_path: Path)
     fit_tiles(jobs_in(tmp_path, scene), True,
               lambda stage, done, total, note='': said.append((stage, done, total)))
     assert said == [*(('tiles', done, 3) for done in range(4)), ('joining tiles', 0, 1)]
+    for one, other in zip(jobs_in(tmp_path, scene), jobs_in(whole, scene)):
+        assert one.out.read_bytes() == other.out.read_bytes()
+
+
+def test_a_killed_workers_tile_is_done_again(scene: Scene, whole: Path, tmp_path: Path) -> None:
+    pytest.importorskip('ray')
+    said: list[tuple[str, int]] = []
+    with first_worker_killed('fit_tile') as killed:
+        fit_tiles(jobs_in(tmp_path, scene), True,
+                  lambda stage, done, total, note='': said.append((stage, done)))
+    assert len(killed) == 1
+    assert said == [*(('tiles', done) for done in range(4)), ('joining tiles', 0)]
     for one, other in zip(jobs_in(tmp_path, scene), jobs_in(whole, scene)):
         assert one.out.read_bytes() == other.out.read_bytes()
 

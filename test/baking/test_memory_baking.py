@@ -1,0 +1,89 @@
+"""Keyframes by Ray: the same bytes as here, also where a worker is killed or time is short."""
+from pathlib import Path
+
+from neo_ros.baking import memory_baking
+from neo_ros.baking.keyframes import BakingRules, MemoryConfig, Photos
+from neo_ros.baking.memory_baking import bake_memory
+from neo_ros.errors import NeoError
+from neo_ros.field.radiance_field import RadianceField
+from neo_ros.machine.progress import no_stage_progress, StageProgress
+from neo_ros.memory.scene_memory import SceneMemory
+from neo_ros.pipeline import fit_field_step
+from neo_ros.scenes.scene import read_scene
+from neo_ros.training.run import TrainingRun
+from neo_ros.training.views import make_sampler
+import pytest
+from tiny_training import TINY
+from worker_killing import first_worker_killed
+
+pytestmark = pytest.mark.slow
+
+CONFIG = MemoryConfig(distance=2.0)
+RULES = BakingRules(least_keyframes=2)
+
+
+@pytest.fixture(scope='module')
+def run(flat_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> TrainingRun:
+    """Return a run of which the field alone is there."""
+    run = TrainingRun(read_scene(flat_scene), TINY, tmp_path_factory.mktemp('run'),
+                      no_stage_progress)
+    fit_field_step(run)
+    return run
+
+
+def bake(run: TrainingRun, work: Path, on_ray: bool, seconds: float = float('inf'),
+         progress: StageProgress = no_stage_progress) -> SceneMemory:
+    field: RadianceField = fit_field_step(run)
+    photos = Photos(run.fitted.read_images(), run.fitted.intrinsics, run.fitted.T_world_cam)
+    return bake_memory(field, photos, run.expansion, make_sampler(run, field), CONFIG, 0, work,
+                       progress, RULES, seconds, run.out / 'field.npz' if on_ray else None)
+
+
+@pytest.fixture(scope='module')
+def here(run: TrainingRun, tmp_path_factory: pytest.TempPathFactory) -> SceneMemory:
+    return bake(run, tmp_path_factory.mktemp('here'), False)
+
+
+def test_ray_makes_the_same_memory_also_where_a_worker_dies(
+        run: TrainingRun, here: SceneMemory, tmp_path: Path) -> None:
+    pytest.importorskip('ray')
+    count = len(here.positions)
+    assert count > 2
+    said: list[tuple[int, int]] = []
+    with first_worker_killed('make_keyframe') as killed:
+        there = bake(run, tmp_path / 'work', True, progress=lambda stage, done, total, note='':
+                     said.append((done, total)) if stage == 'keyframes' else None)
+    assert len(killed) == 1
+    assert said == [(done, count) for done in range(1, count + 1)]
+    assert there.write(tmp_path / 'there') == here.write(tmp_path / 'here')
+
+
+def test_keyframes_of_before_a_break_are_not_made_again(
+        run: TrainingRun, here: SceneMemory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+        ) -> None:
+    work, asked = tmp_path / 'work', []
+
+    def in_turn(function, jobs):  # type: ignore[no-untyped-def]
+        """Stand in for Ray: one after the other, and the third cannot be made."""
+        asked.append(len(jobs))
+        for place, job in enumerate(jobs):
+            yield place, NeoError('its worker died') if len(asked) == 1 and place == 2 else (
+                function(job))
+
+    monkeypatch.setattr(memory_baking, 'map_on_ray', in_turn)
+    with pytest.raises(NeoError, match='000002.npz: the keyframe was not made: its worker died'):
+        bake(run, work, True)
+    there = bake(run, work, True)
+    assert asked == [len(here.positions), len(here.positions) - 2]
+    assert there.write(tmp_path / 'there') == here.write(tmp_path / 'here')
+
+
+def test_in_short_time_fewer_are_made(
+        run: TrainingRun, here: SceneMemory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+        ) -> None:
+    monkeypatch.setattr(memory_baking, 'map_on_ray', lambda function, jobs: (
+        (place, function(job)) for place, job in enumerate(jobs)))
+    few = bake(run, tmp_path / 'work', True, seconds=0.001)
+    assert len(few.positions) == 2
+    assert (few.keyframe(1).texture == here.keyframe(1).texture).all()
+    assert len(bake(run, tmp_path / 'work', True, seconds=600).positions) == len(here.positions)
