@@ -33,6 +33,7 @@ from neo_ros.speed.model import count_flops
 from neo_ros.training.checkpoint import (
     begin_as, read_notes, train_with_checkpoints, write_notes)
 from neo_ros.training.checks import check_training
+from neo_ros.training.few_photos import depth_of_few
 from neo_ros.training.folder import claim, drop_made_of_a_field, take_field
 from neo_ros.training.memory import memory_step, name_memory
 from neo_ros.training.report import Scoring, write_training_report
@@ -135,8 +136,10 @@ def _fit_field(run: TrainingRun, path: Path, writes: bool) -> None:
         scale, lambda done: run.progress('photos', done, len(run.fitted), ''))
     if writes and not checkpoint.exists():
         drop_made_of_a_field(run.out)
+    depths = run.fitted.read_depths(scale)
     trainer = field_trainer(images, run.fitted.intrinsics.scaled(scale), run.fitted.T_world_cam,
-                            config, run.experiment.seed, run.fitted.read_depths(scale),
+                            config, run.experiment.seed,
+                            depth_of_few(run) if depths is None else depths,
                             run.fitted.read_all_usable(scale))
     train_with_checkpoints(
         run, trainer, checkpoint, 'field', lambda: trainer.done,

@@ -2,8 +2,8 @@
 from importlib.util import find_spec
 from pathlib import Path
 
-from neo_ros.baking.photo_bank import read_photo_bank
-from neo_ros.baking.sparse_model import read_sparse_model
+from neo_ros.baking.photo_bank import PhotoBank, read_photo_bank
+from neo_ros.baking.sparse_model import read_sparse_model, SparseModel
 from neo_ros.errors import SceneError
 from neo_ros.geometry import Intrinsics
 from neo_ros.machine.evenly import evenly
@@ -27,21 +27,30 @@ def find_landmarks(photos: PosedImages, scale: float, source: Intrinsics, work: 
     most_photos  that are used, evenly chosen: matching takes 10 ms a pair, 15 pairs a photo.
                  None: as many as the floor needs
     """
-    if find_spec('pycolmap') is None:
-        progress('without landmarks', 0, 1, 'pycolmap is not installed')
+    photos = photos.subset(evenly(
+        len(photos), most_photos or _photos_for(photos.T_world_cam[:, :3, 3])).tolist())
+    found = find_points(photos, scale, source, work, progress)
+    if found is None:
         return None
-    most_photos = most_photos or _photos_for(photos.T_world_cam[:, :3, 3])
-    photos = photos.subset(evenly(len(photos), most_photos).tolist())
-    try:
-        bank = read_photo_bank(photos, scale, work / 'features.npz',
-                               of_stage(progress, 'features'), magnification(source))
-        model = read_sparse_model(bank, work / 'sparse', of_stage(progress, 'matches'))
-    except SceneError as error:
-        progress('without landmarks', 0, 1, str(error))
-        return None
+    bank, model = found
     return Landmarks.from_observations(
         model.points, np.concatenate(model.point_of),
         np.concatenate([one.descriptors for one in bank.features]))
+
+
+def find_points(photos: PosedImages, scale: float, source: Intrinsics, work: Path,
+                progress: StageProgress) -> tuple[PhotoBank, SparseModel] | None:
+    """Return the features of all photos and what they triangulate to, see `find_landmarks`."""
+    if find_spec('pycolmap') is None:
+        progress('without landmarks', 0, 1, 'pycolmap is not installed')
+        return None
+    try:
+        bank = read_photo_bank(photos, scale, work / 'features.npz',
+                               of_stage(progress, 'features'), magnification(source))
+        return bank, read_sparse_model(bank, work / 'sparse', of_stage(progress, 'matches'))
+    except SceneError as error:
+        progress('without landmarks', 0, 1, str(error))
+        return None
 
 
 def _photos_for(positions: np.ndarray) -> int:

@@ -40,7 +40,9 @@ class FieldConfig:
     distortion: float = 0.01        # weight of the distortion loss
     pointwise: float = 0.05         # weight of the samples' own colour error
     sparsity: float = 1e-3          # weight of the samples' opacity: clears the air
-    depth: float = 0.1              # weight of measured depth, of photos that have a depth map
+    # Weight of measured depth, of photos that have a depth map. Of at most 50 photos without any
+    # it is the weight of the points that several of them show.
+    depth: float = 0.1
     # One gain per photo and channel, for cameras with automatic exposure.
     exposure: bool = False
     # One falloff towards the corners for the camera, cleared from what the field shows.

@@ -119,13 +119,15 @@ class TimeLeft:
     """Adds to what a training shows how many minutes it has left in all."""
 
     # What comes between field and network; what comes after it is the rest.
-    MEMORY = ('features', 'matches', 'without landmarks', 'depth of photos', 'planes of photos',
-              'keyframes', 'look-alikes', 'panoramas')
+    POINTS = ('features', 'matches', 'without landmarks')
+    MEMORY = (*POINTS, 'depth of photos', 'planes of photos', 'keyframes', 'look-alikes',
+              'panoramas')
 
     def __init__(self, plan: TimePlan, progress: StageProgress,
                  clock: Callable[[], float] = time.monotonic,
                  rules: PlanRules = PlanRules()) -> None:
         self._plan, self._progress, self._clock, self._rules = plan, progress, clock, rules
+        self._fitted = False
         self._began: dict[str, float] = {}
         self._first: dict[str, tuple[float, int]] = {}  # report of a stage: when, how much
 
@@ -137,7 +139,9 @@ class TimeLeft:
 
     def _minutes_left(self, stage: str, done: int, total: int) -> float:
         minutes, rules = self._plan.minutes, self._rules
-        if stage in ('plan', 'photos'):
+        self._fitted |= stage in ('field', 'geometry')
+        # The field of few photos needs what else is made for the memory.
+        if stage in ('plan', 'photos') or stage in self.POINTS and not self._fitted:
             return minutes
         if stage == 'field':
             return minutes * (1 - rules.field * done / total)

@@ -162,6 +162,16 @@ def test_the_minutes_left_in_all_are_told_at_every_stage() -> None:
         '30', '28 dB; 23', '16', '12', '13', '3', '3', '1']
 
 
+def test_points_before_the_field_take_nothing_of_the_memorys_time() -> None:
+    tell, now, shown = telling(30)
+    tell('features', 1, 9)
+    now[0] = 60
+    tell('field', 0, 810)
+    now[0] = 900
+    tell('features', 9, 9)
+    assert [note.split(' of ')[0] for note in shown] == ['30', '30', '16']
+
+
 def test_keyframes_that_take_longer_than_planned_are_told_of() -> None:
     tell, now, shown = telling(6)
     tell('keyframes', 1, 111)

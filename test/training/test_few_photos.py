@@ -1,0 +1,90 @@
+"""The field of few photos: depth at the points that they triangulate to."""
+from dataclasses import replace
+from pathlib import Path
+
+from corner_photos import CAMERA, write_corner
+from neo_ros import pipeline
+from neo_ros.baking.landmarks import find_landmarks
+from neo_ros.baking.sparse_model import depth_of_points, SparseModel
+from neo_ros.flat.demo_flat import build_demo_flat
+from neo_ros.geometry import Intrinsics
+from neo_ros.pipeline import fit_field_step
+from neo_ros.scenes.posed_images import PosedImages
+from neo_ros.scenes.scene import Scene
+from neo_ros.training import few_photos
+from neo_ros.training.few_photos import depth_of_few
+from neo_ros.training.memory import WORK
+from neo_ros.training.run import TrainingRun
+import numpy as np
+import pytest
+from tiny_training import TINY
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope='module')
+def corner(tmp_path_factory: pytest.TempPathFactory) -> PosedImages:
+    return write_corner(tmp_path_factory.mktemp('corner'))[0]
+
+
+def run_of(photos: PosedImages, out: Path, said: list[str]) -> TrainingRun:
+    return TrainingRun(Scene('corner', photos, None, None, None), TINY, out,
+                       lambda stage, done, total, note='': said.append(stage))
+
+
+def test_points_stand_for_what_is_around_them_and_the_nearest_counts() -> None:
+    camera = Intrinsics.from_hfov(8, 6, np.pi / 2)  # f = 4: SPREAD is less than half a pixel.
+    fine = Intrinsics.from_hfov(400, 300, np.pi / 2)
+    T = np.eye(4)[None].repeat(2, 0)
+    T[1, :3, 3] = 0, 0, 2.0
+    points = np.array([[0.0, 0, 4], [0.04, 0, 3], [5, 0, 5], [0, 0, 70], [0, 0, 1], [9, 0, 1]])
+    model = SparseModel(points, [np.array([0, 1, -1, 2, 3, 5]), np.array([0, 4])])
+    depths = depth_of_points(model, T, camera)
+    assert depths.shape == (2, 6, 8) and depths.dtype == np.uint16
+    # The third lies at the right rim, the fourth too far for the numbers; what lies behind a
+    # photo, or outside of it, is not seen.
+    assert depths[0][depths[0] > 0].tolist() == [3000]
+    assert depths[1][3, 4] == 2000 and (depths[1] > 0).sum() == 1
+    around = depth_of_points(model, T, fine)[0]
+    assert around[150, 202] == 3000 and around[150, 198] == 4000
+    assert around[150, 205] == 0 and (around[148:153, 398:] == 5000).all()
+
+
+def test_the_points_of_few_photos_lie_where_things_are(
+        corner: PosedImages, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[str] = []
+    run = run_of(corner, tmp_path, said)
+    depths = depth_of_few(run)
+    assert depths is not None and run.seconds > 0
+    flat = build_demo_flat()
+    true = np.stack([flat.render(CAMERA, pose)[1] for pose in run.fitted.poses])
+    known = depths > 0
+    assert known.sum() > 100
+    off = np.abs(depths[known] / 1000 - true[known]) / true[known]
+    assert np.median(off) < 0.1  # They were taken 0.2 m apart.
+    # The memory is made of the same points: nothing is found anew.
+    bank = (tmp_path / WORK / 'features.npz').read_bytes()
+    assert find_landmarks(run.fitted, 1.0, run.expansion.source, tmp_path / WORK, run.progress)
+    assert (tmp_path / WORK / 'features.npz').read_bytes() == bank
+    monkeypatch.setattr(few_photos, 'FEW_PHOTOS', 13)
+    assert depth_of_few(run) is None
+    monkeypatch.setattr(few_photos, 'FEW_PHOTOS', 14)
+    run.experiment = replace(TINY, field=replace(TINY.field, depth=0))
+    assert depth_of_few(run) is None
+
+
+def test_a_field_of_few_photos_is_fitted_with_them(
+        corner: PosedImages, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    given: list[np.ndarray | None] = []
+    build = pipeline.field_trainer
+
+    def look(*arguments):  # type: ignore[no-untyped-def]
+        given.append(arguments[5])
+        return build(*arguments)
+
+    monkeypatch.setattr(pipeline, 'field_trainer', look)
+    said: list[str] = []
+    fit_field_step(run_of(corner, tmp_path, said))
+    depths, = given
+    assert depths is not None and (depths > 0).any()
+    assert said.index('matches') < said.index('field')
