@@ -122,6 +122,9 @@ def _digest(settings: dict[str, Any]) -> str:
         found = settings.get(part) or {}
         if name in found and found[name] == default:
             settings = {**settings, part: {key: found[key] for key in found if key != name}}
+    if settings.get('field', {}).get('exposure', True) is None:
+        # What counted as false, by default, when it could not be left open.
+        settings = {**settings, 'field': {**settings['field'], 'exposure': False}}
     text = json.dumps(settings, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 

@@ -67,6 +67,9 @@ def test_the_old_name_of_a_setting_is_read_and_hashes_are_those_of_before(
                        ('field', 'sharpness'), ('field', 'robust'), ('field', 'tile'),
                        ('network', 'shrink'), ('memory', 'minutes')):
         del settings[part][name]
+    # Left open it counts as what was the default then.
+    assert settings['field']['exposure'] is None
+    settings['field']['exposure'] = False
     text = json.dumps(settings, sort_keys=True)
     assert old.config_hash == hashlib.sha256(text.encode()).hexdigest()[:12]
     with pytest.raises(ConfigError, match='network.memory is the old name of network.hidden.*'

@@ -43,8 +43,9 @@ class FieldConfig:
     # Weight of measured depth, of photos that have a depth map. Of at most 50 photos without any
     # it is the weight of the points that several of them show.
     depth: float = 0.1
-    # One gain per photo and channel, for cameras with automatic exposure.
-    exposure: bool = False
+    # One gain per photo and channel, for cameras with automatic exposure. None: where the photos
+    # prove to need them.
+    exposure: bool | None = None
     # One falloff towards the corners for the camera, cleared from what the field shows.
     vignetting: bool = False
     # 0: photos count alike; 1: as sharp as they are, compared with those before and after them

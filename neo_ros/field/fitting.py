@@ -199,6 +199,7 @@ class FieldTrainer:
     def _refine_when_due(self) -> None:
         if self.stage + 1 < len(STAGES) and self.share >= STAGES[self.stage + 1][0]:
             self.stage += 1
+            self.camera.refined(self.stage + 1 == len(STAGES))
             if self.stage == 1 and self.config.near is None:
                 self.view_near = self.empty_distance()
             self.field = self._refined(self.placed.home(), self.stage + 1 == len(STAGES))
