@@ -41,8 +41,8 @@ def changed_experiments(settings: Any) -> Iterator[tuple[str, Any]]:
     """Yield the name of every setting, and `settings` with that one changed."""
     changes = {'sh_degree': 1, 'precision': 'fp32', 'device': 'cpu', 'training_view': 'source',
                'name': 'lama', 'area': 'photos', 'minutes': 5.0, 'camera_height': 1.5,
-               'interval': 0.3, 'near': 0.3, 'tile': 4.0, 'sharp_only': True, 'average': 0.9,
-               'view': ViewConfig((8, 8), (16, 16))}
+               'interval': 0.3, 'near': 0.3, 'exposure': True, 'tile': 4.0, 'sharp_only': True,
+               'average': 0.9, 'view': ViewConfig((8, 8), (16, 16))}
     for entry in fields(settings):
         value = getattr(settings, entry.name)
         if is_dataclass(value):

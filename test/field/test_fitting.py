@@ -3,6 +3,7 @@ from typing import Any
 
 from neo_ros.errors import ConfigError, SceneError
 from neo_ros.evaluation.metrics import psnr
+from neo_ros.field.camera_model import CameraModel
 from neo_ros.field.config import FieldConfig, FIT_NEAR, fit_near
 from neo_ros.field.fitting import FieldTrainer, FitRules, STAGES
 from neo_ros.field.rendering import render_view, to_uint8
@@ -240,6 +241,34 @@ def test_gains_find_the_exposure_of_the_photos(images: np.ndarray) -> None:
     assert gain[::2].mean() / gain[1::2].mean() == pytest.approx(0.7, abs=0.1)
     np.testing.assert_allclose(result.camera.log_gain.mean(0), 0, atol=1e-5)
     assert not trained(dark, 20, exposure=False).camera.log_gain.any()
+
+
+def test_left_open_gains_are_learnt_where_photos_need_them(images: np.ndarray) -> None:
+    dark = images.copy()
+    dark[::2] = (dark[::2] * 0.7).astype(np.uint8)
+    drifting, steady = (trained(photos, 400, **PLAIN, steps=400, exposure=None).camera
+                        for photos in (dark, images))
+    assert drifting.learns
+    gain = np.exp(drifting.log_gain)
+    assert gain[::2].mean() / gain[1::2].mean() == pytest.approx(0.7, abs=0.1)
+    assert not steady.learns and not steady.log_gain.any()
+
+
+def test_gains_that_fall_are_given_up_at_the_last_refinement_alone(images: np.ndarray) -> None:
+    models = [CameraModel(2, CAMERA, FieldConfig(**{**SETTINGS, 'exposure': exposure}))
+              for exposure in (None, None, True)]
+    after = (0.08, 0.095, 0.08)
+    for model, spread in zip(models, after):
+        model.log_gain[:] = [[0.1], [-0.1]]
+        model.refined(last=False)
+        assert model.learns
+        model.log_gain[:] = [[spread], [-spread]]
+    again = CameraModel(2, CAMERA, models[0].config)
+    again.restore(models[0].state())  # A fit that was broken off between them.
+    for model in (*models, again):
+        model.refined(last=True)
+    assert [model.learns for model in (*models, again)] == [False, True, True, False]
+    assert not models[0].log_gain.any() and models[1].log_gain.any()
 
 
 def test_the_falloff_of_the_lens_is_found(images: np.ndarray) -> None:
