@@ -2,6 +2,7 @@
 from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Literal
 
 from neo_ros.benchmark.page import write_benchmark_report
 from neo_ros.benchmark.protocols import check_own_split, check_split
@@ -14,9 +15,12 @@ from neo_ros.evaluation.evaluate import MethodScores
 from neo_ros.machine.files import make_output_folder, write_bytes
 from neo_ros.machine.progress import StageProgress
 
+# With which split a scene is compared before any work.
+Frozen = Literal['no', 'named', 'noted']
+
 
 def run_jobs(jobs: dict[str, Job], names: Sequence[str], work: Path, rows_file: Path, title: str,
-             progress: StageProgress, frozen: str = 'no') -> str:
+             progress: StageProgress, frozen: Frozen = 'no') -> str:
     """
     Benchmark scenes one after the other; returns the tables.
 

@@ -3,7 +3,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 import math
 
-from neo_ros.errors import ConfigError
+from neo_ros.errors import ConfigError, GeometryError
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.machine.regular_file import MAX_BYTES
 from neo_ros.outpaint.lama import Lama
@@ -150,12 +150,12 @@ def fitted_expansion(stated: ViewExpansion, scale: float, config: NetworkConfig
 
 
 def _fits(stated: ViewExpansion, scale: float, config: NetworkConfig) -> bool:
-    sizes = (stated.source.width, stated.source.height, stated.left, stated.right, stated.top,
-             stated.bottom)
-    if any(abs(size * scale / config.shrink % 1) > 1e-6 for size in sizes):
+    try:
+        view = stated.scaled(scale / config.shrink)
+    except GeometryError:
         return False
-    view = stated.scaled(scale / config.shrink)
-    common = math.gcd(*(round(size * scale / config.shrink) for size in sizes))
+    common = math.gcd(view.source.width, view.source.height, view.left, view.right, view.top,
+                      view.bottom)
     return any(common % (patch << (config.depth - 1)) == 0
                and (config.patch or _is_light(view, patch, config))
                for patch in _patches(view.source, config))
