@@ -27,6 +27,7 @@ OWN_SPLIT = 'split.json'  # of a scene folder: the split that it was first score
 SCALES = {'full': 1.0, 'half': 0.5, 'quarter': 0.25, 'eighth': 0.125}
 # (patch, depth) of the network's grid, best first; sizes must be multiples of the coarsest cell.
 _GRIDS = ((16, 2), (8, 2), (8, 1), (4, 2), (2, 2), (4, 1), (2, 1), (1, 1))
+_LEAST_CELL = 4  # pixels
 _LARGE = 256  # from this width of the wide view on, cells of 16 pixels are fine enough
 
 
@@ -34,13 +35,17 @@ def choose_view(scene: Scene, protocol: str, scale: float) -> ViewConfig | None:
     """
     Return source and target of a protocol, in pixels at the photos' resolution.
 
-    None: as the scene's test frames state. Where the photos' size does not divide, a few pixels at
-    their rim are left out. Raises ConfigError for a protocol that the photos are too small for.
+    None: as the scene's test frames state. Where sizes do not divide into cells, a few pixels at
+    the photos' rim are left out. Raises ConfigError for a protocol that the photos are too small for.
     """
     if protocol not in PROTOCOLS:
         raise ConfigError(f'protocol: expected {" or ".join(PROTOCOLS)}, got {protocol!r}')
     photo = scene.train.intrinsics
-    if scene.expansion is not None and protocol_of(scene.expansion) == protocol:
+    stated = scene.expansion
+    if stated is not None and protocol_of(stated) == protocol and all(
+            size % (_LEAST_CELL / scale) == 0 for size in (
+                stated.source.width, stated.source.height, stated.left, stated.right, stated.top,
+                stated.bottom)):
         return None
     if protocol == 'horizontal':
         # Half the width, a quarter at each side, and two levels of cells.

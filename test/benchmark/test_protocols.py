@@ -8,6 +8,7 @@ from neo_ros.benchmark.protocols import (
 from neo_ros.benchmark.suites import (
     config_folder, merged, prepare_demo, read_suite, SPLITS_FILE, suite_jobs)
 from neo_ros.benchmark.workbench import Job, Workbench
+from neo_ros.captures.held_out_runs import middle_columns
 from neo_ros.errors import ConfigError, NeoError, SceneError
 from neo_ros.experiment import Experiment, ViewConfig
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
@@ -52,6 +53,11 @@ def test_stated_views_are_taken_as_they_are(tmp_path):
     scene = Scene('room', photos, photos, stated, None)
     assert choose_view(scene, 'square', 1.0) is None
     assert choose_view(scene, 'horizontal', 1.0) == ViewConfig((32, 64), (64, 64))
+    # Of photos 1080 pixels wide the middle is 568, which has no cells at a quarter of that.
+    wide = write_capture(tmp_path / 'phone', 1, Intrinsics.from_hfov(1080, 64, 1.0))
+    scene = Scene('phone', wide, wide, middle_columns(wide.intrinsics), None)
+    assert choose_view(scene, 'horizontal', 1.0) is None
+    assert choose_view(scene, 'horizontal', 0.25) == ViewConfig((512, 64), (1024, 64))
 
 
 @pytest.mark.parametrize('protocol, size, message', [
