@@ -36,7 +36,8 @@ def choose_view(scene: Scene, protocol: str, scale: float) -> ViewConfig | None:
     Return source and target of a protocol, in pixels at the photos' resolution.
 
     None: as the scene's test frames state. Where sizes do not divide into cells, a few pixels at
-    the photos' rim are left out. Raises ConfigError for a protocol that the photos are too small for.
+    the photos' rim are left out. Raises ConfigError for a protocol that the photos are too small
+    for.
     """
     if protocol not in PROTOCOLS:
         raise ConfigError(f'protocol: expected {" or ".join(PROTOCOLS)}, got {protocol!r}')
