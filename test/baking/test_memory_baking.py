@@ -10,6 +10,7 @@ from neo_ros.machine.progress import no_stage_progress, StageProgress
 from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.pipeline import fit_field_step
 from neo_ros.scenes.scene import read_scene
+from neo_ros.training.memory import memory_step
 from neo_ros.training.run import TrainingRun
 from neo_ros.training.views import make_sampler
 import pytest
@@ -76,6 +77,24 @@ def test_keyframes_of_before_a_break_are_not_made_again(
     there = bake(run, work, True)
     assert asked == [len(here.positions), len(here.positions) - 2]
     assert there.write(tmp_path / 'there') == here.write(tmp_path / 'here')
+
+
+def test_a_run_on_a_cluster_hands_its_keyframes_over(
+        run: TrainingRun, monkeypatch: pytest.MonkeyPatch) -> None:
+    field, asked = fit_field_step(run), []
+    memory_step(run, field)
+    here = run.memory_path.read_bytes()
+
+    def in_turn(function, jobs):  # type: ignore[no-untyped-def]
+        asked.extend(jobs)
+        return ((place, function(job)) for place, job in enumerate(jobs))
+
+    monkeypatch.setattr(memory_baking, 'map_on_ray', in_turn)
+    run.memory_path.unlink()
+    monkeypatch.setattr(run, 'cluster', True)
+    memory_step(run, field)
+    assert run.memory_path.read_bytes() == here and len(asked) > 2
+    assert not asked[0].out.parent.exists()  # What was made on the way is deleted.
 
 
 def test_in_short_time_fewer_are_made(
