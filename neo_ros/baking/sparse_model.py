@@ -17,10 +17,8 @@ from neo_ros.geometry import Intrinsics
 from neo_ros.machine.files import whole_file
 from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.memory.local_features import match_features
-from neo_ros.pictures.depth import MM_PER_M
 import numpy as np
 
-SPREAD = 0.008
 _AT_ONCE = 500  # Photos that are compared with all others: a building has thousands.
 
 
@@ -49,27 +47,6 @@ class SparseModel(NamedTuple):
     def megabytes(self) -> float:
         """Size of what finding a pose needs beside the features, as it lies on the disk."""
         return (self.points.nbytes + sum(one.nbytes for one in self.point_of)) / 1e6
-
-
-def depth_of_points(model: SparseModel, T_world_cam: np.ndarray, camera: Intrinsics
-                    ) -> np.ndarray:
-    """
-    Return what photos of a camera show of the points, uint16 (N, H, W) as `read_depths`.
-
-    A point stands for what is around it, SPREAD radians to each side; the nearest one counts.
-    """
-    depths = np.zeros((len(T_world_cam), camera.height, camera.width), np.uint16)
-    around = round(SPREAD * camera.fx)
-    for depth, point_of, T in zip(depths, model.point_of, T_world_cam):
-        points = (model.points[point_of[point_of >= 0]] - T[:3, 3]) @ T[:3, :3]
-        millimetres = np.rint(points[:, 2] * MM_PER_M)
-        points = points[(millimetres > 0) & (millimetres <= np.iinfo(np.uint16).max)]
-        points = points[np.argsort(-points[:, 2], kind='stable')]
-        columns, rows = np.floor(camera.project(points)).astype(int).T
-        for row, column, z in zip(rows, columns, points[:, 2]):
-            depth[max(row - around, 0):max(row + around + 1, 0),
-                  max(column - around, 0):max(column + around + 1, 0)] = round(z * MM_PER_M)
-    return depths
 
 
 def read_sparse_model(bank: PhotoBank, folder: Path,

@@ -1,5 +1,4 @@
 """One interface, several networks: which one an experiment names, on which grid of cells."""
-from collections.abc import Sequence
 from dataclasses import replace
 import math
 
@@ -118,7 +117,8 @@ def fitting_expansion(camera: Intrinsics, config: NetworkConfig) -> ViewExpansio
         return ViewExpansion(middle, *(times * side for side in (
             small.left, small.right, small.top, small.bottom)))
     found: list[tuple[tuple[int, ...], ViewExpansion]] = []
-    for patch in _patches(camera, config) if config.name == 'neo_fast' else ():
+    patches = [config.patch] if config.patch else _patches(camera)
+    for patch in patches if config.name == 'neo_fast' else ():
         # It grows by half of its size at each side.
         unit = 2 * patch << (config.depth - 1)
         width, height = camera.width // unit * unit, camera.height // unit * unit
@@ -136,13 +136,14 @@ def fitted_expansion(stated: ViewExpansion, scale: float, config: NetworkConfig
     """
     Return a stated view at a scale, its rims left out where the cells of neo_fast do not fit.
 
-    As few pixels as possible are left out, and what the camera's view loses the margins gain.
-    Raises GeometryError where no size gives whole pixels at that scale.
+    As few pixels as possible are left out, and what the camera's view loses the margins gain. A
+    patch that the settings name has to fit the view as it is. Raises GeometryError where no size
+    gives whole pixels at that scale.
     """
-    if config.name == 'neo_fast' and not _fits(stated, scale, config):
-        found = [(view, patch) for patch in _patches(stated.source.scaled(scale), config)
+    if config.name == 'neo_fast' and not config.patch and not _fits(stated, scale, config):
+        found = [(view, patch) for patch in _patches(stated.source.scaled(scale))
                  if (view := _trimmed(stated, scale, config.shrink * patch << (config.depth - 1)))
-                 and (config.patch or _is_light(view.scaled(1 / config.shrink), patch, config))]
+                 and _is_light(view.scaled(1 / config.shrink), patch, config)]
         if found:
             return max(found, key=lambda item: (
                 item[0].target.width * item[0].target.height, min(item[1], PATCH), -item[1]))[0]
@@ -157,12 +158,11 @@ def _fits(stated: ViewExpansion, scale: float, config: NetworkConfig) -> bool:
     common = math.gcd(view.source.width, view.source.height, view.left, view.right, view.top,
                       view.bottom)
     return any(common % (patch << (config.depth - 1)) == 0
-               and (config.patch or _is_light(view, patch, config))
-               for patch in _patches(view.source, config))
+               and _is_light(view, patch, config) for patch in _patches(view.source))
 
 
-def _patches(camera: Intrinsics, config: NetworkConfig) -> Sequence[int]:
-    return [config.patch] if config.patch else range(1, min(camera.width, camera.height) + 1)
+def _patches(camera: Intrinsics) -> range:
+    return range(1, min(camera.width, camera.height) + 1)
 
 
 def _trimmed(stated: ViewExpansion, scale: float, unit: int) -> ViewExpansion | None:

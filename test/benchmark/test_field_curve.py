@@ -146,6 +146,6 @@ def test_masks_leave_pixels_out_of_the_scores_of_held_out_photos_and_test_frames
 
 
 def test_the_command_names_a_wrong_scale(flat_scene):
-    result = CliRunner().invoke(app, ['field-curve', str(flat_scene), '--scale', 'eighth'])
+    result = CliRunner().invoke(app, ['field-curve', str(flat_scene), '--scale', 'tenth'])
     assert isinstance(result.exception, ConfigError)
     assert 'expected full, half, quarter' in str(result.exception)

@@ -157,7 +157,7 @@ def test_the_published_weights_give_the_verified_distance(backbone, expected):
 
 
 @pytest.mark.parametrize('value', [
-    print, collections.OrderedDict(a=1)], ids=['builtin', 'class'])
+    eval, collections.OrderedDict(a=1)], ids=['builtin', 'class'])
 def test_a_pickle_that_names_code_is_refused(tmp_path, value):
     path = tmp_path / 'alexnet.ckpt'
     path.write_bytes(dumped({'AlexNet_0': value}))

@@ -5,14 +5,14 @@ from pathlib import Path
 from corner_photos import CAMERA, write_corner
 from neo_ros import pipeline
 from neo_ros.baking.landmarks import find_landmarks
-from neo_ros.baking.sparse_model import depth_of_points, SparseModel
+from neo_ros.baking.sparse_model import SparseModel
 from neo_ros.flat.demo_flat import build_demo_flat
 from neo_ros.geometry import Intrinsics
 from neo_ros.pipeline import fit_field_step
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.scene import Scene
 from neo_ros.training import few_photos
-from neo_ros.training.few_photos import depth_of_few
+from neo_ros.training.few_photos import depth_of_few, depth_of_points
 from neo_ros.training.memory import WORK
 from neo_ros.training.run import TrainingRun
 import numpy as np
