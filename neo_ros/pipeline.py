@@ -139,7 +139,7 @@ def _fit_field(run: TrainingRun, path: Path, writes: bool) -> None:
     depths = run.fitted.read_depths(scale)
     trainer = field_trainer(images, run.fitted.intrinsics.scaled(scale), run.fitted.T_world_cam,
                             config, run.experiment.seed,
-                            depth_of_few(run) if depths is None else depths,
+                            depth_of_few(run, writes) if depths is None else depths,
                             run.fitted.read_all_usable(scale))
     train_with_checkpoints(
         run, trainer, checkpoint, 'field', lambda: trainer.done,

@@ -4,11 +4,13 @@ Make the scene memory out of a field and photos: its keyframes, one after the ot
 Finished keyframes lie in a folder, each a file, until all are there.
 """
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache
 import math
 from pathlib import Path
 import time
+from typing import BinaryIO
 from zipfile import BadZipFile
 
 import cv2
@@ -167,10 +169,9 @@ def _keyframe_jobs(recipe: Recipe, field: Path, positions: np.ndarray, work: Pat
                    ) -> list[KeyframeJob]:
     """Leave the large arrays in files, where workers find them, and return the jobs."""
     work = work.absolute()
-    work.mkdir(parents=True, exist_ok=True)
     images, seen = work / 'images.npy', work / 'seen.npy'
     for path, array in ((images, recipe.photos.images), (seen, recipe.seen)):
-        with whole_file(path) as partial, partial.open('wb') as file:
+        with _kept_file(path) as file:
             np.save(file, array)
     none = np.zeros((0, 1, 1, 3), np.uint8)
     small = replace(recipe, photos=replace(recipe.photos, images=none, usable=None),
@@ -230,14 +231,21 @@ def _path(work: Path, index: int) -> Path:
 
 
 def _write_finished(path: Path, texture: bytes, depth: bytes, glances: Glances) -> None:
+    with _kept_file(path) as file:
+        np.savez(file, texture=np.frombuffer(texture, np.uint8),
+                 depth=np.frombuffer(depth, np.uint8), pictures=glances.pictures,
+                 T_world_cam=glances.T_world_cam)
+
+
+@contextmanager
+def _kept_file(path: Path) -> Iterator[BinaryIO]:
+    """Write a file of what is made on the way; NeoError where there is no room."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with whole_file(path) as partial, partial.open('wb') as file:
-            np.savez(file, texture=np.frombuffer(texture, np.uint8),
-                     depth=np.frombuffer(depth, np.uint8), pictures=glances.pictures,
-                     T_world_cam=glances.T_world_cam)
+            yield file
     except OSError as error:
-        raise NeoError(f'{path}: cannot keep the keyframe: {error.strerror}; make room and give '
+        raise NeoError(f'{path}: cannot keep the keyframes: {error.strerror}; make room and give '
                        'the same command again') from error
 
 

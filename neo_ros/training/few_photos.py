@@ -1,4 +1,7 @@
 """What few photos lack: depth at the points that several of them show."""
+from contextlib import nullcontext
+from pathlib import Path
+from tempfile import TemporaryDirectory
 import time
 
 from neo_ros.baking.landmarks import find_points
@@ -15,18 +18,19 @@ FEW_PHOTOS = 50
 SPREAD = 0.008
 
 
-def depth_of_few(run: TrainingRun) -> np.ndarray | None:
+def depth_of_few(run: TrainingRun, writes: bool = True) -> np.ndarray | None:
     """
     Return depth, as `PosedImages.read_depths`, at the points that a run's photos triangulate to.
 
     None where they are not few, nothing comes of it, or the field does not look at depth. The
-    scene memory is made of the same points: they are kept for it.
+    scene memory is made of the same points: the process that writes, of several, keeps them.
     """
     experiment, started = run.experiment, time.monotonic()
     if len(run.fitted) > FEW_PHOTOS or experiment.field.depth == 0:
         return None
-    found = find_points(run.fitted, experiment.scale, run.expansion.source, run.out / WORK,
-                        run.progress)
+    with nullcontext(run.out / WORK) if writes else TemporaryDirectory() as work:
+        found = find_points(run.fitted, experiment.scale, run.expansion.source, Path(work),
+                            run.progress)
     depths = None if found is None else depth_of_points(
         found[1], run.fitted.T_world_cam, run.fitted.intrinsics.scaled(experiment.field_scale))
     run.seconds += time.monotonic() - started

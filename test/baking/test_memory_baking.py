@@ -79,6 +79,12 @@ def test_keyframes_of_before_a_break_are_not_made_again(
     assert there.write(tmp_path / 'there') == here.write(tmp_path / 'here')
 
 
+def test_what_workers_need_and_cannot_be_kept_says_why(run: TrainingRun, tmp_path: Path) -> None:
+    (tmp_path / 'work').write_text('')
+    with pytest.raises(NeoError, match='images.npy: cannot keep the keyframes: .* make room'):
+        bake(run, tmp_path / 'work', True)
+
+
 def test_a_run_on_a_cluster_hands_its_keyframes_over(
         run: TrainingRun, monkeypatch: pytest.MonkeyPatch) -> None:
     field, asked = fit_field_step(run), []

@@ -6,6 +6,7 @@ from corner_photos import CAMERA, write_corner
 from neo_ros import pipeline
 from neo_ros.baking.landmarks import find_landmarks
 from neo_ros.baking.sparse_model import SparseModel
+from neo_ros.field.voxel_field import VoxelField
 from neo_ros.flat.demo_flat import build_demo_flat
 from neo_ros.geometry import Intrinsics
 from neo_ros.pipeline import fit_field_step
@@ -13,7 +14,7 @@ from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.scene import Scene
 from neo_ros.training import few_photos
 from neo_ros.training.few_photos import depth_of_few, depth_of_points
-from neo_ros.training.memory import WORK
+from neo_ros.training.memory import memory_step, WORK
 from neo_ros.training.run import TrainingRun
 import numpy as np
 import pytest
@@ -66,6 +67,14 @@ def test_the_points_of_few_photos_lie_where_things_are(
     bank = (tmp_path / WORK / 'features.npz').read_bytes()
     assert find_landmarks(run.fitted, 1.0, run.expansion.source, tmp_path / WORK, run.progress)
     assert (tmp_path / WORK / 'features.npz').read_bytes() == bank
+    # Another process of the same training leaves nothing, and has the same bits.
+    beside = run_of(corner, tmp_path / 'beside', said)
+    np.testing.assert_array_equal(depth_of_few(beside, writes=False), depths)
+    assert not (tmp_path / 'beside').exists()
+    run.experiment = replace(TINY, memory=None)
+    memory_step(run, VoxelField.empty(8, np.zeros(3), np.ones(3), 0.2, 0))
+    assert not (tmp_path / WORK).exists()
+    run.experiment = TINY
     monkeypatch.setattr(few_photos, 'FEW_PHOTOS', 13)
     assert depth_of_few(run) is None
     monkeypatch.setattr(few_photos, 'FEW_PHOTOS', 14)
