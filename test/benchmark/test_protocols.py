@@ -141,10 +141,10 @@ def test_a_suite_of_every_scene_takes_what_it_is_given(tmp_path):
         suite_jobs(suite, [tmp_path / 'a'])
 
 
-@pytest.mark.parametrize('size, longest, scale', [
-    ((320, 240), 320, 'full'), ((240, 321), 320, 'half'), ((8000, 9000), 100, 'eighth')])
-def test_the_largest_scale_within_so_many_pixels(size, longest, scale):
-    assert scale_within(Intrinsics.from_hfov(*size, 1.0), longest) == scale
+@pytest.mark.parametrize('width, height, longest, scale', [
+    (320, 240, 320, 'full'), (240, 321, 320, 'half'), (8000, 9000, 100, 'eighth')])
+def test_the_largest_scale_within_so_many_pixels(width, height, longest, scale):
+    assert scale_within(Intrinsics.from_hfov(width, height, 1.0), longest) == scale
 
 
 @pytest.mark.parametrize('name, scale, frames', [
