@@ -33,9 +33,9 @@ from neo_ros.speed.model import count_flops
 from neo_ros.training.checkpoint import (
     begin_as, read_notes, train_with_checkpoints, write_notes)
 from neo_ros.training.checks import check_training
-from neo_ros.training.few_photos import depth_of_few
 from neo_ros.training.folder import claim, drop_made_of_a_field, take_field
 from neo_ros.training.memory import memory_step, name_memory
+from neo_ros.training.photo_depth import depth_of_photos
 from neo_ros.training.report import Scoring, write_training_report
 from neo_ros.training.run import TrainingRun
 from neo_ros.training.tiles import fit_tiles, tile_jobs, TILES, tiles_of
@@ -139,7 +139,7 @@ def _fit_field(run: TrainingRun, path: Path, writes: bool) -> None:
     depths = run.fitted.read_depths(scale)
     trainer = field_trainer(images, run.fitted.intrinsics.scaled(scale), run.fitted.T_world_cam,
                             config, run.experiment.seed,
-                            depth_of_few(run, writes) if depths is None else depths,
+                            depth_of_photos(run, images, writes) if depths is None else depths,
                             run.fitted.read_all_usable(scale))
     train_with_checkpoints(
         run, trainer, checkpoint, 'field', lambda: trainer.done,

@@ -40,8 +40,8 @@ class FieldConfig:
     distortion: float = 0.01        # weight of the distortion loss
     pointwise: float = 0.05         # weight of the samples' own colour error
     sparsity: float = 1e-3          # weight of the samples' opacity: clears the air
-    # Weight of measured depth, of photos that have a depth map. Of at most 50 photos without any
-    # it is the weight of the points that several of them show.
+    # Weight of measured depth, of photos that have a depth map; without any, of the depth that
+    # photos tell of one another by stereo.
     depth: float = 0.1
     # One gain per photo and channel, for cameras with automatic exposure. None: where the photos
     # prove to need them.

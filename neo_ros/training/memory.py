@@ -28,7 +28,7 @@ def memory_step(run: TrainingRun, field: RadianceField) -> None:
     """Make the scene memory that guides the network, with its landmarks, if it is not there."""
     config = run.experiment.memory
     if config is None:
-        shutil.rmtree(run.out / WORK, ignore_errors=True)  # A field of few photos left points.
+        shutil.rmtree(run.out / WORK, ignore_errors=True)  # The field left points.
         return
     path, notes = run.memory_path, run.out / NOTES
     seconds = memory_seconds(notes, config) if path.exists() else None

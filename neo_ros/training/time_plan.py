@@ -119,7 +119,7 @@ class TimeLeft:
     """Adds to what a training shows how many minutes it has left in all."""
 
     # What comes between field and network; what comes after it is the rest.
-    POINTS = ('features', 'matches', 'without landmarks')
+    POINTS = ('features', 'matches', 'stereo', 'without landmarks')
     MEMORY = (*POINTS, 'depth of photos', 'planes of photos', 'keyframes', 'look-alikes',
               'panoramas')
 
@@ -140,7 +140,7 @@ class TimeLeft:
     def _minutes_left(self, stage: str, done: int, total: int) -> float:
         minutes, rules = self._plan.minutes, self._rules
         self._fitted |= stage in ('field', 'geometry')
-        # The field of few photos needs what else is made for the memory.
+        # The field needs the points that the memory's landmarks are made of, too.
         if stage in ('plan', 'photos') or stage in self.POINTS and not self._fitted:
             return minutes
         if stage == 'field':

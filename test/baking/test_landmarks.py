@@ -5,9 +5,11 @@ from pathlib import Path
 from box_room import apart
 from corner_photos import CAMERA, EXPANSION, write_corner
 from neo_ros.baking import landmarks as landmarks_module, sparse_model
-from neo_ros.baking.landmarks import _photos_for, find_landmarks, LEAST_PHOTOS
+from neo_ros.baking.landmarks import (
+    _photos_for, find_landmarks, LEAST_PHOTOS, photos_for_landmarks)
 from neo_ros.baking.photo_bank import read_photo_bank
 from neo_ros.evaluation.evaluate import TruthFrames
+from neo_ros.machine.evenly import evenly
 from neo_ros.memory.landmarks import Landmarks, Locator
 from neo_ros.pictures.usable import write_usable
 from neo_ros.scenes.posed_images import PosedImages
@@ -21,12 +23,11 @@ def corner(tmp_path_factory: pytest.TempPathFactory) -> tuple[PosedImages, Truth
     return write_corner(tmp_path_factory.mktemp('corner'))
 
 
-def landmarks_of(photos: PosedImages, work: Path, most_photos: int = 400
-                 ) -> tuple[Landmarks | None, list[str]]:
+def landmarks_of(photos: PosedImages, work: Path) -> tuple[Landmarks | None, list[str]]:
     """Return the landmarks of photos, and the stages that were shown."""
     said: list[str] = []
     found = find_landmarks(photos, 1.0, EXPANSION.source, work,
-                           lambda stage, done, total, note='': said.append(stage), most_photos)
+                           lambda stage, done, total, note='': said.append(stage))
     return found, said
 
 
@@ -35,7 +36,10 @@ def test_the_photos_landmarks_find_the_camera(
         corner: tuple[PosedImages, TruthFrames], tmp_path: Path,
         monkeypatch: pytest.MonkeyPatch) -> None:
     photos, frames = corner
-    landmarks, said = landmarks_of(photos, tmp_path, len(photos) - 1)
+    monkeypatch.setattr(landmarks_module, 'LEAST_PHOTOS', len(photos) - 1)
+    monkeypatch.setattr(landmarks_module, 'PHOTOS_A_SQUARE_METRE', 1)
+    assert photos_for_landmarks(photos) == evenly(len(photos), len(photos) - 1).tolist()
+    landmarks, said = landmarks_of(photos, tmp_path)
     assert landmarks is not None and len(landmarks.points) > 30
     assert {'features', 'matches'} <= set(said)
     locator = Locator(landmarks, CAMERA)

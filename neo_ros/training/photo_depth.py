@@ -1,38 +1,53 @@
-"""What few photos lack: depth at the points that several of them show."""
+"""What photos tell of depth by showing the same from beside one another."""
 from contextlib import nullcontext
 from pathlib import Path
 from tempfile import TemporaryDirectory
 import time
 
-from neo_ros.baking.landmarks import find_points
+from neo_ros.baking.landmarks import find_points, photos_for_landmarks
+from neo_ros.baking.photo_stereo import photo_depths
 from neo_ros.baking.sparse_model import SparseModel
 from neo_ros.geometry import Intrinsics
-from neo_ros.pictures.depth import MM_PER_M
+from neo_ros.machine.progress import of_stage
+from neo_ros.pictures.depth import MM_PER_M, to_millimetres
 from neo_ros.training.memory import WORK
 from neo_ros.training.run import TrainingRun
 import numpy as np
 
-# With more photos points bring a field nothing: see docs/tried.md.
-FEW_PHOTOS = 50
 # A point tells of so many radians to each side of it.
 SPREAD = 0.008
 
 
-def depth_of_few(run: TrainingRun, writes: bool = True) -> np.ndarray | None:
+def depth_of_photos(run: TrainingRun, images: np.ndarray, writes: bool = True
+                    ) -> np.ndarray | None:
     """
-    Return depth, as `PosedImages.read_depths`, at the points that a run's photos triangulate to.
+    Return depth, as `PosedImages.read_depths`, that a run's photos tell of one another.
 
-    None where they are not few, nothing comes of it, or the field does not look at depth. The
-    scene memory is made of the same points: the process that writes, of several, keeps them.
+    images: the photos as the field sees them, uint8 (N, H, W, 3). Depth is that of stereo, and
+    where it tells nothing that of the points that the photos triangulate to. Only the photos that
+    landmarks are made of have any. None where nothing comes of it, or the field does not look at
+    depth. The scene memory is made of the same points: the process that writes, of several, keeps
+    them.
     """
     experiment, started = run.experiment, time.monotonic()
-    if len(run.fitted) > FEW_PHOTOS or experiment.field.depth == 0:
+    if experiment.field.depth == 0:
         return None
+    chosen = photos_for_landmarks(run.fitted)
+    photos = run.fitted.subset(chosen)
     with nullcontext(run.out / WORK) if writes else TemporaryDirectory() as work:
-        found = find_points(run.fitted, experiment.scale, run.expansion.source, Path(work),
+        found = find_points(photos, experiment.scale, run.expansion.source, Path(work),
                             run.progress)
-    depths = None if found is None else depth_of_points(
-        found[1], run.fitted.T_world_cam, run.fitted.intrinsics.scaled(experiment.field_scale))
+    depths = None
+    if found is not None:
+        camera = photos.intrinsics.scaled(experiment.field_scale)
+        depths = np.zeros(images.shape[:3], np.uint16)
+        depths[chosen] = depth_of_points(found[1], photos.T_world_cam, camera)
+        progress = of_stage(run.progress, 'stereo')
+        for done, (index, seen) in enumerate(zip(chosen, photo_depths(
+                images[chosen], camera, photos.T_world_cam, found[1])), 1):
+            told = to_millimetres(seen)
+            np.copyto(depths[index], told, where=told > 0)
+            progress(done, len(chosen))
     run.seconds += time.monotonic() - started
     return depths
 
