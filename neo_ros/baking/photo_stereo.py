@@ -70,12 +70,12 @@ def partners_of(index: int, model: SparseModel, seen_in: Sequence[np.ndarray],
         shared[seen_in[point]] += 1
     shared[index] = 0
     scores = []
-    for other in np.flatnonzero(shared >= rules.least_points):
+    for other in np.flatnonzero(shared >= rules.least_points).tolist():
         points = model.points[np.intersect1d(own, _points_of(model, other))]
         angle = _median_angle(points, T_world_cam[index, :3, 3], T_world_cam[other, :3, 3])
         least, good, wide = rules.angles
         if angle >= least:
-            scores.append((-shared[other] * min(angle / good, 1.0, wide / angle), int(other)))
+            scores.append((-shared[other] * min(angle / good, 1.0, wide / angle), other))
     return [other for _, other in sorted(scores)]
 
 
