@@ -35,7 +35,7 @@ from neo_ros.training.checkpoint import (
 from neo_ros.training.checks import check_training
 from neo_ros.training.folder import claim, drop_made_of_a_field, take_field
 from neo_ros.training.memory import memory_step, name_memory
-from neo_ros.training.photo_depth import depth_of_photos
+from neo_ros.training.photo_depth import photos_with_depth
 from neo_ros.training.report import Scoring, write_training_report
 from neo_ros.training.run import TrainingRun
 from neo_ros.training.tiles import fit_tiles, tile_jobs, TILES, tiles_of
@@ -136,10 +136,10 @@ def _fit_field(run: TrainingRun, path: Path, writes: bool) -> None:
         scale, lambda done: run.progress('photos', done, len(run.fitted), ''))
     if writes and not checkpoint.exists():
         drop_made_of_a_field(run.out)
-    depths = run.fitted.read_depths(scale)
+    with photos_with_depth(run, writes) as photos:
+        depths = photos.read_depths(scale)
     trainer = field_trainer(images, run.fitted.intrinsics.scaled(scale), run.fitted.T_world_cam,
-                            config, run.experiment.seed,
-                            depth_of_photos(run, images, writes) if depths is None else depths,
+                            config, run.experiment.seed, depths,
                             run.fitted.read_all_usable(scale))
     train_with_checkpoints(
         run, trainer, checkpoint, 'field', lambda: trainer.done,
@@ -154,9 +154,11 @@ def _fit_field(run: TrainingRun, path: Path, writes: bool) -> None:
 def _fit_tiles(run: TrainingRun, tiles: list[Tile], path: Path, writes: bool) -> None:
     if writes and not (run.out / TILES).exists():
         drop_made_of_a_field(run.out)
-    field, run.seconds, run.log['field'] = fit_tiles(
-        tile_jobs(run.out, tiles, run.fitted, run.experiment, run.field_config, writes),
-        run.cluster, run.progress)
+    with photos_with_depth(run, writes) as photos:
+        field, seconds, run.log['field'] = fit_tiles(
+            tile_jobs(run.out, tiles, photos, run.experiment, run.field_config, writes),
+            run.cluster, run.progress)
+    run.seconds += seconds
     if field is not None:
         write_notes(run.out / 'field.json', run.seconds, run.log['field'])
         field.save(path)

@@ -3,7 +3,7 @@ How far away is what photos show: each is compared with those that show the same
 
 The matching is OpenCV's, semi-global (Hirschmueller, PAMI 2008); a depth counts where pairs agree.
 """
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 
@@ -37,15 +37,16 @@ class PhotoStereoRules:
 
 
 def photo_depths(images: np.ndarray, camera: Intrinsics, T_world_cam: np.ndarray,
-                 model: SparseModel, rules: PhotoStereoRules = PhotoStereoRules()
-                 ) -> Iterator[np.ndarray]:
+                 model: SparseModel, wanted: Iterable[int],
+                 rules: PhotoStereoRules = PhotoStereoRules()) -> Iterator[np.ndarray]:
     """
-    Yield for each photo, uint8 (N, H, W, 3), its depth: float32 (H, W), metres, 0 = unknown.
+    Yield for each wanted one of photos, uint8 (N, H, W, 3), its depth: float32 (H, W).
 
-    Depth is along the optical axis. T_world_cam (N, 4, 4); model: points that the photos show.
+    Metres along the optical axis, 0 = unknown. T_world_cam (N, 4, 4); model: points that the
+    photos show.
     """
     seen_in = _photos_of_points(model)
-    for index in range(len(images)):
+    for index in wanted:
         points = model.points[_points_of(model, index)]
         z = (points - T_world_cam[index, :3, 3]) @ T_world_cam[index, :3, 2]
         if not (z > 0).any():

@@ -1,5 +1,7 @@
 """What photos tell of depth by showing the same from beside one another."""
-from contextlib import nullcontext
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 import time
@@ -9,7 +11,8 @@ from neo_ros.baking.photo_stereo import photo_depths
 from neo_ros.baking.sparse_model import SparseModel
 from neo_ros.geometry import Intrinsics
 from neo_ros.machine.progress import of_stage
-from neo_ros.pictures.depth import MM_PER_M, to_millimetres
+from neo_ros.pictures.depth import MM_PER_M, to_millimetres, write_depth
+from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.training.memory import WORK
 from neo_ros.training.run import TrainingRun
 import numpy as np
@@ -18,38 +21,46 @@ import numpy as np
 SPREAD = 0.008
 
 
-def depth_of_photos(run: TrainingRun, images: np.ndarray, writes: bool = True
-                    ) -> np.ndarray | None:
+@contextmanager
+def photos_with_depth(run: TrainingRun, writes: bool = True) -> Iterator[PosedImages]:
     """
-    Return depth, as `PosedImages.read_depths`, that a run's photos tell of one another.
+    Give the photos that a run's field is fitted to, with depth maps.
 
-    images: the photos as the field sees them, uint8 (N, H, W, 3). Depth is that of stereo, and
-    where it tells nothing that of the points that the photos triangulate to. Only the photos that
-    landmarks are made of have any. None where nothing comes of it, or the field does not look at
-    depth. The scene memory is made of the same points: the process that writes, of several, keeps
-    them.
+    Measured depth, where the capture has any; else that of stereo, and where it tells nothing that
+    of the points that the photos triangulate to. Only the photos that landmarks are made of have
+    such a map, none where nothing can be triangulated, or the field does not look at depth. The
+    scene memory is made of the same points: the process that writes, of several, keeps them, and
+    the maps until the memory is made.
     """
-    experiment, started = run.experiment, time.monotonic()
-    if experiment.field.depth == 0:
-        return None
-    chosen = photos_for_landmarks(run.fitted)
-    photos = run.fitted.subset(chosen)
+    if any(run.fitted.depth_paths) or run.experiment.field.depth == 0:
+        yield run.fitted
+        return
     with nullcontext(run.out / WORK) if writes else TemporaryDirectory() as work:
-        found = find_points(photos, experiment.scale, run.expansion.source, Path(work),
-                            run.progress)
-    depths = None
-    if found is not None:
-        camera = photos.intrinsics.scaled(experiment.field_scale)
-        depths = np.zeros(images.shape[:3], np.uint16)
-        depths[chosen] = depth_of_points(found[1], photos.T_world_cam, camera)
+        started = time.monotonic()
+        photos = _with_stereo(run, Path(work))
+        run.seconds += time.monotonic() - started
+        yield photos
+
+
+def _with_stereo(run: TrainingRun, work: Path) -> PosedImages:
+    chosen = photos_for_landmarks(run.fitted)
+    paths = {index: work / f'stereo/{index:06d}.png' for index in chosen}
+    missing = [place for place, path in enumerate(paths.values()) if not path.exists()]
+    if missing:
+        photos, experiment = run.fitted.subset(chosen), run.experiment
+        found = find_points(photos, experiment.scale, run.expansion.source, work, run.progress)
+        if found is None:
+            return run.fitted
+        camera, T_world_cam = photos.intrinsics.scaled(experiment.field_scale), photos.T_world_cam
+        at_points = depth_of_points(found[1], T_world_cam, camera)
         progress = of_stage(run.progress, 'stereo')
-        for done, (index, seen) in enumerate(zip(chosen, photo_depths(
-                images[chosen], camera, photos.T_world_cam, found[1])), 1):
+        for done, (place, seen) in enumerate(zip(missing, photo_depths(
+                photos.read_images(experiment.field_scale), camera, T_world_cam, found[1],
+                missing)), 1):
             told = to_millimetres(seen)
-            np.copyto(depths[index], told, where=told > 0)
-            progress(done, len(chosen))
-    run.seconds += time.monotonic() - started
-    return depths
+            write_depth(paths[chosen[place]], np.where(told > 0, told, at_points[place]))
+            progress(done, len(missing))
+    return replace(run.fitted, depth_paths=tuple(map(paths.get, range(len(run.fitted)))))
 
 
 def depth_of_points(model: SparseModel, T_world_cam: np.ndarray, camera: Intrinsics

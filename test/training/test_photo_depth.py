@@ -14,7 +14,7 @@ from neo_ros.pipeline import fit_field_step
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.scene import Scene
 from neo_ros.training.memory import memory_step, WORK
-from neo_ros.training.photo_depth import depth_of_photos, depth_of_points
+from neo_ros.training.photo_depth import depth_of_points, photos_with_depth
 from neo_ros.training.run import TrainingRun
 import numpy as np
 import pytest
@@ -55,8 +55,8 @@ def test_the_depth_of_photos_is_where_things_are(
         corner: PosedImages, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[str] = []
     run = run_of(corner, tmp_path, said)
-    images = run.fitted.read_images()
-    depths = depth_of_photos(run, images)
+    with photos_with_depth(run) as photos:
+        depths = photos.read_depths()
     assert depths is not None and run.seconds > 0
     assert said.index('stereo') > said.index('matches')
     flat = build_demo_flat()
@@ -68,9 +68,20 @@ def test_the_depth_of_photos_is_where_things_are(
     bank = (tmp_path / WORK / 'features.npz').read_bytes()
     assert find_landmarks(run.fitted, 1.0, run.expansion.source, tmp_path / WORK, run.progress)
     assert (tmp_path / WORK / 'features.npz').read_bytes() == bank
-    # Another process of the same training leaves nothing, and has the same bits.
+    # One that was broken off goes on, with the same bits.
+    said.clear()
+    for gone in (3, 7):
+        (tmp_path / WORK / f'stereo/{gone:06d}.png').unlink()
+    with photos_with_depth(run) as photos:
+        np.testing.assert_array_equal(photos.read_depths(), depths)
+    assert said.count('stereo') == 2
+    said.clear()
+    with photos_with_depth(run):
+        assert not said
+    # Another process of the same training leaves nothing.
     beside = run_of(corner, tmp_path / 'beside', said)
-    np.testing.assert_array_equal(depth_of_photos(beside, images, writes=False), depths)
+    with photos_with_depth(beside, writes=False) as photos:
+        np.testing.assert_array_equal(photos.read_depths(), depths)
     assert not (tmp_path / 'beside').exists()
     run.experiment = replace(TINY, memory=None)
     memory_step(run, VoxelField.empty(8, np.zeros(3), np.ones(3), 0.2, 0))
@@ -78,11 +89,27 @@ def test_the_depth_of_photos_is_where_things_are(
     # Others than landmarks are made of have none.
     monkeypatch.setattr(landmarks, 'LEAST_PHOTOS', 10)
     monkeypatch.setattr(landmarks, 'PHOTOS_A_SQUARE_METRE', 1)
-    some = depth_of_photos(run_of(corner, tmp_path / 'some', said), images)
-    assert some is not None and some.shape == depths.shape
-    assert np.flatnonzero(some.any((1, 2))).tolist() == photos_for_landmarks(run.fitted)
+    with photos_with_depth(run_of(corner, tmp_path / 'some', said)) as photos:
+        assert [index for index, path in enumerate(photos.depth_paths) if path is not None
+                ] == photos_for_landmarks(run.fitted)
+
+
+def test_where_nothing_is_to_be_found_nothing_is_looked_for(
+        corner: PosedImages, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[str] = []
+    measured = tuple(tmp_path / f'{index}.png' for index in range(len(corner)))
+    run = run_of(replace(corner, depth_paths=measured), tmp_path, said)
+    with photos_with_depth(run) as photos:
+        assert photos.depth_paths == run.fitted.depth_paths and len(photos.depth_paths) == 14
+    run = run_of(corner, tmp_path, said)
     run.experiment = replace(TINY, field=replace(TINY.field, depth=0))
-    assert depth_of_photos(run, images) is None
+    with photos_with_depth(run) as photos:
+        assert not photos.depth_paths
+    assert not said
+    monkeypatch.setattr(landmarks, 'find_spec', lambda name: None)
+    with photos_with_depth(run_of(corner, tmp_path, said)) as photos:
+        assert not photos.depth_paths
+    assert said == ['without landmarks']
 
 
 def test_a_field_is_fitted_with_it(
