@@ -112,16 +112,16 @@ def pair_depth(image: np.ndarray, other: np.ndarray, camera: Intrinsics, T: np.n
         return None
     x, y = np.meshgrid((np.arange(width) + 0.5) / focal + left,
                        (np.arange(height) + 0.5) / focal + top)
-    mine, _ = _warped(image, camera, to_shared, x, y)
-    yours, inside = _warped(other, camera, other_to_shared, x - first / focal, y)
+    mine, inside = _warped(image, camera, to_shared, x, y, rules.window)
+    yours, there = _warped(other, camera, other_to_shared, x - first / focal, y, rules.window)
     disparity = cv2.StereoSGBM.create(
         0, count, rules.window, 8 * 3 * rules.window ** 2, 32 * 3 * rules.window ** 2,
         disp12MaxDiff=1, preFilterCap=31, uniquenessRatio=rules.uniqueness,
         speckleWindowSize=rules.speckle, speckleRange=2, mode=cv2.StereoSGBM_MODE_SGBM_3WAY,
     ).compute(mine, yours).astype(np.float32) / 16
     column = np.rint(np.arange(width) - disparity).astype(int)
-    known = (disparity >= 0) & (column >= 0)
-    known &= np.take_along_axis(inside, np.clip(column, 0, width - 1), 1)
+    known = (disparity >= 0) & (column >= 0) & inside
+    known &= np.take_along_axis(there, np.clip(column, 0, width - 1), 1)
     z = np.where(known, focal * baseline / np.maximum(disparity + first, 1e-6), 0)
     # Back to the pixels of the image.
     rays = camera.pixel_rays() @ to_shared.T
@@ -181,9 +181,9 @@ def _extent(camera: Intrinsics, R: np.ndarray, least_ahead: float) -> np.ndarray
     return np.stack([turned.min(0), turned.max(0)])
 
 
-def _warped(image: np.ndarray, camera: Intrinsics, R: np.ndarray, x: np.ndarray, y: np.ndarray
-            ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the image turned by R where its rays are (x, y, 1), and where it shows anything."""
+def _warped(image: np.ndarray, camera: Intrinsics, R: np.ndarray, x: np.ndarray, y: np.ndarray,
+            window: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the image turned by R where its rays are (x, y, 1), and where it fills a window."""
     rays = np.stack([x, y, np.ones_like(x)], -1) @ R
     z = np.where(rays[..., 2] > 1e-3, rays[..., 2], np.nan)
     column, row = _pixels(camera.fx * rays[..., 0] / z + camera.cx,
@@ -191,7 +191,9 @@ def _warped(image: np.ndarray, camera: Intrinsics, R: np.ndarray, x: np.ndarray,
     inside = ((column >= 0) & (row >= 0)
               & (column <= camera.width - 1) & (row <= camera.height - 1))
     return cv2.remap(image, np.where(inside, column, -2), np.where(inside, row, -2),
-                     cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT), inside
+                     cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT), cv2.erode(
+        inside.view(np.uint8), np.ones((window, window), np.uint8),
+        borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0
 
 
 def _pixels(column: np.ndarray, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
