@@ -73,9 +73,11 @@ def test_a_new_field_is_not_mixed_with_what_the_old_one_made(
     run = replace(tiny_run, out=shutil.copytree(tiny_run.out, tmp_path / 'out'))
     (run.out / 'panoramas_3').mkdir()
     (run.out / 'memory_work').mkdir()
+    (run.out / 'memory_work/keyframe').touch()
     for name in ('field.npz', 'field.json'):
         (run.out / name).unlink()
     fit_field_step(run)
     assert (run.out / 'field.npz').exists()
-    for name in ('outpainter.ckpt', 'memory.json', 'panoramas_3', 'memory_work', 'field.ckpt'):
+    for name in ('outpainter.ckpt', 'memory.json', 'panoramas_3', 'memory_work/keyframe',
+                 'field.ckpt'):
         assert not (run.out / name).exists()
