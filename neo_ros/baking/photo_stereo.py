@@ -31,7 +31,7 @@ class PhotoStereoRules:
     least_ahead: float = 0.3       # cosine of the rays of photos and the axis that pairs share
     same: float = 0.03             # depths of one surface differ by this share at most
     witnesses: int = 2             # pairs that have to agree, where there are as many
-    window: int = 5                # pixels that are compared, to each side
+    window: int = 5                # pixels across of what is compared
     uniqueness: int = 10           # per cent by which the best disparity has to be the best
     speckle: int = 80              # pixels of one surface, at least
 
@@ -45,9 +45,10 @@ def photo_depths(images: np.ndarray, camera: Intrinsics, T_world_cam: np.ndarray
     Metres along the optical axis, 0 = unknown. T_world_cam (N, 4, 4); model: points that the
     photos show.
     """
-    seen_in = _photos_of_points(model)
+    shown = [np.unique(of[of >= 0]) for of in model.point_of]
+    seen_in = _photos_of_points(shown, len(model.points))
     for index in wanted:
-        points = model.points[_points_of(model, index)]
+        points = model.points[shown[index]]
         z = (points - T_world_cam[index, :3, 3]) @ T_world_cam[index, :3, 2]
         if not (z > 0).any():
             yield np.zeros(images.shape[1:3], np.float32)
@@ -55,25 +56,27 @@ def photo_depths(images: np.ndarray, camera: Intrinsics, T_world_cam: np.ndarray
         near, far = np.quantile(z[z > 0], [rules.outliers, 1 - rules.outliers])
         pairs = (pair_depth(images[index], images[other], camera, T_world_cam[index],
                             T_world_cam[other], near * rules.nearer, far * rules.farther, rules)
-                 for other in partners_of(index, model, seen_in, T_world_cam, rules))
+                 for other in partners_of(index, model.points, shown, seen_in, T_world_cam, rules))
         found = list(islice((pair for pair in pairs if pair is not None), rules.partners))
         yield (agreed_depth(np.stack(found), rules) if found
                else np.zeros(images.shape[1:3], np.float32))
 
 
-def partners_of(index: int, model: SparseModel, seen_in: Sequence[np.ndarray],
-                T_world_cam: np.ndarray, rules: PhotoStereoRules = PhotoStereoRules()
-                ) -> list[int]:
-    """Return the photos that show what one shows, the best to compare it with first."""
-    own = _points_of(model, index)
-    shared = np.zeros(len(model.point_of), int)
-    for point in own:
-        shared[seen_in[point]] += 1
+def partners_of(index: int, points: np.ndarray, shown: Sequence[np.ndarray],
+                seen_in: Sequence[np.ndarray], T_world_cam: np.ndarray,
+                rules: PhotoStereoRules = PhotoStereoRules()) -> list[int]:
+    """
+    Return the photos that show what one shows, the best to compare it with first.
+
+    points (M, 3); shown: the indices of those in each photo; seen_in: the photos of each point.
+    """
+    own = shown[index]
+    shared = np.bincount(np.concatenate([seen_in[point] for point in own]), minlength=len(shown))
     shared[index] = 0
     scores = []
     for other in np.flatnonzero(shared >= rules.least_points).tolist():
-        points = model.points[np.intersect1d(own, _points_of(model, other))]
-        angle = _median_angle(points, T_world_cam[index, :3, 3], T_world_cam[other, :3, 3])
+        angle = _median_angle(points[np.intersect1d(own, shown[other])],
+                              T_world_cam[index, :3, 3], T_world_cam[other, :3, 3])
         least, good, wide = rules.angles
         if angle >= least:
             scores.append((-shared[other] * min(angle / good, 1.0, wide / angle), other))
@@ -146,20 +149,12 @@ def agreed_depth(depths: np.ndarray, rules: PhotoStereoRules = PhotoStereoRules(
     return np.divide(1, best, out=np.zeros_like(best), where=told & (best > 0))
 
 
-def _points_of(model: SparseModel, index: int) -> np.ndarray:
-    """Return the points that a photo shows, each once."""
-    of = model.point_of[index]
-    return np.unique(of[of >= 0])
-
-
-def _photos_of_points(model: SparseModel) -> list[np.ndarray]:
-    """Return for each point the photos that show it."""
-    points = [_points_of(model, index) for index in range(len(model.point_of))]
-    photos = np.repeat(np.arange(len(points)), [len(one) for one in points])
-    every = np.concatenate(points) if points else np.zeros(0, int)
+def _photos_of_points(shown: Sequence[np.ndarray], count: int) -> list[np.ndarray]:
+    """Return for each of `count` points the photos that show it."""
+    photos = np.repeat(np.arange(len(shown)), [len(one) for one in shown])
+    every = np.concatenate(shown)
     order = np.argsort(every, kind='stable')
-    ends = np.cumsum(np.bincount(every, minlength=len(model.points)))
-    return np.split(photos[order], ends[:-1])
+    return np.split(photos[order], np.cumsum(np.bincount(every, minlength=count))[:-1])
 
 
 def _median_angle(points: np.ndarray, one: np.ndarray, other: np.ndarray) -> float:

@@ -21,6 +21,7 @@ class FreeFloorRules:
     rays_across: int = 48      # of each of them
     slab: float = 0.15         # above and below the camera's height that were looked through
     step: float = 0.15         # above the floor that a robot passes over
+    thick: float = 3.0         # voxels above it that are its own: coarse ones blur it upwards
 
 
 def find_free_floor(field: RadianceField, photos: PosedImages,
@@ -43,7 +44,8 @@ def find_free_floor(field: RadianceField, photos: PosedImages,
     stood = np.zeros(size[::-1], bool)
     index = ((positions[:, :2] - low) / rules.resolution).astype(int)
     stood[index[:, 1], index[:, 0]] = True
-    bottom = min(_floor_height(field, positions) + rules.step, height - rules.slab)
+    above = max(rules.step, rules.thick * field.voxel)
+    bottom = min(_floor_height(field, positions) + above, height - rules.slab)
     free = _looked_through(field, photos, low, size, height, rules) & ~_matter(
         field, low, size, bottom, height + rules.slab, rules.resolution)
     matter = _matter(field, low, size, height - rules.slab, height + rules.slab, rules.resolution)

@@ -40,7 +40,7 @@ class PanoramaPool:
     Up to `positions` panoramas, rendered one after the other at positions that the sampler draws.
 
     Positions inside matter, where there is nothing, and where photos saw too little are drawn
-    again; so are views of which photos saw too little. After `require_sharpness` blurred views
+    again; so are views of which photos saw too little. After `measure_photos` blurred views
     are, too, and positions where most are. `refused` counts positions by reason. A cache keeps
     them in files. Views are cut where the field is: on a GPU, or by OpenCV.
     """
@@ -52,7 +52,7 @@ class PanoramaPool:
         self.positions, self.seed, self.cache = positions, seed, cache
         self.device = field.device
         self.cut_view = view_cutter(field, view)
-        self.least_sharpness = 0.0
+        self.least_sharpness, self.least_opacity = 0.0, rules.least_opacity
         # Told of work that keeps a training waiting: several panoramas at once.
         self.progress: Progress = no_progress
         self.panoramas: list[Panorama] = []
@@ -64,23 +64,27 @@ class PanoramaPool:
             sampler.yaw_range)
         self.glance_rotations = [sampler.draw_rotation(random) for _ in range(20)]
 
-    def require_sharpness(self, photos: PosedImages, scale: float) -> None:
+    def measure_photos(self, photos: PosedImages, scale: float) -> None:
         """
-        Refuse blurred views from now on, by the photos' own measure.
+        Refuse from now on blurred views, and places where there is little, by the photos' measure.
 
-        The threshold is that at which a photo is an outlier among the photos, times how sharp a
-        wide view at the place of a photo is, compared with the photo (median): a field is softer
-        than photos everywhere, and only what is blurred beyond that says nothing.
+        The threshold of sharpness is that at which a photo is an outlier among the photos, times
+        how sharp a wide view at the place of a photo is, compared with the photo (median): a field
+        is softer than photos everywhere, and only what is blurred beyond that says nothing. There
+        is little where the opacity all around is below `least_opacity` of that at photos' places
+        (median): where all photos look one way, nothing lies behind them.
         """
         chosen = evenly(len(photos), self.rules.measured_photos)
         sharp = np.array([relative_sharpness(photos.read_image(i, scale)) for i in chosen])
-        kept = []
+        kept, opacity = [], []
         for place in evenly(len(chosen), self.rules.rendered_photos):
             pose = photos.poses[chosen[place]]
             panorama = render_panorama(self.field, pose.position, self.view, self.band)
             view = self.cut_view(panorama, pose.T_world_cam[:3, :3])
             kept.append(_sharpness(view) / max(sharp[place], 1e-9))
+            opacity.append(panorama.opacity)
         self.least_sharpness = blur_threshold(sharp) * float(np.median(kept))
+        self.least_opacity = self.rules.least_opacity * float(np.median(opacity))
 
     def fill(self, count: int) -> int:
         """Render until there are `count` panoramas or all; returns how many are to be used."""
@@ -149,7 +153,7 @@ class PanoramaPool:
         """Say why a position is of no use, None if it is of use."""
         if panorama.blocked > self.rules.most_blocked:
             return 'in matter'
-        if panorama.opacity < self.rules.least_opacity:
+        if panorama.opacity < self.least_opacity:
             return 'nothing there'
         glance = self.view.scaled(16 / self.view.width)
         good = [covered(torch.from_numpy(panorama.cut_view(glance, rotation)), self.rules)

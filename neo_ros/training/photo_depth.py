@@ -1,5 +1,5 @@
 """What photos tell of depth by showing the same from beside one another."""
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -51,16 +51,26 @@ def _with_stereo(run: TrainingRun, work: Path) -> PosedImages:
         found = find_points(photos, experiment.scale, run.expansion.source, work, run.progress)
         if found is None:
             return run.fitted
-        camera, T_world_cam = photos.intrinsics.scaled(experiment.field_scale), photos.T_world_cam
-        at_points = depth_of_points(found[1], T_world_cam, camera)
-        progress = of_stage(run.progress, 'stereo')
-        for done, (place, seen) in enumerate(zip(missing, photo_depths(
-                photos.read_images(experiment.field_scale), camera, T_world_cam, found[1],
-                missing)), 1):
-            told = to_millimetres(seen)
-            write_depth(paths[chosen[place]], np.where(told > 0, told, at_points[place]))
+        scale, progress = experiment.field_scale, of_stage(run.progress, 'stereo')
+        for done, (place, depth) in enumerate(zip(missing, depth_among(
+                photos.read_images(scale), photos.intrinsics.scaled(scale), photos.T_world_cam,
+                found[1], missing)), 1):
+            write_depth(paths[chosen[place]], depth)
             progress(done, len(missing))
     return replace(run.fitted, depth_paths=tuple(map(paths.get, range(len(run.fitted)))))
+
+
+def depth_among(images: np.ndarray, camera: Intrinsics, T_world_cam: np.ndarray,
+                model: SparseModel, wanted: Sequence[int]) -> Iterator[np.ndarray]:
+    """
+    Yield the depth of wanted ones of photos, uint16 (H, W), millimetres, 0 = unknown.
+
+    That of stereo, see `photo_depths`, and of the points where it tells nothing.
+    """
+    at_points = depth_of_points(model, T_world_cam, camera)
+    for index, seen in zip(wanted, photo_depths(images, camera, T_world_cam, model, wanted)):
+        told = to_millimetres(seen)
+        yield np.where(told > 0, told, at_points[index])
 
 
 def depth_of_points(model: SparseModel, T_world_cam: np.ndarray, camera: Intrinsics

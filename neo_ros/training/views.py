@@ -88,7 +88,7 @@ def make_stream(run: TrainingRun, field: RadianceField, seed: int) -> PairStream
     stream.pool.progress = lambda done, total: run.progress('panoramas', done, total, '')
     sharp_only = experiment.sampling.sharp_only
     if sharp_only or (sharp_only is None and run.sampling_area == 'photos'):
-        stream.pool.require_sharpness(run.fitted, experiment.network_scale)
+        stream.pool.measure_photos(run.fitted, experiment.network_scale)
     return stream
 
 

@@ -14,6 +14,7 @@ from neo_ros.field.rendering import render_rays, world_rays
 from neo_ros.field.voxel_field import AIR_KEPT, VoxelField
 from neo_ros.geometry import CameraPose
 from neo_ros.machine.progress import no_progress, Progress
+from neo_ros.training.photo_depth import depth_among
 from neo_ros.updating.changed_space import ChangedPlace, ChangedSpace
 from neo_ros.updating.compared_photos import ComparedPhotos
 from neo_ros.updating.kernels import count_votes, pinholes
@@ -88,8 +89,10 @@ def grow(field: VoxelField, compared: ComparedPhotos, outside: np.ndarray, tied:
     new = np.arange(len(T) - tied.elsewhere, len(T))
     gains = _gains(compared, chosen, np.isin(chosen, new))
     assert photos.usable is not None
+    depths = None if tied.points is None else np.stack(list(depth_among(
+        photos.images, photos.intrinsics, photos.T_world_cam, tied.points, range(len(chosen)))))
     trainer = trainer_of(replace(photos, usable=photos.usable.copy()), gains, config, seed,
-                         minutes, rules)
+                         minutes, rules, depths)
     fit_until(trainer, rules.alone, progress)
     own = trainer.finished()
     at = T[outside, :3, 3]  # What lies far from there, behind windows, is left to the shell.

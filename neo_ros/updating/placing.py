@@ -14,7 +14,7 @@ from typing import Any
 from neo_ros.baking.feature_database import (
     of_known_poses, pinhole_lens, points_of, write_database)
 from neo_ros.baking.photo_bank import likeness_of
-from neo_ros.baking.sparse_model import epipolar_distance
+from neo_ros.baking.sparse_model import epipolar_distance, SparseModel
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.memory.landmarks import Landmarks, magnification, WORKED_WIDTH
@@ -47,13 +47,15 @@ class Placed:
     Images that were placed in the scene, in its frame and scale, and their poses.
 
     Those of which the memory told the pose come first. beside: which photos of the drive show what
-    they show. landmarks: the points that three or more show, None where there are none.
+    they show. landmarks: the points that three or more show; points: that the photos beside and
+    the images show, in this order; None where there are none.
     """
 
     images: list[LostImage]
     poses: list[CameraPose]
     beside: list[int]
     landmarks: Landmarks | None
+    points: SparseModel | None
 
     @property
     def elsewhere(self) -> int:
@@ -61,7 +63,7 @@ class Placed:
         return sum(one.pose is None for one in self.images)
 
 
-NOTHING = Placed([], [], [], None)
+NOTHING = Placed([], [], [], None, None)
 
 
 def place_lost(drive: Drive, source: Intrinsics, progress: Progress = no_progress,
@@ -207,10 +209,14 @@ def _well_tied(near: Sequence[int], shots: Sequence[LostImage], model: Any,
         if enough and (shot.pose is None) == lost)])) for lost in (False, True))
     if len(np.intersect1d(before, after)) < rules.least_ties:
         return NOTHING
-    beside = [one for one, points in zip(near, shown)
+    beside = [index for index, points in enumerate(shown[:len(near)])
               if len(np.intersect1d(points, after)) >= rules.least_points]
-    tied = [(shot, pose) for shot, pose, enough in list(zip(shots, poses, many))[len(near):]
-            if enough and pose is not None]
-    return Placed([shot for shot, _ in tied], [pose for _, pose in tied], beside,
-                  Landmarks.from_observations(*points_of(model, features), np.concatenate(
-                      [one.descriptors for one in features])))
+    tied = {index: pose for index, pose in enumerate(poses)
+            if index >= len(near) and many[index] and pose is not None}
+    points, point_of = points_of(model, features)
+    per_shot = np.split(point_of, np.cumsum([len(one.points) for one in features])[:-1])
+    return Placed([shots[index] for index in tied], list(tied.values()),
+                  [near[index] for index in beside],
+                  Landmarks.from_observations(points, point_of, np.concatenate(
+                      [one.descriptors for one in features])),
+                  SparseModel(points, [per_shot[index] for index in (*beside, *tied)]))

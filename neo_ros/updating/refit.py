@@ -81,15 +81,20 @@ def refit(field: VoxelField, space: ChangedSpace, compared: ComparedPhotos, conf
 
 
 def trainer_of(photos: Photos, gains: np.ndarray, config: FieldConfig, seed: int,
-               minutes: float | None, rules: FitLength) -> FieldTrainer:
-    """Return a trainer that fits the usable pixels of photos, whose gains (N, 3) are known."""
+               minutes: float | None, rules: FitLength, depths: np.ndarray | None = None
+               ) -> FieldTrainer:
+    """
+    Return a trainer that fits the usable pixels of photos, whose gains (N, 3) are known.
+
+    depths: of the photos, see `FieldTrainer`.
+    """
     assert photos.usable is not None
     steps = int(np.clip(rules.passes * photos.usable.sum() / config.rays_per_step,
                         rules.least_steps, rules.most_steps))
     trainer = FieldTrainer(
         photos.images, photos.intrinsics, photos.T_world_cam,
         replace(config, steps=steps, minutes=minutes, exposure=False, vignetting=False,
-                sharpness=0.0), seed, usable=photos.usable)
+                sharpness=0.0), seed, depths=depths, usable=photos.usable)
     trainer.camera.log_gain = -np.log(gains).astype(np.float32)
     return trainer
 

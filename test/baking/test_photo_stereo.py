@@ -69,13 +69,10 @@ def test_photos_are_compared_that_show_the_same_from_elsewhere() -> None:
     T = np.eye(4)[None].repeat(6, 0)
     T[1:, 0, 3] = 0.6, 0.01, 0.8, 0.6, 0.6
     every = np.arange(40)
-    # The third stands too near, the fifth shows too little of it, the
-    # sixth half as much.
-    model = SparseModel(points, [every, every, every, every, np.r_[every[:14], -1],
-                                 np.where(every < 20, every, -1)])
-    seen_in = [np.flatnonzero([(of == point).any() for of in model.point_of])
-               for point in range(40)]
-    assert partners_of(0, model, seen_in, T) == [1, 3, 5]
+    # The third stands too near, the fifth shows too little of it, the sixth half as much.
+    shown = [every, every, every, every, every[:14], every[:20]]
+    seen_in = [np.flatnonzero([point in of for of in shown]) for point in every]
+    assert partners_of(0, points, shown, seen_in, T) == [1, 3, 5]
 
 
 def test_a_photo_without_points_has_no_depth() -> None:

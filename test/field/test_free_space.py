@@ -49,6 +49,14 @@ def test_a_table_below_the_camera_is_in_the_way() -> None:
     assert floor.contains(CENTRE[:2] + np.array([[-1.0, 1.0], [1.6, 0.0]])).all()
 
 
+@pytest.mark.parametrize(('voxels', 'free'), [(12_000, True), (600_000, False)])
+def test_what_lies_within_coarse_voxels_of_the_floor_is_the_floor(voxels: int, free: bool) -> None:
+    # 0.25 m high, in voxels of 0.15 and 0.04 m.
+    field = furnished((0.2, -0.4, -1.2), (1.0, 0.4, -0.85), voxels)
+    floor = find_free_floor(field, photos((-0.8, 0), (1.5, 0)), SamplingConfig())
+    assert floor.contains(CENTRE[:2] + np.array([[0.6, 0.0]])).all() == free
+
+
 def test_what_no_photo_looked_into_is_not_free() -> None:
     # A wall from side to side; all photos are on its one side.
     field = furnished((0.4, -3, -3), (0.8, 3, 3))

@@ -166,9 +166,23 @@ def test_a_full_disk_is_named(field: VoxelField, tmp_path: Path,
 
 
 @pytest.mark.slow
+def test_photos_of_one_wall_tell_that_nothing_is_behind_them(tmp_path: Path) -> None:
+    wall = room_field(150_000)
+    points = wall.world_points().reshape(-1, 3) - CENTRE
+    wall.grid[points[:, 1] < 0.6 * WALLS[1], 0] = -12.0
+    wall.update_occupancy()
+    drawn = pool(wall)
+    with pytest.raises(SceneError, match='nothing there'):
+        drawn.fill(1)
+    drawn = pool(wall)
+    drawn.measure_photos(photos(wall, tmp_path), 1.0)
+    assert drawn.fill(3) == 3 and not drawn.refused
+
+
+@pytest.mark.slow
 def test_blurred_views_are_drawn_again(field: VoxelField, tmp_path: Path) -> None:
     sharp, plain = pool(field), pool(field)
-    sharp.require_sharpness(photos(field, tmp_path), 1.0)
+    sharp.measure_photos(photos(field, tmp_path), 1.0)
     assert sharp.least_sharpness > 0
     random = np.random.default_rng(0)
     for drawn in (sharp, plain):
@@ -187,7 +201,7 @@ def test_a_place_where_every_view_is_blurred_is_drawn_again(
     sampler = PoseSampler(np.array([smooth, striped]), (-2.5, 1.6), LEVEL,
                           (float(CENTRE[2]), 0.0), 8)
     anywhere = pool(field)
-    anywhere.require_sharpness(photos(field, tmp_path), 1.0)
+    anywhere.measure_photos(photos(field, tmp_path), 1.0)
     drawn = PanoramaPool(field, sampler, VIEW, 6, seed=0)
     drawn.least_sharpness = anywhere.least_sharpness
     drawn.fill(6)
@@ -198,7 +212,7 @@ def test_a_place_where_every_view_is_blurred_is_drawn_again(
 def test_the_threshold_allows_for_a_soft_field(field: VoxelField, tmp_path: Path) -> None:
     """Photos that are sharper than what the field shows do not make all its views blurred."""
     room = pool(field)
-    room.require_sharpness(photos(field, tmp_path), 1.0)
+    room.measure_photos(photos(field, tmp_path), 1.0)
     room.fill(6)
     views = [room.panoramas[0].cut_view(VIEW, standing(yaw=yaw).T_world_cam[:3, :3])
              for yaw in np.arange(0, 4.5, 0.5)]

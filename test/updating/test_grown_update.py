@@ -98,8 +98,7 @@ def test_what_was_there_stays(base: Path) -> None:
 def test_floor_photos_card_and_report_tell_of_it(base: Path) -> None:
     scene, before = (read_scene(base / name) for name in ('new/room', 'room'))
     assert scene.walkable is not None and before.walkable is not None
-    # What a small field shows as free where the camera drove: 0.6 to 1.7 square metres.
-    assert scene.walkable.area > before.walkable.area + 0.3
+    assert scene.walkable.area > before.walkable.area + 1
     assert scene.walkable.contains(before.walkable.centres()).all()
     free = scene.walkable.centres()
     free = free[~before.walkable.contains(free)]

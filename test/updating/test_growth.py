@@ -57,7 +57,7 @@ def test_a_new_room_is_added_and_the_old_one_keeps_its_bits() -> None:
     inside = [number for number, pose in enumerate(poses) if pose.position[0] > DOORWAY[1, 0]]
     assert set(inside) >= set(outside.tolist()) and len(outside) > 0.8 * len(inside)
     chosen = [*range(len(old) + len(located) - 8, len(poses))]
-    tied = Placed([LostImage(image, 0) for image in images[-len(placed):]], placed, [], None)
+    tied = Placed([LostImage(image, 0) for image in images[-len(placed):]], placed, [], None, None)
     growth = grow(field, compared, outside, tied, chosen,
                   Photos(images[chosen], SMALL, photos.T_world_cam[chosen],
                          np.ones((len(chosen), *images.shape[1:3]), bool)),
