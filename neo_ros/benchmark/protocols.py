@@ -15,7 +15,7 @@ from neo_ros.experiment import Experiment, ViewConfig
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.machine.files import write_bytes
 from neo_ros.outpaint.network import NetworkConfig
-from neo_ros.outpaint.networks import check_network
+from neo_ros.outpaint.networks import check_network, shrunk_expansion
 from neo_ros.scenes.digests import list_digest
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.scene import Scene
@@ -93,7 +93,7 @@ def fitting_network(experiment: Experiment, expansion: ViewExpansion) -> Network
         coarse = experiment.network.width * 2 ** experiment.network.depth
         network = replace(experiment.network, patch=patch, depth=depth, width=coarse // 2 ** depth)
         try:
-            check_network(expansion, network)
+            check_network(shrunk_expansion(expansion, network), network)
         except ConfigError as error:
             refused = error
             continue

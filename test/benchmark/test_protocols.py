@@ -13,6 +13,8 @@ from neo_ros.errors import ConfigError, NeoError, SceneError
 from neo_ros.experiment import Experiment, ViewConfig
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
 from neo_ros.machine.progress import no_stage_progress
+from neo_ros.outpaint.network import NetworkConfig
+from neo_ros.outpaint.networks import check_network, shrunk_expansion
 from neo_ros.scenes.scene import Scene
 from neo_ros.scenes.transforms_json import read_transforms, write_transforms
 import pytest
@@ -44,6 +46,18 @@ def test_views_of_the_protocols(tmp_path, size, protocol, scale, source, target)
     cell = network.patch * 2 ** (network.depth - 1)
     assert cell >= 4
     assert not (expansion.source.width % cell or expansion.left % cell)
+
+
+def test_a_shrunk_network_has_a_grid_of_the_shrunk_view():
+    # 240 and 160 are multiples of 16, the half of 240 is not.
+    camera = Intrinsics.from_hfov(160, 240, 1.0)
+    expansion = ViewExpansion.to_size(camera, 320, 240)
+    small = shrunk_expansion(expansion, NetworkConfig(shrink=2))
+    for shrink in (1, 2):
+        experiment = Experiment(network=NetworkConfig(shrink=shrink))
+        network = fitting_network(experiment, expansion)
+        assert network.shrink == shrink
+        check_network(small if shrink == 2 else expansion, network)
 
 
 def test_stated_views_are_taken_as_they_are(tmp_path):
