@@ -14,9 +14,10 @@ import numpy as np
 FAST: dict[str, Any] = {
     'nogil': True, 'fastmath': {'nsz', 'arcp', 'contract', 'afn', 'reassoc'},
     'error_model': 'numpy'}
-# Neighbours that parallax pulls apart by more than this, pixels, lie on two surfaces. What is
-# stretched between them is drawn only where nothing else is seen.
-TEAR = 1.0
+# Neighbours that parallax pulls apart by more than so many times what a quad measures lie on two
+# surfaces: one that is merely slanted is pulled by less. What is stretched between them is drawn
+# only where nothing else is seen.
+TEAR = 1.5
 # A surface has to be this much nearer to hide what a closer keyframe shows.
 NEARER = 0.97
 CLOSEST = 0.05
@@ -111,9 +112,11 @@ def sort_quads(vertices, depth, wraps, reach, width, height, kinds, spans):
     Tell which quads of a keyframe's mesh are in a view of (height, width) pixels.
 
     vertices as `project_vertices` left them; depth (h, w) metres; `wraps`: the last column is a
-    neighbour of the first; reach: the keyframe's distance from the camera times the focal
-    length. kinds (h, w) uint8: UNSEEN, WHOLE or TORN, of the quad whose upper left vertex it is;
-    spans (h, 2, 2) float32: smallest and largest v of a row's whole and of its torn ones.
+    neighbour of the first; reach: the keyframe's distance from the camera, metres, over the
+    parallax that tears neighbours, radians.
+
+    kinds (h, w) uint8: UNSEEN, WHOLE or TORN, of the quad whose upper left vertex it is; spans
+    (h, 2, 2) float32: smallest and largest v of a row's whole and of its torn ones.
     """
     rows, columns = depth.shape
     for i in prange(rows):
@@ -138,7 +141,7 @@ def sort_quads(vertices, depth, wraps, reach, width, height, kinds, spans):
                 continue
             da, db, dc, dd = depth[i, j], depth[i, k], depth[i + 1, j], depth[i + 1, k]
             nearest, farthest = min(da, db, dc, dd), max(da, db, dc, dd)
-            torn = 1 if reach * (farthest - nearest) > TEAR * nearest * farthest else 0
+            torn = 1 if reach * (farthest - nearest) > nearest * farthest else 0
             kinds[i, j] = TORN if torn else WHOLE
             spans[i, torn, 0] = min(spans[i, torn, 0], high)
             spans[i, torn, 1] = max(spans[i, torn, 1], low)

@@ -66,9 +66,10 @@ class MemoryRenderer:
             spans = np.empty((len(keyframe.depth), 2, 2), np.float32)
             kernels.project_vertices(self._rays, keyframe.depth, offset, rotation, camera,
                                      vertices)
+            quad = self.memory.band.width / keyframe.depth.shape[1]
             kernels.sort_quads(
                 vertices, keyframe.depth, self.memory.band.wraps,
-                view.fx * float(np.linalg.norm(offset)), width, height, kinds, spans)
+                float(np.linalg.norm(offset)) / (kernels.TEAR * quad), width, height, kinds, spans)
             meshes.append(kernels.Mesh(vertices, kinds, spans, keyframe.texture))
         # What is whole comes first, what is torn fills the gaps.
         for fill in (False, True):

@@ -75,6 +75,14 @@ def test_a_gap_behind_something_near_is_filled_and_marked() -> None:
         planar(2.0, 2.0, 0), EXPANSION.source, 1).stretched.any()
 
 
+@pytest.mark.parametrize('times', [0.25, 1, 16])
+def test_a_slanted_wall_is_whole_in_views_of_any_size(renderer: MemoryRenderer, times: float
+                                                      ) -> None:
+    view = EXPANSION.source.scaled(times)
+    guide = renderer.render_from([0], planar(1.7, 1.7, 45), view)
+    assert not guide.stretched.any()
+
+
 @pytest.mark.skipif(compiled.ALL_THREADS < 2, reason='one processor')
 def test_the_number_of_threads_changes_no_bit(renderer: MemoryRenderer) -> None:
     before = get_num_threads()
