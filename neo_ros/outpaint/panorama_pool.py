@@ -64,9 +64,11 @@ class PanoramaPool:
             sampler.yaw_range)
         self.glance_rotations = [sampler.draw_rotation(random) for _ in range(20)]
 
-    def measure_photos(self, photos: PosedImages, scale: float) -> None:
+    def measure_photos(self, photos: PosedImages, scale: float, sharp_only: bool = True) -> None:
         """
         Refuse from now on blurred views, and places where there is little, by the photos' measure.
+
+        Not `sharp_only`: blurred views are drawn.
 
         The threshold of sharpness is that at which a photo is an outlier among the photos, times
         how sharp a wide view at the place of a photo is, compared with the photo (median): a field
@@ -83,7 +85,8 @@ class PanoramaPool:
             view = self.cut_view(panorama, pose.T_world_cam[:3, :3])
             kept.append(_sharpness(view) / max(sharp[place], 1e-9))
             opacity.append(panorama.opacity)
-        self.least_sharpness = blur_threshold(sharp) * float(np.median(kept))
+        if sharp_only:
+            self.least_sharpness = blur_threshold(sharp) * float(np.median(kept))
         self.least_opacity = self.rules.least_opacity * float(np.median(opacity))
 
     def fill(self, count: int) -> int:

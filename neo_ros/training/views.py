@@ -86,9 +86,11 @@ def make_stream(run: TrainingRun, field: RadianceField, seed: int) -> PairStream
     stream = PairStream(field, make_sampler(run, field), view, experiment.sampling.positions,
                         seed, real, config.real_centre, cache)
     stream.pool.progress = lambda done, total: run.progress('panoramas', done, total, '')
-    sharp_only = experiment.sampling.sharp_only
-    if sharp_only or (sharp_only is None and run.sampling_area == 'photos'):
-        stream.pool.measure_photos(run.fitted, experiment.network_scale)
+    sharp_only, by_photos = experiment.sampling.sharp_only, run.sampling_area == 'photos'
+    if sharp_only is None:
+        sharp_only = by_photos
+    if sharp_only or by_photos:
+        stream.pool.measure_photos(run.fitted, experiment.network_scale, sharp_only)
     return stream
 
 

@@ -175,7 +175,8 @@ def test_photos_of_one_wall_tell_that_nothing_is_behind_them(tmp_path: Path) -> 
     with pytest.raises(SceneError, match='nothing there'):
         drawn.fill(1)
     drawn = pool(wall)
-    drawn.measure_photos(photos(wall, tmp_path), 1.0)
+    drawn.measure_photos(photos(wall, tmp_path), 1.0, sharp_only=False)
+    assert drawn.least_sharpness == 0
     assert drawn.fill(3) == 3 and not drawn.refused
 
 
