@@ -14,10 +14,6 @@ import numpy as np
 FAST: dict[str, Any] = {
     'nogil': True, 'fastmath': {'nsz', 'arcp', 'contract', 'afn', 'reassoc'},
     'error_model': 'numpy'}
-# Neighbours that parallax pulls apart by more than so many times what a quad measures lie on two
-# surfaces: one that is merely slanted is pulled by less. What is stretched between them is drawn
-# only where nothing else is seen.
-TEAR = 1.5
 # A surface has to be this much nearer to hide what a closer keyframe shows.
 NEARER = 0.97
 CLOSEST = 0.05

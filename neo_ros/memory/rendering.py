@@ -9,6 +9,10 @@ from neo_ros.memory.scene_light import SceneLight
 from neo_ros.memory.scene_memory import SceneMemory
 import numpy as np
 
+# Neighbours that parallax pulls apart by more than so many quads lie on two surfaces: one that is
+# merely slanted is pulled by less. What is stretched between them is drawn only where nothing
+# else is seen.
+TEAR = 1.5
 # Added to a keyframe's number in pixels that are stretched over a gap.
 STRETCHED = 64
 
@@ -66,10 +70,10 @@ class MemoryRenderer:
             spans = np.empty((len(keyframe.depth), 2, 2), np.float32)
             kernels.project_vertices(self._rays, keyframe.depth, offset, rotation, camera,
                                      vertices)
-            quad = self.memory.band.width / keyframe.depth.shape[1]
+            tear = TEAR * self.memory.band.width / keyframe.depth.shape[1]
             kernels.sort_quads(
                 vertices, keyframe.depth, self.memory.band.wraps,
-                float(np.linalg.norm(offset)) / (kernels.TEAR * quad), width, height, kinds, spans)
+                float(np.linalg.norm(offset)) / tear, width, height, kinds, spans)
             meshes.append(kernels.Mesh(vertices, kinds, spans, keyframe.texture))
         # What is whole comes first, what is torn fills the gaps.
         for fill in (False, True):

@@ -66,15 +66,14 @@ class PanoramaPool:
 
     def measure_photos(self, photos: PosedImages, scale: float, sharp_only: bool = True) -> None:
         """
-        Refuse from now on blurred views, and places where there is little, by the photos' measure.
+        Refuse from now on places where there is little, and blurred views, by the photos' measure.
 
-        Not `sharp_only`: blurred views are drawn.
-
-        The threshold of sharpness is that at which a photo is an outlier among the photos, times
-        how sharp a wide view at the place of a photo is, compared with the photo (median): a field
-        is softer than photos everywhere, and only what is blurred beyond that says nothing. There
-        is little where the opacity all around is below `least_opacity` of that at photos' places
-        (median): where all photos look one way, nothing lies behind them.
+        Blurred views are refused if `sharp_only`. The threshold of sharpness is that at which a
+        photo is an outlier among the photos, times how sharp a wide view at the place of a photo
+        is, compared with the photo (median): a field is softer than photos everywhere, and only
+        what is blurred beyond that says nothing. There is little where the opacity all around is
+        below `least_opacity` of that at photos' places (median): where all photos look one way,
+        nothing lies behind them.
         """
         chosen = evenly(len(photos), self.rules.measured_photos)
         sharp = np.array([relative_sharpness(photos.read_image(i, scale)) for i in chosen])
