@@ -30,7 +30,8 @@ def keyframe_glances(keyframes: list[Keyframe], band: Band, source: Intrinsics,
                             borderMode=cv2.BORDER_WRAP)
             pictures.append(glance(cut, small))
             poses.append(T)
-    return Glances(np.stack(pictures), np.stack(poses))
+    return Glances(np.array(pictures, np.uint8).reshape(-1, small.height, small.width),
+                   np.array(poses, float).reshape(-1, 4, 4))
 
 
 def photo_glances(images: Iterable[np.ndarray], camera: Intrinsics, T_world_cam: np.ndarray,

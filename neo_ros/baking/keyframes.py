@@ -68,6 +68,11 @@ class Photos:
     T_world_cam: np.ndarray
     usable: np.ndarray | None = None
 
+    def part(self, first: int, last: int) -> 'Photos':
+        """Return the photos from the first to before the last."""
+        return Photos(self.images[first:last], self.intrinsics, self.T_world_cam[first:last],
+                      None if self.usable is None else self.usable[first:last])
+
 
 def seen_by_photos(field: RadianceField, photos: Photos, rules: BakingRules = BakingRules(),
                    progress: Progress = no_progress) -> tuple[np.ndarray, np.ndarray]:
@@ -91,26 +96,27 @@ def seeing_camera(camera: Intrinsics, rules: BakingRules) -> Intrinsics:
     return camera.scaled(min(rules.photo_focal / camera.fx, 1.0))
 
 
-def put_on_planes(photos: Photos, seen: np.ndarray, rules: BakingRules, progress: Progress
-                  ) -> np.ndarray:
-    """
-    Put what is plain in `seen` on planes, in place, see `with_planes`.
-
-    Returns the directions that the surfaces of the scene face, see `dominant_directions`.
-    """
-    camera = seeing_camera(photos.intrinsics, rules)
-
-    def rays(index: int) -> np.ndarray:
-        return world_rays(camera, CameraPose(photos.T_world_cam[index]))[1]
-
+def directions_of_photos(photos: Photos, seen: np.ndarray, rules: BakingRules) -> np.ndarray:
+    """Return the directions that the surfaces of the scene face, see `dominant_directions`."""
     chosen = evenly(len(seen), rules.direction_photos)
-    directions = dominant_directions(seen[chosen], map(rays, chosen))
+    return dominant_directions(seen[chosen], (
+        _seeing_rays(photos, rules, index) for index in chosen))
+
+
+def put_on_planes(photos: Photos, seen: np.ndarray, directions: np.ndarray, rules: BakingRules,
+                  progress: Progress = no_progress) -> None:
+    """Put what is plain in `seen` on planes that face `directions`, in place: `with_planes`."""
+    camera = seeing_camera(photos.intrinsics, rules)
     for index, image in enumerate(photos.images):
         seen[index] = with_planes(seen[index], cv2.resize(
             image, (camera.width, camera.height), interpolation=cv2.INTER_AREA),
-            rays(index), directions)
+            _seeing_rays(photos, rules, index), directions)
         progress(index + 1, len(photos.images))
-    return directions
+
+
+def _seeing_rays(photos: Photos, rules: BakingRules, index: int) -> np.ndarray:
+    camera = seeing_camera(photos.intrinsics, rules)
+    return world_rays(camera, CameraPose(photos.T_world_cam[index]))[1]
 
 
 def clear_pixels(usable: np.ndarray, camera: Intrinsics) -> np.ndarray:

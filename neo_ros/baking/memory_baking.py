@@ -4,30 +4,26 @@ Make the scene memory out of a field and photos: its keyframes, one after the ot
 Finished keyframes lie in a folder, each a file, until all are there.
 """
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import lru_cache
 import math
 from pathlib import Path
 import time
-from typing import BinaryIO
-from zipfile import BadZipFile
 
 import cv2
 from neo_ros.baking.glances import glance_rotations, keyframe_glances, photo_glances
 from neo_ros.baking.keyframes import (
-    bake_keyframe, BakingRules, keyframe_positions, keyframe_size, MemoryConfig, Photos,
-    put_on_planes, seeing_camera, seen_by_photos)
+    bake_keyframe, BakingRules, directions_of_photos, keyframe_positions, keyframe_size,
+    MemoryConfig, Photos, put_on_planes, seeing_camera, seen_by_photos)
+from neo_ros.baking.photo_depth_jobs import depth_on_ray
 from neo_ros.baking.plain_surfaces import hand_held, NO_DIRECTIONS
+from neo_ros.baking.worker_files import (
+    keep_array, kept_file, make_on_ray, read_part, SharedScene)
 from neo_ros.errors import NeoError
-from neo_ros.field.device import read_field
 from neo_ros.field.panorama import view_band
 from neo_ros.field.radiance_field import RadianceField
 from neo_ros.field.rendering import render_rays, to_uint8, world_rays
 from neo_ros.geometry import Band, CameraPose, Intrinsics, ViewExpansion
-from neo_ros.machine.files import whole_file
-from neo_ros.machine.progress import no_stage_progress, of_stage, StageProgress
-from neo_ros.machine.ray_jobs import map_on_ray
+from neo_ros.machine.progress import no_stage_progress, of_stage, Progress, StageProgress
 from neo_ros.memory.keyframe import compress
 from neo_ros.memory.scene_memory import Glances, SceneMemory
 from neo_ros.scenes.pose_sampling import PoseSampler
@@ -68,15 +64,14 @@ class KeyframeJob:
     """
     One keyframe to make, as a worker on any machine can do it.
 
-    out: where it comes to lie; field: the field's file; recipe: all but the arrays in the files
-    images and seen, of which a worker reads the photos near its keyframe alone
+    out: where it comes to lie; recipe: without photos and how far they see, of which a worker
+    reads those near its keyframe alone
     """
 
     out: Path
     position: np.ndarray
-    field: Path
     recipe: Recipe
-    images: Path
+    scene: SharedScene
     seen: Path
 
 
@@ -97,16 +92,19 @@ def bake_memory(field: RadianceField, photos: Photos, expansion: ViewExpansion,
                      np.stack([sampler.draw_rotation(random) for _ in range(500)]),
                      sampler.yaw_range)
     positions = keyframe_positions(sampler, photos, config.distance)
-    seen, gains = seen_by_photos(field, photos, rules, of_stage(progress, 'depth of photos'))
-    directions = NO_DIRECTIONS if hand_held(positions) else put_on_planes(
-        photos, seen, rules, of_stage(progress, 'planes of photos'))
+    planes = not hand_held(positions)
+    scene = None if on_ray is None else SharedScene.keep(on_ray, photos, work)
+    if scene is not None:
+        seen, gains, directions = depth_on_ray(scene, planes, rules, work, progress)
+    else:
+        seen, gains = seen_by_photos(field, photos, rules, of_stage(progress, 'depth of photos'))
+        directions = directions_of_photos(photos, seen, rules) if planes else NO_DIRECTIONS
+        if planes:
+            put_on_planes(photos, seen, directions, rules, of_stage(progress, 'planes of photos'))
     recipe = Recipe(photos, seen, gains, band, keyframe_size(band, expansion.target.fx, rules),
                     rules, directions, expansion.source, glance_rotations(sampler))
-    clock = _BakingClock(ends - time.monotonic())
-    if on_ray is None:
-        frames = _make_here(recipe, field, positions, work, clock, progress)
-    else:
-        frames = _make_on_ray(recipe, on_ray, positions, work, clock, progress)
+    frames = make_keyframes(recipe, field, positions, work, progress, ends - time.monotonic(),
+                            scene)
     textures, depths, glances = zip(*frames)
     glances = (*glances, photo_glances(
         _of_scene_alone(field, photos, gains, rules), photos.intrinsics, photos.T_world_cam,
@@ -116,8 +114,23 @@ def bake_memory(field: RadianceField, photos: Photos, expansion: ViewExpansion,
         np.concatenate([part.T_world_cam for part in glances])))
 
 
+def make_keyframes(recipe: Recipe, field: RadianceField, positions: np.ndarray, work: Path,
+                   progress: StageProgress, seconds: float = math.inf,
+                   scene: SharedScene | None = None, stage: str = 'keyframes') -> list[Finished]:
+    """
+    Make keyframes at positions (K, 3): all, or as many of the first as the time is enough for.
+
+    Finished ones lie in the folder `work`, and are not made again. scene: the recipe's photos
+    where Ray's workers find them, who then make the keyframes; stage: the name of this work.
+    """
+    clock, show = _BakingClock(seconds), of_stage(progress, stage)
+    if scene is None:
+        return _make_here(recipe, field, positions, work, clock, show)
+    return _make_on_ray(recipe, scene, positions, work, clock, show)
+
+
 def _make_here(recipe: Recipe, field: RadianceField, positions: np.ndarray, work: Path,
-               clock: '_BakingClock', progress: StageProgress) -> list[Finished]:
+               clock: '_BakingClock', progress: Progress) -> list[Finished]:
     frames: list[Finished] = []
     for index, position in enumerate(positions):
         if index >= max(recipe.rules.least_keyframes, clock.possible(index, len(positions))):
@@ -129,14 +142,18 @@ def _make_here(recipe: Recipe, field: RadianceField, positions: np.ndarray, work
             frame = recipe.make(field, position)
             _write_finished(path, *frame)
         frames.append(frame)
-        progress('keyframes', index + 1, clock.possible(index + 1, len(positions)))
+        progress(index + 1, clock.possible(index + 1, len(positions)))
     return frames
 
 
-def _make_on_ray(recipe: Recipe, field: Path, positions: np.ndarray, work: Path,
-                 clock: '_BakingClock', progress: StageProgress) -> list[Finished]:
+def _make_on_ray(recipe: Recipe, scene: SharedScene, positions: np.ndarray, work: Path,
+                 clock: '_BakingClock', progress: Progress) -> list[Finished]:
     """Make keyframes in rounds, as the first of them tell how many the time is enough for."""
-    jobs = _keyframe_jobs(recipe, field, positions, work)
+    work = work.absolute()
+    seen = keep_array(work / 'seen.npy', recipe.seen)
+    small = replace(recipe, photos=scene.photos, seen=np.zeros((0, 1, 1), np.float32))
+    jobs = [KeyframeJob(_path(work, index), position, small, scene, seen)
+            for index, position in enumerate(positions)]
     there = [_read_finished(job.out) is not None for job in jobs]
     clock.finished = sum(there)
     made = clock.finished
@@ -148,14 +165,10 @@ def _make_on_ray(recipe: Recipe, field: Path, positions: np.ndarray, work: Path,
         left = [index for index in range(min(until, len(jobs))) if not there[index]]
         if not left:
             break
-        for place, error in map_on_ray(make_keyframe, [jobs[index] for index in left]):
-            job = jobs[left[place]]
-            if isinstance(error, NeoError):
-                raise NeoError(f'{job.out}: the keyframe was not made: {error}; the others stay, '
-                               'run the same command again')
+        for place in make_on_ray(make_keyframe, [jobs[index] for index in left], 'the keyframe'):
             there[left[place]] = True
             made += 1
-            progress('keyframes', made, max(until, made))
+            progress(made, max(until, made))
     frames = []
     for job in jobs:
         frame = _read_finished(job.out)
@@ -165,36 +178,13 @@ def _make_on_ray(recipe: Recipe, field: Path, positions: np.ndarray, work: Path,
     return frames
 
 
-def _keyframe_jobs(recipe: Recipe, field: Path, positions: np.ndarray, work: Path
-                   ) -> list[KeyframeJob]:
-    """Leave the large arrays in files, where workers find them, and return the jobs."""
-    work = work.absolute()
-    images, seen = work / 'images.npy', work / 'seen.npy'
-    for path, array in ((images, recipe.photos.images), (seen, recipe.seen)):
-        with _kept_file(path) as file:
-            np.save(file, array)
-    none = np.zeros((0, 1, 1, 3), np.uint8)
-    small = replace(recipe, photos=replace(recipe.photos, images=none, usable=None),
-                    seen=np.zeros((0, 1, 1), np.float32))
-    return [KeyframeJob(_path(work, index), position, field.absolute(), small, images, seen)
-            for index, position in enumerate(positions)]
-
-
 def make_keyframe(job: KeyframeJob) -> None:
     """Make one keyframe, unless it is finished."""
     if _read_finished(job.out) is not None:
         return
-    recipe = replace(
-        job.recipe, photos=replace(job.recipe.photos, images=np.load(job.images, mmap_mode='r')),
-        seen=np.load(job.seen, mmap_mode='r'))
-    field = _field(job.field, job.field.stat().st_mtime_ns)
-    _write_finished(job.out, *recipe.make(field, job.position))
-
-
-@lru_cache(maxsize=1)
-def _field(path: Path, written: int) -> RadianceField:
-    """Read a field; a worker makes many keyframes of one."""
-    return read_field(path, 'cpu')
+    recipe = replace(job.recipe, photos=job.scene.read_photos(),
+                     seen=np.load(job.seen, mmap_mode='r'))
+    _write_finished(job.out, *recipe.make(job.scene.read_field(), job.position))
 
 
 def _of_scene_alone(field: RadianceField, photos: Photos, gains: np.ndarray, rules: BakingRules
@@ -231,29 +221,17 @@ def _path(work: Path, index: int) -> Path:
 
 
 def _write_finished(path: Path, texture: bytes, depth: bytes, glances: Glances) -> None:
-    with _kept_file(path) as file:
+    with kept_file(path) as file:
         np.savez(file, texture=np.frombuffer(texture, np.uint8),
                  depth=np.frombuffer(depth, np.uint8), pictures=glances.pictures,
                  T_world_cam=glances.T_world_cam)
 
 
-@contextmanager
-def _kept_file(path: Path) -> Iterator[BinaryIO]:
-    """Write a file of what is made on the way; NeoError where there is no room."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(path) as partial, partial.open('wb') as file:
-            yield file
-    except OSError as error:
-        raise NeoError(f'{path}: cannot keep the keyframes: {error.strerror}; make room and give '
-                       'the same command again') from error
-
-
-def _read_finished(path: Path) -> tuple[bytes, bytes, Glances] | None:
+def _read_finished(path: Path) -> Finished | None:
     """Read what `_write_finished` wrote; None where it is not there or damaged."""
     try:
-        with np.load(path, allow_pickle=False) as data:
-            return (data['texture'].tobytes(), data['depth'].tobytes(),
-                    Glances(data['pictures'], data['T_world_cam']))
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile):
+        data = read_part(path)
+        return (data['texture'].tobytes(), data['depth'].tobytes(),
+                Glances(data['pictures'], data['T_world_cam']))
+    except (NeoError, KeyError):
         return None

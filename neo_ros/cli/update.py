@@ -28,6 +28,10 @@ def update(
         help='Train the network on for so many minutes, with views of what is there now; '
              'default: it stays.',
         min=0.1)] = None,
+    cluster: Annotated[bool, typer.Option(
+        '--cluster',
+        help='Let Ray make the keyframes that have changed: with all cores of this machine, or '
+             'with RAY_ADDRESS on a cluster, all of whose machines need the same paths.')] = False,
 ) -> None:
     """
     Change a trained scene where bags show that it has changed, and nowhere else.
@@ -45,7 +49,7 @@ def update(
     from rich.markup import escape
 
     options = UpdateOptions(image_topic=image_topic, info_topic=info_topic, rectify=rectify,
-                            minutes=minutes, network_minutes=network_minutes)
+                            minutes=minutes, network_minutes=network_minutes, cluster=cluster)
     with stage_progress() as show:
         places = update_run(run, bags, out, options, scene,
                             None if config is None else read_experiment(config), show)

@@ -7,11 +7,13 @@ are dropped, against an oracle that drops the worst ones; the area between the t
 al., Uncertainty Estimates and Multi-Hypotheses Networks for Optical Flow, 2018) is 0 at best.
 """
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 from neo_ros.evaluation.evaluate import TruthFrames
 from neo_ros.evaluation.metrics import check_pair
 from neo_ros.geometry import ViewExpansion
+from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.reports.report import Plot, Section, Series, Table
 from neo_ros.runtime import FovExtrapolator
 from neo_ros.runtime.confidence import expected_error
@@ -112,7 +114,8 @@ class Calibration:
                                 Series('by the true error', dropped, oracle.tolist())])]
 
 
-def calibrate(model: FovExtrapolator, frames: TruthFrames) -> Calibration:
+def calibrate(model: FovExtrapolator, frames: TruthFrames, progress: Progress = no_progress
+              ) -> Calibration:
     """Run a model over the test frames as they are scored: anew where another path begins."""
     result = Calibration()
     path_id = None
@@ -123,10 +126,16 @@ def calibrate(model: FovExtrapolator, frames: TruthFrames) -> Calibration:
         view = model.expand(narrow_image)
         result.add(truth, view.wide_image, view.confidence, frames.expansion,
                    frames.read_usable(index))
+        progress(index + 1, len(frames))
     return result
 
 
-def judge_confidence(path: Path, frames: TruthFrames,
+def _of_several(progress: Progress, number: int, count: int, done: int, total: int) -> None:
+    """Show how far one of several is, that take the same time."""
+    progress(number * total + done, count * total)
+
+
+def judge_confidence(path: Path, frames: TruthFrames, progress: Progress = no_progress
                      ) -> tuple[dict[str, dict[str, float]], list[Section]]:
     """
     Judge the confidence of a model file over the ring of test frames.
@@ -142,8 +151,9 @@ def judge_confidence(path: Path, frames: TruthFrames,
         models['guided_confidence'] = (
             FovExtrapolator.load(path), f'Of the model with its scene memory; {judged}')
     figures, sections = {}, []
-    for name, (model, whose) in models.items():
-        calibration = calibrate(model, frames)
+    for number, (name, (model, whose)) in enumerate(models.items()):
+        calibration = calibrate(model, frames, partial(
+            _of_several, progress, number, len(models)))
         figures[name] = calibration.summary()
         sections += calibration.sections(whose)
     return figures, sections

@@ -18,6 +18,8 @@ FINER = 3.0
 REDUCED = {1: cv2.IMREAD_COLOR, 2: cv2.IMREAD_REDUCED_COLOR_2, 4: cv2.IMREAD_REDUCED_COLOR_4,
            8: cv2.IMREAD_REDUCED_COLOR_8}
 
+Packed = tuple[bytes, bytes]  # texture and depth, as files of pictures
+
 
 @dataclass(frozen=True, eq=False)
 class Keyframe:
@@ -32,7 +34,7 @@ class Keyframe:
     texture: np.ndarray
 
 
-def compress(keyframe: Keyframe) -> tuple[bytes, bytes]:
+def compress(keyframe: Keyframe) -> Packed:
     """Return a keyframe's texture as JPEG and its inverse depth as PNG."""
     return (encode_image('.jpg', keyframe.texture[..., ::-1],
                          [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]),

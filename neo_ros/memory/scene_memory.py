@@ -16,7 +16,7 @@ from neo_ros.machine.files import whole_file
 from neo_ros.memory.changes import Changes
 from neo_ros.memory.decoded import DecodedKeyframes, Key
 from neo_ros.memory.keyframe import (
-    compress, decode_image, depth_of, FINER, Keyframe, on_own_pages, REDUCED)
+    compress, decode_image, depth_of, FINER, Keyframe, on_own_pages, Packed, REDUCED)
 from neo_ros.memory.landmarks import Landmarks, MOST_LANDMARKS
 from neo_ros.memory.memory_file import ANY, MemoryFields, MOST_BYTES, open_memory_file
 from neo_ros.memory.twins import NO_TWINS, Twins
@@ -155,24 +155,23 @@ class SceneMemory:
         return cls(np.stack([keyframe.position for keyframe in keyframes]), band, textures,
                    depths, glances)
 
-    def replaced(self, keyframes: Mapping[int, Keyframe], landmarks: Landmarks | None
+    def replaced(self, keyframes: Mapping[int, Packed], landmarks: Landmarks | None
                  ) -> 'SceneMemory':
         """Return the memory with other keyframes at these places, and other landmarks."""
         textures, depths = list(self._textures), list(self._depths)
-        for index, keyframe in keyframes.items():
-            textures[index], depths[index] = compress(keyframe)
+        for index, packed in keyframes.items():
+            textures[index], depths[index] = packed
         return SceneMemory(self.positions, self.band, textures, depths, self.glances, landmarks,
                            self.twins)
 
-    def with_more(self, keyframes: Sequence[Keyframe], glances: Sequence[Glances],
-                  landmarks: Landmarks | None) -> 'SceneMemory':
+    def with_more(self, positions: np.ndarray, keyframes: Sequence[Packed],
+                  glances: Sequence[Glances], landmarks: Landmarks | None) -> 'SceneMemory':
         """Return the memory with more keyframes of its size and glances, and other landmarks."""
-        more = [compress(keyframe) for keyframe in keyframes]
         every = (self.glances, *glances)
         return SceneMemory(
-            np.concatenate([self.positions, *(one.position[None] for one in keyframes)]),
-            self.band, [*self._textures, *(one[0] for one in more)],
-            [*self._depths, *(one[1] for one in more)],
+            np.concatenate([self.positions, positions]), self.band,
+            [*self._textures, *(texture for texture, _ in keyframes)],
+            [*self._depths, *(depth for _, depth in keyframes)],
             Glances(np.concatenate([part.pictures for part in every]),
                     np.concatenate([part.T_world_cam for part in every])), landmarks, self.twins)
 

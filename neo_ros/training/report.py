@@ -9,6 +9,7 @@ from neo_ros.evaluation.metrics import psnr
 from neo_ros.field.radiance_field import RadianceField
 from neo_ros.field.rendering import render_view, to_uint8
 from neo_ros.machine.files import write_bytes
+from neo_ros.machine.progress import of_stage
 from neo_ros.pictures.exposure import exposure_gain
 from neo_ros.reports.report import Plot, Section, Series, Strip, Table, Text, write_report
 from neo_ros.reports.strips import error_label, error_map
@@ -58,7 +59,8 @@ def write_training_report(run: TrainingRun, field: RadianceField, scoring: Scori
         figures['oracle_whole_psnr'], figures['oracle_ring_psnr'] = _oracle(field, scoring)
         figures['ring_psnr'] = scoring.results[0].estimates['ring_psnr'].mean
         sections += evaluation_sections(run.scene.name, scoring.frames, scoring.results)
-        confidence, judged = judge_confidence(run.model_path, scoring.frames)
+        confidence, judged = judge_confidence(run.model_path, scoring.frames,
+                                              of_stage(run.progress, 'report'))
         sections += judged
     source, target = run.expansion.source, run.expansion.target
     intro = (f'{len(run.fitted)} photos of {run.scene.name}, {source.width}x{source.height} '

@@ -34,6 +34,7 @@ class PlanRules:
     memory: float = 0.3            # at most; what it leaves is the network's
     rest: float = 0.1              # export, scores and report, and reading the photos
     least_network: float = 0.1
+    report: float = 0.6            # of the time that the scores take
     network_side: int = 160        # pixels that the network's image is at most wide and high
     passes: float = 1.0            # of the fit over the pixels that it is shown
     most_shrink: int = 8           # of the photos that a field is fitted to
@@ -127,7 +128,7 @@ class TimeLeft:
                  clock: Callable[[], float] = time.monotonic,
                  rules: PlanRules = PlanRules()) -> None:
         self._plan, self._progress, self._clock, self._rules = plan, progress, clock, rules
-        self._fitted = False
+        self._fitted, self._scores = False, 0.0
         self._began: dict[str, float] = {}
         self._first: dict[str, tuple[float, int]] = {}  # report of a stage: when, how much
 
@@ -147,6 +148,13 @@ class TimeLeft:
             return minutes * (1 - rules.field * done / total)
         if stage == 'outpainter':  # It counts in seconds.
             return (total - done) / 60 + minutes * rules.rest
+        if stage == 'scoring':
+            self._scores = self._stage_minutes(stage, done, total)
+            if self._scores > 0:
+                return self._scores * (1 - done / total + rules.report)
+        if stage == 'report':
+            return self._stage_left(stage, done, total) or (
+                self._scores * rules.report * (1 - done / total))
         part = 'memory' if stage in self.MEMORY else 'rest'
         spent = (self._clock() - self._began.setdefault(part, self._clock())) / 60
         if part == 'memory':
@@ -155,11 +163,15 @@ class TimeLeft:
         return max(minutes * rules.rest - spent, 0.0)
 
     def _stage_left(self, stage: str, done: int, total: int) -> float:
-        """Return the minutes that a stage needs, as fast as it was so far."""
+        """Return the minutes that a stage still needs, as fast as it was so far."""
+        return self._stage_minutes(stage, done, total) * (1 - done / total)
+
+    def _stage_minutes(self, stage: str, done: int, total: int) -> float:
+        """Return the minutes that all of a stage takes, as fast as it was so far; 0: not known."""
         began, first = self._first.setdefault(stage, (self._clock(), done))
         if done <= first:
             return 0.0
-        return (self._clock() - began) / (done - first) * (total - done) / 60
+        return (self._clock() - began) / (done - first) * total / 60
 
 
 def _chosen(scene: Scene, base: Experiment, minutes: float, say: Callable[[str], None],

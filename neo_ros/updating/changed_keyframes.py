@@ -1,15 +1,19 @@
 """Bake keyframes anew where the scene has changed; elsewhere they stay as they are."""
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import cast
 
 import cv2
 from neo_ros.baking.keyframes import bake_keyframe, BakingRules, Photos
 from neo_ros.baking.plain_surfaces import (
     dominant_directions, hand_held, NO_DIRECTIONS, with_planes)
+from neo_ros.baking.worker_files import (
+    keep_array, kept_file, make_on_ray, read_part, SharedScene)
 from neo_ros.field.voxel_field import VoxelField
 from neo_ros.machine.evenly import evenly
 from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.memory.contradiction import contradicted, contradiction
-from neo_ros.memory.keyframe import Keyframe
+from neo_ros.memory.keyframe import compress, Keyframe, Packed
 from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.updating.changed_space import ChangedSpace
 import numpy as np
@@ -21,33 +25,124 @@ AROUND, TAKEN = 4, 2
 DIRECTION_KEYFRAMES = 24
 
 
-def bake_changes(field: VoxelField, space: ChangedSpace, memory: SceneMemory, photos: Photos,
-                 seen: np.ndarray, gains: np.ndarray, progress: Progress = no_progress,
-                 rules: BakingRules = BakingRules()) -> dict[int, Keyframe]:
+@dataclass(frozen=True, eq=False)
+class ChangeRecipe:
     """
-    Return the keyframes that show another scene now, by their number.
+    What all changed keyframes have in common.
 
-    photos: those that see what has changed; seen, gains: as `bake_keyframe` takes them. Pixels
-    whose surface was, and is, outside of the space are the old ones.
+    space: of the field, that has changed; memory: of before; photos: those that see what has
+    changed; seen, gains, directions: as `bake_keyframe` takes them
     """
-    changed = {}
-    directions = directions_of(memory)
-    for index, old in enumerate(memory.each()):
+
+    space: ChangedSpace
+    memory: SceneMemory
+    photos: Photos
+    seen: np.ndarray
+    gains: np.ndarray
+    directions: np.ndarray
+    rules: BakingRules = BakingRules()
+
+    def met(self, field: VoxelField, old: Keyframe) -> np.ndarray:
+        """Tell which pixels of an old keyframe's mesh look at what has changed, bool (h, w)."""
+        rays = self.memory.band.rays(*old.depth.shape)
+        return self.space.met_by(field, old.position, rays,
+                                 (1 + self.rules.one_surface) * old.depth)
+
+    def make(self, field: VoxelField, old: Keyframe, met: np.ndarray) -> Packed | None:
+        """
+        Return an old keyframe as it is now; None where nothing in it has changed.
+
+        Pixels whose surface was, and is, outside of the space are the old ones.
+        """
+        memory, rules, part = self.memory, self.rules, _box(met)
         rays = memory.band.rays(*old.depth.shape)
-        met = space.met_by(field, old.position, rays, (1 + rules.one_surface) * old.depth)
-        if met.any():
-            part = _box(met)
-            finer = len(old.texture) // len(old.depth)
-            new = bake_keyframe(field, photos, seen, gains, old.position, memory.band,
-                                (*old.depth.shape, finer), rules, part=part)
-            new = _with_planes(old, new, part, rays, directions)
-            inside = [space.holds(field, (old.position + depth[..., None] * rays[part]).reshape(
-                -1, 3)).reshape(depth.shape) for depth in (old.depth[part], new.depth)]
-            found = _changed(old, new, part, inside[0] | inside[1], rules)
-            if found is not None:
-                changed[index] = found
-        progress(index + 1, len(memory.positions))
+        finer = len(old.texture) // len(old.depth)
+        new = bake_keyframe(field, self.photos, self.seen, self.gains, old.position, memory.band,
+                            (*old.depth.shape, finer), rules, part=part)
+        new = _with_planes(old, new, part, rays, self.directions)
+        inside = [self.space.holds(field, (old.position + depth[..., None] * rays[part]).reshape(
+            -1, 3)).reshape(depth.shape) for depth in (old.depth[part], new.depth)]
+        found = _changed(old, new, part, inside[0] | inside[1], rules)
+        return None if found is None else compress(found)
+
+
+@dataclass(frozen=True, eq=False)
+class ChangeJob:
+    """
+    One keyframe that may have changed, as a worker on any machine can make it.
+
+    out: where it comes to lie; memory: the file of before, with its SHA-256; scene: photos, and
+    the field of now; cells, seen: files of these arrays; the others as in ChangeRecipe
+    """
+
+    out: Path
+    index: int
+    memory: Path
+    sha256: str
+    scene: SharedScene
+    cells: Path
+    seen: Path
+    gains: np.ndarray
+    directions: np.ndarray
+    rules: BakingRules
+
+    def recipe(self) -> ChangeRecipe:
+        """Read the files."""
+        return ChangeRecipe(
+            ChangedSpace(np.load(self.cells), []), SceneMemory.read(self.memory, self.sha256),
+            self.scene.read_photos(), np.load(self.seen, mmap_mode='r'), self.gains,
+            self.directions, self.rules)
+
+
+def bake_changes(recipe: ChangeRecipe, field: VoxelField, progress: Progress = no_progress
+                 ) -> dict[int, Packed]:
+    """Return the keyframes that show another scene now, by their number."""
+    changed = {}
+    for index, old in enumerate(recipe.memory.each()):
+        met = recipe.met(field, old)
+        found = recipe.make(field, old, met) if met.any() else None
+        if found is not None:
+            changed[index] = found
+        progress(index + 1, len(recipe.memory.positions))
     return changed
+
+
+def bake_changes_on_ray(recipe: ChangeRecipe, field: VoxelField, scene: SharedScene,
+                        memory: tuple[Path, str], work: Path, progress: Progress = no_progress
+                        ) -> dict[int, Packed]:
+    """
+    Let Ray's workers do what `bake_changes` does, to the same bytes.
+
+    scene: the recipe's photos, and the field, where workers find them; memory: the file of before
+    and its SHA-256; work: a folder for what they make.
+    """
+    old, work = recipe.memory, work.absolute()
+    cells, seen = (keep_array(work / name, array) for name, array in (
+        ('cells.npy', recipe.space.cells), ('seen.npy', recipe.seen)))
+    jobs = [ChangeJob(work / f'{index:06d}.npz', index, *memory, scene, cells, seen, recipe.gains,
+                      recipe.directions, recipe.rules)
+            for index, keyframe in enumerate(old.each()) if recipe.met(field, keyframe).any()]
+    for done, _ in enumerate(make_on_ray(make_change, jobs, 'the keyframe'), 1):
+        progress(done, len(jobs))
+    changed = {}
+    for job in jobs:
+        part = read_part(job.out)
+        if part:
+            changed[job.index] = part['texture'].tobytes(), part['depth'].tobytes()
+    return changed
+
+
+def make_change(job: ChangeJob) -> None:
+    """Make one keyframe anew, and leave it in its file; an empty one where nothing changed."""
+    recipe = job.recipe()
+    field, old = cast(VoxelField, job.scene.read_field()), recipe.memory.keyframe(job.index)
+    found = recipe.make(field, old, recipe.met(field, old))
+    with kept_file(job.out) as file:
+        if found is None:
+            np.savez(file)
+        else:
+            texture, depth = (np.frombuffer(one, np.uint8) for one in found)
+            np.savez(file, texture=texture, depth=depth)
 
 
 def directions_of(memory: SceneMemory) -> np.ndarray:

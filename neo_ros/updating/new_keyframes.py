@@ -3,14 +3,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from neo_ros.baking.glances import keyframe_glances, photo_glances
-from neo_ros.baking.keyframes import bake_keyframe, BakingRules, Photos, spread
+from neo_ros.baking.glances import photo_glances
+from neo_ros.baking.keyframes import BakingRules, Photos, spread
+from neo_ros.baking.memory_baking import Finished, Recipe
 from neo_ros.baking.plain_surfaces import hand_held
 from neo_ros.errors import SceneError
 from neo_ros.field.free_space import find_free_floor
 from neo_ros.geometry import CameraPose, Intrinsics
-from neo_ros.machine.progress import no_progress, Progress
-from neo_ros.memory.keyframe import Keyframe
 from neo_ros.memory.landmarks import Landmarks
 from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.scenes.pose_sampling import SamplingConfig
@@ -77,31 +76,28 @@ def new_positions(growth: Growth, floor: WalkableMap | None, memory: SceneMemory
     return spread(places, memory.positions, distance)
 
 
-def with_place(memory: SceneMemory, before: SceneMemory, growth: Growth, positions: np.ndarray,
-               photos: Photos, seen: np.ndarray, gains: np.ndarray, source: Intrinsics,
-               progress: Progress = no_progress, rules: BakingRules = BakingRules()
-               ) -> SceneMemory:
+def with_place(memory: SceneMemory, growth: Growth, recipe: Recipe, positions: np.ndarray,
+               made: Sequence[Finished]) -> SceneMemory:
     """
-    Bake keyframes at new positions (K, 3), take glances of them and of photos; add landmarks.
+    Return a memory with new keyframes at positions (K, 3), and glances and landmarks of a place.
 
-    memory: that of `before` with what has changed; photos, seen, gains: as `bake_keyframe` takes
-    them. Glances are those of photos taken in the new place.
+    recipe: of the keyframes made, whose photos include those taken in the new place.
     """
-    size = _size(before)
-    directions, rotations = directions_of(before), _rotations(before)
-    keyframes: list[Keyframe] = []
+    photos = recipe.photos
     taken = (photos.T_world_cam[:, None] == growth.T).all((2, 3)).any(1)
-    glances = [photo_glances(photos.images[taken], photos.intrinsics, photos.T_world_cam[taken],
-                             source)]
-    for done, position in enumerate(positions, 1):
-        one = bake_keyframe(growth.field, photos, seen, gains, position, before.band, size, rules,
-                            directions)
-        keyframes.append(one)
-        if rotations:
-            glances.append(keyframe_glances([one], before.band, source, rotations))
-        progress(done, len(positions))
-    return memory.with_more(keyframes, glances, _joined(
-        memory.landmarks, growth.tied.landmarks, growth))
+    glances = photo_glances(photos.images[taken], photos.intrinsics, photos.T_world_cam[taken],
+                            recipe.source)
+    return memory.with_more(
+        positions, [(texture, depth) for texture, depth, _ in made],
+        [glances, *(one for _, _, one in made)],
+        _joined(memory.landmarks, growth.tied.landmarks, growth))
+
+
+def recipe_of(memory: SceneMemory, photos: Photos, seen: np.ndarray, gains: np.ndarray,
+              source: Intrinsics, rules: BakingRules = BakingRules()) -> Recipe:
+    """Return how keyframes like those of a memory are made of photos, see `Recipe`."""
+    return Recipe(photos, seen, gains, memory.band, _size(memory), rules, directions_of(memory),
+                  source, _rotations(memory))
 
 
 def _size(memory: SceneMemory) -> tuple[int, int, int]:

@@ -8,12 +8,15 @@ import time
 
 import cv2
 from neo_ros.baking.keyframes import BakingRules, Photos
+from neo_ros.baking.memory_baking import make_keyframes
+from neo_ros.baking.worker_files import SharedScene
 from neo_ros.errors import ConfigError
 from neo_ros.experiment import Experiment
 from neo_ros.field.rendering import render_rays, world_rays
 from neo_ros.field.voxel_field import VoxelField
 from neo_ros.machine.files import make_output_folder, see_to_disk, share_file
 from neo_ros.machine.progress import no_stage_progress, of_stage, StageProgress
+from neo_ros.machine.ray_jobs import check_ray
 from neo_ros.memory.landmarks import Landmarks
 from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.reports.report import Section, write_report
@@ -22,13 +25,15 @@ from neo_ros.runtime.model_card import MemoryFile, Update, write_model_card
 from neo_ros.scenes.upright import read_upright_scene
 from neo_ros.training.folder import note_update, scene_folder
 from neo_ros.training.time_plan import PLAN_FILE
-from neo_ros.updating.changed_keyframes import bake_changes
+from neo_ros.updating.changed_keyframes import (
+    bake_changes, bake_changes_on_ray, ChangeRecipe)
 from neo_ros.updating.changed_space import ChangedSpace, find_changed_space
 from neo_ros.updating.compared_photos import compare, ComparedPhotos
 from neo_ros.updating.driven_photos import Drive, drive_through
 from neo_ros.updating.growth import grow, Growth, stand_outside
 from neo_ros.updating.more_photos import write_more_photos
-from neo_ros.updating.new_keyframes import joined_floor, new_floor, new_positions, with_place
+from neo_ros.updating.new_keyframes import (
+    joined_floor, new_floor, new_positions, recipe_of, with_place)
 from neo_ros.updating.placing import place_lost
 from neo_ros.updating.refit import refit, still_right
 from neo_ros.updating.tuned_network import CHECKPOINT, tune_network
@@ -39,13 +44,18 @@ import numpy as np
 
 @dataclass(frozen=True, kw_only=True)
 class UpdateOptions:
-    """What a user may say; topics as of a replay, minutes for the fits of field and network."""
+    """
+    What a user may say; topics as of a replay, minutes for the fits of field and network.
+
+    cluster: Ray's workers make the keyframes.
+    """
 
     image_topic: str | None = None
     info_topic: str | None = None
     rectify: bool = False
     minutes: float | None = None
     network_minutes: float | None = None
+    cluster: bool = False
 
 
 def update(run: Path, bags: Sequence[Path], out: Path, options: UpdateOptions = UpdateOptions(),
@@ -59,6 +69,8 @@ def update(run: Path, bags: Sequence[Path], out: Path, options: UpdateOptions = 
     """
     if out.exists():
         raise ConfigError(f'{out}: expected a folder that does not exist yet; choose another')
+    if options.cluster:
+        check_ray()
     work = out.with_name(f'{out.name}.partial')
     shutil.rmtree(work, ignore_errors=True)  # What was broken off begins anew.
     try:
@@ -119,20 +131,27 @@ def update_once(run: UpdateRun, bag: Path, out: Path, options: UpdateOptions,
     if not space.places:
         return None
     photos, seen, gains, chosen = _photos_that_see(run, old, field, space, drive, compared)
-    after, scene = before.replaced(
-        bake_changes(field, space, before, photos, seen, gains, of_stage(progress, 'keyframes')),
-        landmarks), run.scene
+    field.save(out / 'field.npz')
+    source, scene = run.card.expansion.source, run.scene
+    work = out.with_name(f'{out.name}.work')
+    shared = SharedScene.keep(out / 'field.npz', photos, work) if options.cluster else None
+    recipe = recipe_of(before, photos, seen, gains, source)
+    change = ChangeRecipe(space, before, photos, seen, gains, recipe.directions)
+    show = of_stage(progress, 'keyframes')
+    after = before.replaced(
+        bake_changes(change, field, show) if shared is None else bake_changes_on_ray(
+            change, field, shared, (run.memory, named.sha256), work / 'changed', show),
+        landmarks)
     if growth is not None:
         growth = replace(growth, field=field)
-        floor = new_floor(growth, run.card.expansion.source, run.experiment.sampling,
-                          scene.walkable)
-        after = with_place(
-            after, before, growth, new_positions(growth, floor, before, run.keyframes_apart),
-            photos, seen, gains, run.card.expansion.source, of_stage(progress, 'new keyframes'))
+        floor = new_floor(growth, source, run.experiment.sampling, scene.walkable)
+        positions = new_positions(growth, floor, before, run.keyframes_apart)
+        after = with_place(after, growth, recipe, positions, make_keyframes(
+            recipe, field, positions, work / 'new', progress, scene=shared,
+            stage='new keyframes'))
         if floor is not None and scene.walkable is not None:
             scene = replace(scene, walkable=joined_floor(scene.walkable, floor))
     sha256 = after.write(memory_file)
-    field.save(out / 'field.npz')
     write_model_card(model, replace(
         run.card, memory=MemoryFile(file=memory_file.name, sha256=sha256),
         updates=(*run.card.updates, Update(

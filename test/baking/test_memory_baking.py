@@ -1,7 +1,7 @@
 """Keyframes by Ray: the same bytes as here, also where a worker is killed or time is short."""
 from pathlib import Path
 
-from neo_ros.baking import memory_baking
+from neo_ros.baking import worker_files
 from neo_ros.baking.keyframes import BakingRules, MemoryConfig, Photos
 from neo_ros.baking.memory_baking import bake_memory
 from neo_ros.errors import NeoError
@@ -71,7 +71,7 @@ def test_keyframes_of_before_a_break_are_not_made_again(
             yield place, NeoError('its worker died') if len(asked) == 1 and place == 2 else (
                 function(job))
 
-    monkeypatch.setattr(memory_baking, 'map_on_ray', in_turn)
+    monkeypatch.setattr(worker_files, 'map_on_ray', in_turn)
     with pytest.raises(NeoError, match='000002.npz: the keyframe was not made: its worker died'):
         bake(run, work, True)
     there = bake(run, work, True)
@@ -81,7 +81,7 @@ def test_keyframes_of_before_a_break_are_not_made_again(
 
 def test_what_workers_need_and_cannot_be_kept_says_why(run: TrainingRun, tmp_path: Path) -> None:
     (tmp_path / 'work').write_text('')
-    with pytest.raises(NeoError, match='images.npy: cannot keep the keyframes: .* make room'):
+    with pytest.raises(NeoError, match='images.npy: cannot keep the work: .* make room'):
         bake(run, tmp_path / 'work', True)
 
 
@@ -95,7 +95,7 @@ def test_a_run_on_a_cluster_hands_its_keyframes_over(
         asked.extend(jobs)
         return ((place, function(job)) for place, job in enumerate(jobs))
 
-    monkeypatch.setattr(memory_baking, 'map_on_ray', in_turn)
+    monkeypatch.setattr(worker_files, 'map_on_ray', in_turn)
     run.memory_path.unlink()
     monkeypatch.setattr(run, 'cluster', True)
     memory_step(run, field)
@@ -106,7 +106,7 @@ def test_a_run_on_a_cluster_hands_its_keyframes_over(
 def test_in_short_time_fewer_are_made(
         run: TrainingRun, here: SceneMemory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         ) -> None:
-    monkeypatch.setattr(memory_baking, 'map_on_ray', lambda function, jobs: (
+    monkeypatch.setattr(worker_files, 'map_on_ray', lambda function, jobs: (
         (place, function(job)) for place, job in enumerate(jobs)))
     few = bake(run, tmp_path / 'work', True, seconds=0.001)
     assert len(few.positions) == 2

@@ -156,10 +156,20 @@ def test_the_minutes_left_in_all_are_told_at_every_stage() -> None:
     tell('outpainter', 0, 600)
     tell('outpainter', 600, 600)
     tell('scoring', 0, 10)
-    now[0] = 420
-    tell('scoring', 9, 10)
     assert [note.split(' of ')[0] for note in shown] == [
-        '30', '28 dB; 23', '16', '12', '13', '3', '3', '1']
+        '30', '28 dB; 23', '16', '12', '13', '3', '3']
+
+
+def test_scores_and_report_take_as_long_as_they_do_and_not_what_the_plan_leaves_them() -> None:
+    tell, now, shown = telling(30)
+    tell('scoring', 0, 10)
+    now[0] = 300
+    tell('scoring', 5, 10)
+    tell('scoring', 10, 10)
+    tell('report', 1, 10)
+    now[0] = 420
+    tell('report', 7, 10)
+    assert [note.split(' of ')[0] for note in shown[1:]] == ['11', '3', '3', '1']
 
 
 def test_points_before_the_field_take_nothing_of_the_memorys_time() -> None:

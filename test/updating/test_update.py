@@ -21,6 +21,7 @@ from neo_ros.updating.update import update, UpdateOptions
 import numpy as np
 import pytest
 from typer.testing import CliRunner
+from worker_killing import first_worker_killed
 
 # Its one fit is dear, and runs beside others.
 pytestmark = [pytest.mark.slow, pytest.mark.torch, pytest.mark.timeout(900)]
@@ -130,6 +131,19 @@ def test_an_updated_run_can_be_updated_again(base: Path, tmp_path: Path) -> None
     after = read_model_card(tmp_path / 'back' / 'room.onnx')
     assert after.trained_seconds > read_model_card(base / 'new' / 'room.onnx').trained_seconds
     assert memory_of(tmp_path / 'back') and FovExtrapolator.load(tmp_path / 'back' / 'room.onnx')
+
+
+def test_ray_makes_the_same_memory_also_where_a_worker_dies(base: Path, tmp_path: Path) -> None:
+    pytest.importorskip('ray')
+    with first_worker_killed('make_change') as killed:
+        update(base / 'run', [base / 'moved'], tmp_path / 'new', experiment=ROOM,
+               options=UpdateOptions(cluster=True))
+    assert len(killed) == 1
+    here, there = (read_model_card(folder / 'room.onnx').memory
+                   for folder in (base / 'new', tmp_path / 'new'))
+    assert here is not None and here == there
+    assert {path.name for path in (tmp_path / 'new').iterdir()} == {
+        path.name for path in (base / 'new').iterdir()}
 
 
 def test_where_nothing_changed_nothing_is_written(base: Path, tmp_path: Path) -> None:
