@@ -94,6 +94,12 @@ GEOMETRY_DEPTH = (
     Column('more than 10 % too far', 'depth_too_far_10_percent', '{:.1f} %', 100),
     Column('occupied cells marked', 'occupied_marked', '{:.1f} %', 100),
     Column('free cells marked', 'free_marked_occupied', '{:.1f} %', 100))
+POINT_DEPTH = (
+    Column('scene', 'scene'), Column('depth of', 'what'), Column('points', 'points', '{:,}'),
+    Column('known', 'known', '{:.0f} %', 100),
+    Column('median error', 'depth_error_median', '{:.1f} %', 100),
+    Column('within 5 %', 'depth_within_5_percent', '{:.0f} %', 100),
+    Column('more than 10 % too far', 'depth_too_far_10_percent', '{:.1f} %', 100))
 MEASURED_DEPTH = (
     Column('steps', 'steps', '{:,}'), Column('depth', 'depth'),
     Column('minutes of the processor', 'cpu_minutes', '{:.1f}'),
@@ -192,6 +198,7 @@ TABLES: dict[str, Rows] = {
     'geometry_pose': Rows('geometry', GEOMETRY_POSE),
     'geometry_depth': Rows('geometry', GEOMETRY_DEPTH,
                            lambda row: row['depth_error_median'] is not None),
+    'point_depth': Rows('point_depth', POINT_DEPTH),
     'measured_depth': Rows('measured_depth', MEASURED_DEPTH),
     'predicted_looks': Rows('predicted_looks', LOOKS),
     'imports': Rows('imports', IMPORTS),
