@@ -7,8 +7,7 @@ from typing import Any
 from neo_ros.baking.keyframes import (
     BakingRules, directions_of_photos, put_on_planes, seen_by_photos)
 from neo_ros.baking.plain_surfaces import NO_DIRECTIONS
-from neo_ros.baking.worker_files import (
-    kept_file, make_on_ray, read_part, SharedScene)
+from neo_ros.baking.worker_files import kept_file, make_on_ray, read_part, SharedScene
 from neo_ros.machine.progress import StageProgress
 import numpy as np
 

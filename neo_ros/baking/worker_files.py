@@ -101,10 +101,12 @@ def make_on_ray(function: Callable[[Job], Any], jobs: Sequence[Job], what: str
 
     Raises NeoError for a part that cannot be made; what: its name there.
     """
+    if not jobs:
+        return
     for number, error in map_on_ray(function, jobs):
         if isinstance(error, NeoError):
-            raise NeoError(f'{jobs[number].out}: {what} was not made: {error}; the others stay, '
-                           'run the same command again')
+            raise NeoError(f'{jobs[number].out}: {what} was not made: {error}; run the same '
+                           'command again')
         if not jobs[number].out.exists():
             raise NeoError(f'{jobs[number].out}: its worker wrote {what}, but it is not there: '
                            'OUT must be in a folder that all machines of the cluster share')

@@ -7,8 +7,7 @@ import cv2
 from neo_ros.baking.keyframes import bake_keyframe, BakingRules, Photos
 from neo_ros.baking.plain_surfaces import (
     dominant_directions, hand_held, NO_DIRECTIONS, with_planes)
-from neo_ros.baking.worker_files import (
-    keep_array, kept_file, make_on_ray, read_part, SharedScene)
+from neo_ros.baking.worker_files import keep_array, kept_file, make_on_ray, read_part, SharedScene
 from neo_ros.field.voxel_field import VoxelField
 from neo_ros.machine.evenly import evenly
 from neo_ros.machine.progress import no_progress, Progress
@@ -119,8 +118,8 @@ def bake_changes_on_ray(recipe: ChangeRecipe, field: VoxelField, scene: SharedSc
     old, work = recipe.memory, work.absolute()
     cells, seen = (keep_array(work / name, array) for name, array in (
         ('cells.npy', recipe.space.cells), ('seen.npy', recipe.seen)))
-    jobs = [ChangeJob(work / f'{index:06d}.npz', index, *memory, scene, cells, seen, recipe.gains,
-                      recipe.directions, recipe.rules)
+    jobs = [ChangeJob(work / f'{index:06d}.npz', index, memory[0].absolute(), memory[1], scene,
+                      cells, seen, recipe.gains, recipe.directions, recipe.rules)
             for index, keyframe in enumerate(old.each()) if recipe.met(field, keyframe).any()]
     for done, _ in enumerate(make_on_ray(make_change, jobs, 'the keyframe'), 1):
         progress(done, len(jobs))
