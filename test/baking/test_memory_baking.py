@@ -59,23 +59,31 @@ def test_ray_makes_the_same_memory_also_where_a_worker_dies(
     assert there.write(tmp_path / 'there') == here.write(tmp_path / 'here')
 
 
-def test_keyframes_of_before_a_break_are_not_made_again(
+def test_parts_of_before_a_break_are_not_made_again(
         run: TrainingRun, here: SceneMemory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         ) -> None:
-    work, asked = tmp_path / 'work', []
+    asked = list[tuple[str, int]]()
+    dies = {'make_depth', 'make_keyframe'}  # each the first time
 
     def in_turn(function, jobs):  # type: ignore[no-untyped-def]
         """Stand in for Ray: one after the other, and the third cannot be made."""
-        asked.append(len(jobs))
+        name = function.__name__
+        asked.append((name, len(jobs)))
         for place, job in enumerate(jobs):
-            yield place, NeoError('its worker died') if len(asked) == 1 and place == 2 else (
-                function(job))
+            if name in dies and place == 2:
+                dies.remove(name)
+                yield place, NeoError('its worker died')
+            yield place, function(job)
 
     monkeypatch.setattr(worker_files, 'map_on_ray', in_turn)
-    with pytest.raises(NeoError, match='000002.npz: the keyframe was not made: its worker died'):
-        bake(run, work, True)
-    there = bake(run, work, True)
-    assert asked == [len(here.positions), len(here.positions) - 2]
+    for what in ('depth_000032.npz: depth of photos was', '000002.npz: the keyframe was'):
+        with pytest.raises(NeoError, match=f'{what} not made: its worker died'):
+            bake(run, tmp_path / 'work', True)
+    there = bake(run, tmp_path / 'work', True)
+    photos = [(name, count) for name, count in asked if name != 'make_keyframe']
+    assert photos == [('make_depth', 4), ('make_depth', 2), ('make_planes', 4)]
+    count = len(here.positions)
+    assert asked[len(photos):] == [('make_keyframe', count), ('make_keyframe', count - 2)]
     assert there.write(tmp_path / 'there') == here.write(tmp_path / 'here')
 
 
