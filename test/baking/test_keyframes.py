@@ -235,7 +235,7 @@ def test_photos_finer_than_the_field_may_have_any_size(tmp_path: Path) -> None:
 
 def test_a_keyframe_that_cannot_be_kept_says_why(tmp_path: Path) -> None:
     (tmp_path / 'work').write_text('')
-    with pytest.raises(NeoError, match='cannot keep the keyframes: .* give the same command'):
+    with pytest.raises(NeoError, match='cannot keep the work: .* give the same command'):
         bake_with_post(tmp_path / 'work')
 
 
