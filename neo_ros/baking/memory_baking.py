@@ -12,18 +12,18 @@ import time
 import cv2
 from neo_ros.baking.glances import glance_rotations, keyframe_glances, photo_glances
 from neo_ros.baking.keyframes import (
-    bake_keyframe, BakingRules, directions_of_photos, keyframe_positions, keyframe_size,
-    MemoryConfig, Photos, put_on_planes, seeing_camera, seen_by_photos)
-from neo_ros.baking.photo_depth_jobs import depth_on_ray
-from neo_ros.baking.plain_surfaces import hand_held, NO_DIRECTIONS
-from neo_ros.baking.worker_files import (
-    keep_array, kept_file, make_on_ray, read_part, SharedScene)
+    bake_keyframe, BakingRules, keyframe_positions, keyframe_size, MemoryConfig, Photos,
+    seeing_camera)
+from neo_ros.baking.plain_surfaces import hand_held
+from neo_ros.baking.seen_depth import depth_here, depth_on_ray
+from neo_ros.baking.worker_files import keep_array, kept_file, read_part, SharedScene
 from neo_ros.errors import NeoError
 from neo_ros.field.panorama import view_band
 from neo_ros.field.radiance_field import RadianceField
 from neo_ros.field.rendering import render_rays, to_uint8, world_rays
 from neo_ros.geometry import Band, CameraPose, Intrinsics, ViewExpansion
 from neo_ros.machine.progress import no_stage_progress, of_stage, Progress, StageProgress
+from neo_ros.machine.ray_jobs import make_on_ray
 from neo_ros.memory.keyframe import compress
 from neo_ros.memory.scene_memory import Glances, SceneMemory
 from neo_ros.scenes.pose_sampling import PoseSampler
@@ -94,13 +94,9 @@ def bake_memory(field: RadianceField, photos: Photos, expansion: ViewExpansion,
     positions = keyframe_positions(sampler, photos, config.distance)
     planes = not hand_held(positions)
     scene = None if on_ray is None else SharedScene.keep(on_ray, photos, work)
-    if scene is not None:
-        seen, gains, directions = depth_on_ray(scene, planes, rules, work, progress)
-    else:
-        seen, gains = seen_by_photos(field, photos, rules, of_stage(progress, 'depth of photos'))
-        directions = directions_of_photos(photos, seen, rules) if planes else NO_DIRECTIONS
-        if planes:
-            put_on_planes(photos, seen, directions, rules, of_stage(progress, 'planes of photos'))
+    seen, gains, directions = (
+        depth_here(field, photos, planes, rules, progress) if scene is None
+        else depth_on_ray(scene, planes, rules, work, progress))
     recipe = Recipe(photos, seen, gains, band, keyframe_size(band, expansion.target.fx, rules),
                     rules, directions, expansion.source, glance_rotations(sampler))
     frames = make_keyframes(recipe, field, positions, work, progress, ends - time.monotonic(),
@@ -165,7 +161,8 @@ def _make_on_ray(recipe: Recipe, scene: SharedScene, positions: np.ndarray, work
         left = [index for index in range(min(until, len(jobs))) if not there[index]]
         if not left:
             break
-        for place in make_on_ray(make_keyframe, [jobs[index] for index in left], 'the keyframe'):
+        for place in make_on_ray(make_keyframe, [jobs[index] for index in left],
+                                 'the keyframe was not made'):
             there[left[place]] = True
             made += 1
             progress(made, max(until, made))

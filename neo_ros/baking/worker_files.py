@@ -1,10 +1,10 @@
 """What Ray's workers make parts of a scene memory of: files that all their machines see."""
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, BinaryIO, Protocol, TypeVar
+from typing import BinaryIO
 from zipfile import BadZipFile
 
 from neo_ros.baking.keyframes import Photos
@@ -12,19 +12,7 @@ from neo_ros.errors import NeoError
 from neo_ros.field.device import read_field
 from neo_ros.field.radiance_field import RadianceField
 from neo_ros.machine.files import whole_file
-from neo_ros.machine.ray_jobs import map_on_ray
 import numpy as np
-
-
-class WorkerJob(Protocol):
-    """A part to make."""
-
-    @property
-    def out(self) -> Path:
-        """Where it comes to lie."""
-
-
-Job = TypeVar('Job', bound=WorkerJob)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,22 +80,3 @@ def read_part(path: Path) -> dict[str, np.ndarray]:
     except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
         raise NeoError(f'{path}: expected what was made before: {error}; delete it, and run the '
                        'same command again') from error
-
-
-def make_on_ray(function: Callable[[Job], Any], jobs: Sequence[Job], what: str
-                ) -> Iterator[int]:
-    """
-    Let Ray's workers make parts, and yield the number of each as it ends, see `map_on_ray`.
-
-    Raises NeoError for a part that cannot be made; what: its name there.
-    """
-    if not jobs:
-        return
-    for number, error in map_on_ray(function, jobs):
-        if isinstance(error, NeoError):
-            raise NeoError(f'{jobs[number].out}: {what} was not made: {error}; run the same '
-                           'command again')
-        if not jobs[number].out.exists():
-            raise NeoError(f'{jobs[number].out}: its worker wrote {what}, but it is not there: '
-                           'OUT must be in a folder that all machines of the cluster share')
-        yield number

@@ -7,13 +7,12 @@ are dropped, against an oracle that drops the worst ones; the area between the t
 al., Uncertainty Estimates and Multi-Hypotheses Networks for Optical Flow, 2018) is 0 at best.
 """
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 
 from neo_ros.evaluation.evaluate import TruthFrames
 from neo_ros.evaluation.metrics import check_pair
 from neo_ros.geometry import ViewExpansion
-from neo_ros.machine.progress import no_progress, Progress
+from neo_ros.machine.progress import no_progress, of_several, Progress
 from neo_ros.reports.report import Plot, Section, Series, Table
 from neo_ros.runtime import FovExtrapolator
 from neo_ros.runtime.confidence import expected_error
@@ -130,11 +129,6 @@ def calibrate(model: FovExtrapolator, frames: TruthFrames, progress: Progress = 
     return result
 
 
-def _of_several(progress: Progress, number: int, count: int, done: int, total: int) -> None:
-    """Show how far one of several is, that take the same time."""
-    progress(number * total + done, count * total)
-
-
 def judge_confidence(path: Path, frames: TruthFrames, progress: Progress = no_progress
                      ) -> tuple[dict[str, dict[str, float]], list[Section]]:
     """
@@ -152,8 +146,7 @@ def judge_confidence(path: Path, frames: TruthFrames, progress: Progress = no_pr
             FovExtrapolator.load(path), f'Of the model with its scene memory; {judged}')
     figures, sections = {}, []
     for number, (name, (model, whose)) in enumerate(models.items()):
-        calibration = calibrate(model, frames, partial(
-            _of_several, progress, number, len(models)))
+        calibration = calibrate(model, frames, of_several(progress, number, len(models)))
         figures[name] = calibration.summary()
         sections += calibration.sections(whose)
     return figures, sections

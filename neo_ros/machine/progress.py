@@ -24,3 +24,8 @@ def no_stage_progress(stage: str, done: int, total: int, note: str = '') -> None
 def of_stage(progress: StageProgress, stage: str) -> Progress:
     """Return the progress of one stage."""
     return lambda done, total: progress(stage, done, total)
+
+
+def of_several(progress: Progress, number: int, count: int) -> Progress:
+    """Return the progress of one of several that are as long, as part of that of all."""
+    return lambda done, total: progress(number * total + done, count * total)

@@ -1,13 +1,25 @@
 """Jobs that need nothing of each other, done by Ray: on this machine, or on a cluster."""
 from collections.abc import Callable, Iterator, Sequence
 import os
+from pathlib import Path
 import socket
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from neo_ros.errors import ConfigError, NeoError
 
 Job = TypeVar('Job')
 Result = TypeVar('Result')
+
+
+class FileJob(Protocol):
+    """Something to make, and the file that it comes to lie in."""
+
+    @property
+    def out(self) -> Path:
+        """The file, at a path that all machines know."""
+
+
+Making = TypeVar('Making', bound=FileJob)
 # How often a job is begun anew whose worker or machine died.
 RETRIES = 3
 CONNECT_S = 10.0
@@ -49,6 +61,25 @@ def map_on_ray(function: Callable[[Job], Result], jobs: Sequence[Job],
     finally:
         if mine:
             ray.shutdown()
+
+
+def make_on_ray(function: Callable[[Making], None], jobs: Sequence[Making], failed: str
+                ) -> Iterator[int]:
+    """
+    Make files, see `map_on_ray`; yield the index of each job as its file is there.
+
+    Raises NeoError for the first that cannot be made; failed: what to say of it.
+    """
+    if not jobs:
+        return
+    for index, error in map_on_ray(function, jobs):
+        out = jobs[index].out
+        if isinstance(error, NeoError):
+            raise NeoError(f'{out}: {failed}: {error}; run the same command again')
+        if not out.exists():
+            raise NeoError(f'{out}: its worker wrote it, but it is not there: --out must be in a '
+                           'folder that all machines of the cluster share')
+        yield index
 
 
 def _join(ray: Any) -> None:

@@ -4,7 +4,6 @@ from dataclasses import dataclass, field
 import math
 from pathlib import Path
 
-from neo_ros.errors import NeoError
 from neo_ros.experiment import Experiment
 from neo_ros.field.config import FieldConfig
 from neo_ros.field.device import field_trainer
@@ -13,7 +12,7 @@ from neo_ros.field.tiles import cut_floor, joined, photos_of, Tile, tile_edge, T
 from neo_ros.field.voxel_field import VoxelField
 from neo_ros.machine.files import make_output_folder
 from neo_ros.machine.progress import no_stage_progress, StageProgress
-from neo_ros.machine.ray_jobs import map_on_ray
+from neo_ros.machine.ray_jobs import make_on_ray
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.scene import Scene
 from neo_ros.training.checkpoint import read_notes, train_with_checkpoints, write_notes
@@ -113,10 +112,7 @@ def fit_tiles(jobs: Sequence[TileJob], cluster: bool, progress: StageProgress
     if cluster and left:
         done = len(jobs) - len(left)
         progress('tiles', done, len(jobs))
-        for place, error in map_on_ray(fit_tile, left):
-            if isinstance(error, NeoError):
-                raise NeoError(f'{left[place].out}: the tile was not fitted: {error}; the others '
-                               'stay, run the same command again')
+        for _ in make_on_ray(fit_tile, left, 'the tile was not fitted'):
             done += 1
             progress('tiles', done, len(jobs))
     else:

@@ -1,5 +1,6 @@
 """Bake keyframes anew where the scene has changed; elsewhere they stay as they are."""
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import cast
 
@@ -7,10 +8,11 @@ import cv2
 from neo_ros.baking.keyframes import bake_keyframe, BakingRules, Photos
 from neo_ros.baking.plain_surfaces import (
     dominant_directions, hand_held, NO_DIRECTIONS, with_planes)
-from neo_ros.baking.worker_files import keep_array, kept_file, make_on_ray, read_part, SharedScene
+from neo_ros.baking.worker_files import keep_array, kept_file, read_part, SharedScene
 from neo_ros.field.voxel_field import VoxelField
 from neo_ros.machine.evenly import evenly
 from neo_ros.machine.progress import no_progress, Progress
+from neo_ros.machine.ray_jobs import make_on_ray
 from neo_ros.memory.contradiction import contradicted, contradiction
 from neo_ros.memory.keyframe import compress, Keyframe, Packed
 from neo_ros.memory.scene_memory import SceneMemory
@@ -41,20 +43,18 @@ class ChangeRecipe:
     directions: np.ndarray
     rules: BakingRules = BakingRules()
 
-    def met(self, field: VoxelField, old: Keyframe) -> np.ndarray:
-        """Tell which pixels of an old keyframe's mesh look at what has changed, bool (h, w)."""
-        rays = self.memory.band.rays(*old.depth.shape)
-        return self.space.met_by(field, old.position, rays,
-                                 (1 + self.rules.one_surface) * old.depth)
-
-    def make(self, field: VoxelField, old: Keyframe, met: np.ndarray) -> Packed | None:
+    def make(self, field: VoxelField, old: Keyframe) -> Packed | None:
         """
         Return an old keyframe as it is now; None where nothing in it has changed.
 
         Pixels whose surface was, and is, outside of the space are the old ones.
         """
-        memory, rules, part = self.memory, self.rules, _box(met)
+        memory, rules = self.memory, self.rules
         rays = memory.band.rays(*old.depth.shape)
+        met = self.space.met_by(field, old.position, rays, (1 + rules.one_surface) * old.depth)
+        if not met.any():
+            return None
+        part = _box(met)
         finer = len(old.texture) // len(old.depth)
         new = bake_keyframe(field, self.photos, self.seen, self.gains, old.position, memory.band,
                             (*old.depth.shape, finer), rules, part=part)
@@ -88,9 +88,15 @@ class ChangeJob:
     def recipe(self) -> ChangeRecipe:
         """Read the files."""
         return ChangeRecipe(
-            ChangedSpace(np.load(self.cells), []), SceneMemory.read(self.memory, self.sha256),
+            ChangedSpace(np.load(self.cells), []), _memory(self.memory, self.sha256),
             self.scene.read_photos(), np.load(self.seen, mmap_mode='r'), self.gains,
             self.directions, self.rules)
+
+
+@lru_cache(maxsize=1)
+def _memory(path: Path, sha256: str) -> SceneMemory:
+    """Read a memory; its bytes are summed up each time, and a worker does many jobs."""
+    return SceneMemory.read(path, sha256)
 
 
 def bake_changes(recipe: ChangeRecipe, field: VoxelField, progress: Progress = no_progress
@@ -98,30 +104,28 @@ def bake_changes(recipe: ChangeRecipe, field: VoxelField, progress: Progress = n
     """Return the keyframes that show another scene now, by their number."""
     changed = {}
     for index, old in enumerate(recipe.memory.each()):
-        met = recipe.met(field, old)
-        found = recipe.make(field, old, met) if met.any() else None
+        found = recipe.make(field, old)
         if found is not None:
             changed[index] = found
         progress(index + 1, len(recipe.memory.positions))
     return changed
 
 
-def bake_changes_on_ray(recipe: ChangeRecipe, field: VoxelField, scene: SharedScene,
-                        memory: tuple[Path, str], work: Path, progress: Progress = no_progress
-                        ) -> dict[int, Packed]:
+def bake_changes_on_ray(recipe: ChangeRecipe, scene: SharedScene, memory: tuple[Path, str],
+                        work: Path, progress: Progress = no_progress) -> dict[int, Packed]:
     """
     Let Ray's workers do what `bake_changes` does, to the same bytes.
 
     scene: the recipe's photos, and the field, where workers find them; memory: the file of before
     and its SHA-256; work: a folder for what they make.
     """
-    old, work = recipe.memory, work.absolute()
+    work = work.absolute()
     cells, seen = (keep_array(work / name, array) for name, array in (
         ('cells.npy', recipe.space.cells), ('seen.npy', recipe.seen)))
     jobs = [ChangeJob(work / f'{index:06d}.npz', index, memory[0].absolute(), memory[1], scene,
                       cells, seen, recipe.gains, recipe.directions, recipe.rules)
-            for index, keyframe in enumerate(old.each()) if recipe.met(field, keyframe).any()]
-    for done, _ in enumerate(make_on_ray(make_change, jobs, 'the keyframe'), 1):
+            for index in range(len(recipe.memory.positions))]
+    for done, _ in enumerate(make_on_ray(make_change, jobs, 'the keyframe was not made'), 1):
         progress(done, len(jobs))
     changed = {}
     for job in jobs:
@@ -133,15 +137,12 @@ def bake_changes_on_ray(recipe: ChangeRecipe, field: VoxelField, scene: SharedSc
 
 def make_change(job: ChangeJob) -> None:
     """Make one keyframe anew, and leave it in its file; an empty one where nothing changed."""
-    recipe = job.recipe()
-    field, old = cast(VoxelField, job.scene.read_field()), recipe.memory.keyframe(job.index)
-    found = recipe.make(field, old, recipe.met(field, old))
+    recipe, field = job.recipe(), cast(VoxelField, job.scene.read_field())
+    found = recipe.make(field, recipe.memory.keyframe(job.index))
+    arrays = {} if found is None else {'texture': found[0], 'depth': found[1]}
     with kept_file(job.out) as file:
-        if found is None:
-            np.savez(file)
-        else:
-            texture, depth = (np.frombuffer(one, np.uint8) for one in found)
-            np.savez(file, texture=texture, depth=depth)
+        np.savez(file, allow_pickle=False, **{
+            name: np.frombuffer(content, np.uint8) for name, content in arrays.items()})
 
 
 def directions_of(memory: SceneMemory) -> np.ndarray:

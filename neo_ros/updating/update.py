@@ -140,7 +140,7 @@ def update_once(run: UpdateRun, bag: Path, out: Path, options: UpdateOptions,
     show = of_stage(progress, 'keyframes')
     after = before.replaced(
         bake_changes(change, field, show) if shared is None else bake_changes_on_ray(
-            change, field, shared, (run.memory, named.sha256), work / 'changed', show),
+            change, shared, (run.memory, named.sha256), work / 'changed', show),
         landmarks)
     if growth is not None:
         growth = replace(growth, field=field)

@@ -1,11 +1,11 @@
 """Keyframes by Ray: the same bytes as here, also where a worker is killed or time is short."""
 from pathlib import Path
 
-from neo_ros.baking import worker_files
 from neo_ros.baking.keyframes import BakingRules, MemoryConfig, Photos
 from neo_ros.baking.memory_baking import bake_memory
 from neo_ros.errors import NeoError
 from neo_ros.field.radiance_field import RadianceField
+from neo_ros.machine import ray_jobs
 from neo_ros.machine.progress import no_stage_progress, StageProgress
 from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.pipeline import fit_field_step
@@ -75,7 +75,7 @@ def test_parts_of_before_a_break_are_not_made_again(
                 yield place, NeoError('its worker died')
             yield place, function(job)
 
-    monkeypatch.setattr(worker_files, 'map_on_ray', in_turn)
+    monkeypatch.setattr(ray_jobs, 'map_on_ray', in_turn)
     for what in ('depth_000032.npz: depth of photos was', '000002.npz: the keyframe was'):
         with pytest.raises(NeoError, match=f'{what} not made: its worker died'):
             bake(run, tmp_path / 'work', True)
@@ -103,7 +103,7 @@ def test_a_run_on_a_cluster_hands_its_keyframes_over(
         asked.extend(jobs)
         return ((place, function(job)) for place, job in enumerate(jobs))
 
-    monkeypatch.setattr(worker_files, 'map_on_ray', in_turn)
+    monkeypatch.setattr(ray_jobs, 'map_on_ray', in_turn)
     run.memory_path.unlink()
     monkeypatch.setattr(run, 'cluster', True)
     memory_step(run, field)
@@ -114,7 +114,7 @@ def test_a_run_on_a_cluster_hands_its_keyframes_over(
 def test_in_short_time_fewer_are_made(
         run: TrainingRun, here: SceneMemory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         ) -> None:
-    monkeypatch.setattr(worker_files, 'map_on_ray', lambda function, jobs: (
+    monkeypatch.setattr(ray_jobs, 'map_on_ray', lambda function, jobs: (
         (place, function(job)) for place, job in enumerate(jobs)))
     few = bake(run, tmp_path / 'work', True, seconds=0.001)
     assert len(few.positions) == 2

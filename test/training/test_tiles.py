@@ -6,9 +6,10 @@ from neo_ros.errors import NeoError
 from neo_ros.experiment import Experiment
 from neo_ros.field.rendering import render_view
 from neo_ros.field.voxel_field import VoxelField
+from neo_ros.machine import ray_jobs
 from neo_ros.machine.progress import no_stage_progress
 from neo_ros.scenes.scene import read_scene, Scene
-from neo_ros.training import checkpoint, tiles
+from neo_ros.training import checkpoint
 from neo_ros.training.tiles import fit_tile, fit_tiles, tile_jobs, TileJob, tiles_of
 from neo_ros.training.time_plan import plan_training
 import numpy as np
@@ -112,8 +113,14 @@ def test_a_killed_workers_tile_is_done_again(scene: Scene, whole: Path, tmp_path
 def test_a_tile_that_cannot_be_fitted_is_named(
         scene: Scene, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     jobs = jobs_in(tmp_path, scene)
-    monkeypatch.setattr(tiles, 'map_on_ray', lambda function, left: iter(
-        [(0, None), (1, NeoError('its worker died'))]))
+    jobs[0].out.parent.mkdir(parents=True)
+    found = [(0, None), (1, NeoError('its worker died'))]
+
+    def first_alone(function, left):  # type: ignore[no-untyped-def]
+        jobs[0].out.touch()
+        return iter(found)
+
+    monkeypatch.setattr(ray_jobs, 'map_on_ray', first_alone)
     with pytest.raises(NeoError, match=r'0001.npz: the tile was not fitted: its worker died'):
         fit_tiles(jobs, True, no_stage_progress)
 

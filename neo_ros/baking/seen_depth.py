@@ -1,14 +1,16 @@
-"""How far photos see, part by part on Ray: the same as `seen_by_photos` and `put_on_planes`."""
+"""How far all photos of a scene see: one after the other here, or part by part on Ray."""
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from neo_ros.baking.keyframes import (
-    BakingRules, directions_of_photos, put_on_planes, seen_by_photos)
+    BakingRules, directions_of_photos, Photos, put_on_planes, seen_by_photos)
 from neo_ros.baking.plain_surfaces import NO_DIRECTIONS
-from neo_ros.baking.worker_files import kept_file, make_on_ray, read_part, SharedScene
-from neo_ros.machine.progress import StageProgress
+from neo_ros.baking.worker_files import kept_file, read_part, SharedScene
+from neo_ros.field.radiance_field import RadianceField
+from neo_ros.machine.progress import of_stage, StageProgress
+from neo_ros.machine.ray_jobs import make_on_ray
 import numpy as np
 
 # So many photos are a job.
@@ -39,13 +41,28 @@ class PlanesJob:
     directions: np.ndarray
 
 
-def depth_on_ray(scene: SharedScene, planes: bool, rules: BakingRules, work: Path,
-                 progress: StageProgress) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def depth_here(field: RadianceField, photos: Photos, planes: bool, rules: BakingRules,
+               progress: StageProgress) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
     Return how far photos see (N, h, w), gains (N, 3) and directions of planes (D, 3).
 
-    planes: what is plain is put on them. Finished parts lie in the folder `work`, and are not
-    made again. Raises NeoError where a part cannot be made.
+    planes: what is plain is put on them.
+    """
+    seen, gains = seen_by_photos(field, photos, rules, of_stage(progress, 'depth of photos'))
+    if not planes:
+        return seen, gains, NO_DIRECTIONS
+    directions = directions_of_photos(photos, seen, rules)
+    put_on_planes(photos, seen, directions, rules, of_stage(progress, 'planes of photos'))
+    return seen, gains, directions
+
+
+def depth_on_ray(scene: SharedScene, planes: bool, rules: BakingRules, work: Path,
+                 progress: StageProgress) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """
+    Return what `depth_here` does.
+
+    Finished parts lie in the folder `work`, and are not made again. Raises NeoError where a part
+    cannot be made.
     """
     count, work = len(scene.photos.T_world_cam), work.absolute()
     jobs = [DepthJob(work / f'depth_{first:06d}.npz', scene, first, min(first + PART, count),
@@ -65,7 +82,7 @@ def _made(function: Callable[[Any], None], jobs: Sequence[DepthJob | PlanesJob],
     """Return the arrays that parts hold, joined, once all are made."""
     left = [job for job in jobs if not job.out.exists()]
     done = len(jobs) - len(left)
-    for _ in make_on_ray(function, left, what):
+    for _ in make_on_ray(function, left, f'{what} was not made'):
         done += 1
         progress(what, done, len(jobs))
     return [np.concatenate(arrays) for arrays in zip(*(
