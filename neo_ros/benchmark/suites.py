@@ -128,10 +128,10 @@ def _jobs_of_all(every: EveryScene, settings: dict[str, Any], folders: list[Path
     return jobs
 
 
-def prepare_demo(jobs: dict[str, Job], progress: Any) -> None:
-    """Render the demo flat into its jobs' folders, where it is not there."""
+def prepare_demo(suite: Suite, jobs: dict[str, Job], progress: Any) -> None:
+    """Render the demo flat of a suite that names it into its job's folder, if it is not there."""
     for name, size in DEMO_SIZES.items():
-        if name in jobs:
+        if name in suite.scenes:
             write_demo_scene(Path(jobs[name].scene), image_size=size,
                              progress=lambda done, total: progress('demo flat', done, total, ''))
 

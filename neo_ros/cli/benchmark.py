@@ -7,8 +7,8 @@ import typer
 
 def benchmark(
     suite: Annotated[Optional[str], typer.Option(
-        help='Run a whole suite of config/benchmark: quarter, full, or real, which takes every '
-        'scene folder in --scenes.')] = None,
+        help='Run a whole suite of config/benchmark: quarter or full; or real or unseen, which '
+        'take every scene folder in --scenes.')] = None,
     scene: Annotated[Optional[Path], typer.Option(
         help='Benchmark one scene folder, with wide truth in transforms_test.json.')] = None,
     test_scene: Annotated[Optional[Path], typer.Option(
@@ -32,8 +32,8 @@ def benchmark(
     frames: Annotated[Optional[int], typer.Option(
         min=1, help='Score only so many test frames, spread evenly; default: all.')] = None,
     scenes: Annotated[Optional[list[Path]], typer.Option(
-        help='Folder that holds the scene folders of a suite, for real also a scene folder; may '
-        'be given several times.',
+        help='Folder that holds the scene folders of a suite, for real and unseen also a scene '
+        'folder; may be given several times.',
     )] = None,
     out: Annotated[Optional[Path], typer.Option(
         help='File for the rows; default: results/NAME.json, where NAME is the suite or the '
@@ -79,7 +79,7 @@ def benchmark(
         whole = scene is None and set(plan.methods) <= set(names)
         if scene is None:
             jobs = suite_jobs(plan, scenes or [])
-            prepare_demo(jobs, show)
+            prepare_demo(plan, jobs, show)
             name = str(suite)
         else:
             name = scene.resolve().name

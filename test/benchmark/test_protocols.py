@@ -154,6 +154,16 @@ def test_a_suite_of_every_scene_takes_what_it_is_given(tmp_path):
         suite_jobs(suite, [tmp_path / 'a'])
 
 
+def test_rooms_that_no_constant_was_chosen_on_are_scored_by_the_defaults(tmp_path):
+    suite = read_suite('unseen')
+    camera = Intrinsics.from_hfov(128, 128, 1.0)
+    write_capture(tmp_path / 'rooms', 1, camera)
+    write_capture(tmp_path / 'rooms', 1, camera, 'transforms_test.json', 'test')
+    job = suite_jobs(suite, [tmp_path])['rooms']
+    assert (job.protocol, job.scale, job.settings) == ('square', 'full', None)
+    assert {'relocalized', 'guided', 'oracle'} <= set(suite.methods)
+
+
 @pytest.mark.parametrize('width, height, longest, scale', [
     (320, 240, 320, 'full'), (240, 321, 320, 'half'), (8000, 9000, 100, 'eighth')])
 def test_the_largest_scale_within_so_many_pixels(width, height, longest, scale):
@@ -247,6 +257,13 @@ def test_the_demo_flat_is_rendered_where_it_is_missing(tmp_path, monkeypatch):
     monkeypatch.setattr(suites, 'write_demo_scene', write)
     jobs = {name: Job(str(tmp_path / name), 'square', 'half', 1.0)
             for name in ('living_room', 'demo_flat', 'demo_flat_256')}
-    prepare_demo(jobs, lambda stage, done, total, note='': seen.append((stage, done, total)))
-    assert seen == [(tmp_path / 'demo_flat', 128), ('demo flat', 1, 2),
-                    (tmp_path / 'demo_flat_256', 256), ('demo flat', 1, 2)]
+
+    def prepare(suite):
+        prepare_demo(read_suite(suite), jobs,
+                     lambda stage, done, total, note='': seen.append((stage, done, total)))
+        return seen
+
+    assert prepare('real') == []  # It takes folders as they are, whatever their names.
+    assert prepare('quarter') == [(tmp_path / 'demo_flat', 128), ('demo flat', 1, 2)]
+    seen.clear()
+    assert prepare('full') == [(tmp_path / 'demo_flat_256', 256), ('demo flat', 1, 2)]
