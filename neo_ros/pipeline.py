@@ -132,12 +132,12 @@ def _fit_field(run: TrainingRun, path: Path, writes: bool) -> None:
         return
     checkpoint = run.out / 'field.ckpt'
     scale, config = run.experiment.field_scale, run.field_config
-    images = run.fitted.read_images(
-        scale, lambda done: run.progress('photos', done, len(run.fitted), ''))
     if writes and not checkpoint.exists():
         drop_made_of_a_field(run.out)
-    with photos_with_depth(run, writes) as photos:
+    with photos_with_depth(run, writes) as photos:  # It reads photos too, and is done with them.
         depths = photos.read_depths(scale)
+    images = run.fitted.read_images(
+        scale, lambda done: run.progress('photos', done, len(run.fitted), ''))
     trainer = field_trainer(images, run.fitted.intrinsics.scaled(scale), run.fitted.T_world_cam,
                             config, run.experiment.seed, depths,
                             run.fitted.read_all_usable(scale))

@@ -78,13 +78,13 @@ class KeyframeJob:
 def bake_memory(field: RadianceField, photos: Photos, expansion: ViewExpansion,
                 sampler: PoseSampler, config: MemoryConfig, seed: int, work: Path,
                 progress: StageProgress = no_stage_progress, rules: BakingRules = BakingRules(),
-                seconds: float = math.inf, on_ray: Path | None = None) -> SceneMemory:
+                seconds: float = math.inf, scene: SharedScene | None = None) -> SceneMemory:
     """
     Render and colour the keyframes of `keyframe_positions`, and take glances from them.
 
     Finished keyframes lie in the folder `work`, and are not made again. In fewer `seconds` than
-    all of them take, the first are made: each is as far from the ones before as can be. on_ray:
-    the field's file; the keyframes are made by Ray, see `map_on_ray`, to the same bytes.
+    all of them take, the first are made: each is as far from the ones before as can be. scene:
+    field and photos where Ray's workers find them, who then make the keyframes, to the same bytes.
     """
     ends = time.monotonic() + seconds
     random = np.random.default_rng([seed, 3])
@@ -93,7 +93,6 @@ def bake_memory(field: RadianceField, photos: Photos, expansion: ViewExpansion,
                      sampler.yaw_range)
     positions = keyframe_positions(sampler, photos, config.distance)
     planes = not hand_held(positions)
-    scene = None if on_ray is None else SharedScene.keep(on_ray, photos, work)
     seen, gains, directions = (
         depth_here(field, photos, planes, rules, progress) if scene is None
         else depth_on_ray(scene, planes, rules, work, progress))

@@ -1,8 +1,13 @@
-"""What Ray's workers make parts of a scene memory of: files that all their machines see."""
-from collections.abc import Iterator
+"""
+What the parts of a scene memory are made of: files, of which each reads what it needs.
+
+All photos of a scene may be larger than memory, and Ray's workers see the same files.
+"""
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import chain
 from pathlib import Path
 from typing import BinaryIO
 from zipfile import BadZipFile
@@ -12,7 +17,10 @@ from neo_ros.errors import NeoError
 from neo_ros.field.device import read_field
 from neo_ros.field.radiance_field import RadianceField
 from neo_ros.machine.files import whole_file
+from neo_ros.scenes.posed_images import PosedImages
 import numpy as np
+
+_NONE = np.zeros((0, 1, 1, 3), np.uint8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,17 +42,34 @@ class SharedScene:
         images = keep_array(folder / 'images.npy', photos.images)
         usable = None if photos.usable is None else keep_array(
             folder / 'usable.npy', photos.usable)
-        none = np.zeros((0, 1, 1, 3), np.uint8)
-        return cls(field.absolute(), replace(photos, images=none, usable=None), images, usable)
+        return cls(field.absolute(), replace(photos, images=_NONE, usable=None), images, usable)
+
+    @classmethod
+    def unpack(cls, field: Path, photos: PosedImages, scale: float, folder: Path
+               ) -> 'SharedScene':
+        """Write the photos' files, one photo after the other; NeoError where there is no room."""
+        each = range(len(photos))
+        images = _keep_rows(folder / 'images.npy', len(photos),
+                            (photos.read_image(index, scale) for index in each))
+        usable = _keep_rows(folder / 'usable.npy', len(photos), (
+            photos.read_shown(index, scale)[1] for index in each)
+            ) if any(photos.mask_paths) else None
+        return cls(field.absolute(), Photos(
+            _NONE, photos.intrinsics.scaled(scale), photos.T_world_cam), images, usable)
 
     def read_photos(self) -> Photos:
         """Return the photos; their pixels are read when they are looked at."""
-        return replace(self.photos, images=np.load(self.images, mmap_mode='r'), usable=(
-            None if self.usable is None else np.load(self.usable, mmap_mode='r')))
+        return replace(self.photos, images=_mapped(self.images), usable=(
+            None if self.usable is None else _mapped(self.usable)))
 
     def read_field(self) -> RadianceField:
         """Return the field; a worker reads it once for many jobs."""
         return _field(self.field, self.field.stat().st_mtime_ns)
+
+
+def _mapped(path: Path) -> np.ndarray:
+    # Kernels are compiled for arrays that can be written to, as others are that they are given.
+    return np.asarray(np.load(path, mmap_mode='c'))
 
 
 @lru_cache(maxsize=1)
@@ -57,6 +82,19 @@ def keep_array(path: Path, array: np.ndarray) -> Path:
     path = path.absolute()
     with kept_file(path) as file:
         np.save(file, array)
+    return path
+
+
+def _keep_rows(path: Path, count: int, rows: Iterable[np.ndarray]) -> Path:
+    """Write an array row by row, as `keep_array` does."""
+    path, rows = path.absolute(), iter(rows)
+    first = next(rows)
+    with kept_file(path) as file:
+        np.lib.format.write_array_header_1_0(file, {
+            'descr': np.lib.format.dtype_to_descr(first.dtype), 'fortran_order': False,
+            'shape': (count, *first.shape)})
+        for row in chain([first], rows):
+            file.write(np.ascontiguousarray(row).data)
     return path
 
 

@@ -1,4 +1,5 @@
 """The command line `neo`."""
+import errno
 import logging
 import sys
 
@@ -33,6 +34,9 @@ A first look:  neo demo
 Your own scene:  neo import (photos with poses) > neo train (a model file) > neo evaluate
 (scores and pictures) > neo replay (a recorded bag) or the node fov_extrapolator (a live robot).
 """
+# What the user can mend, wherever in the work it comes.
+FULL = {errno.ENOSPC, errno.EDQUOT}
+FORBIDDEN = {errno.EACCES, errno.EPERM, errno.EROFS}
 PREPARE, RUN = 'From photos to a model', 'Use a model'
 
 app = typer.Typer(help=HELP, no_args_is_help=True, rich_markup_mode='rich',
@@ -66,6 +70,12 @@ def main() -> None:
         app()
     except NeoError as error:
         sys.exit(_fail(str(error)))
+    except OSError as error:
+        if error.errno not in FULL | FORBIDDEN:
+            raise
+        advice = ('make room, and give the same command again' if error.errno in FULL
+                  else 'choose a place where you may read and write')
+        sys.exit(_fail(f'{error.filename or "the disk"}: {error.strerror}; {advice}'))
     except ModuleNotFoundError as error:
         if error.name == 'rclpy':
             sys.exit(_fail('rclpy is not installed; this command needs ROS 2 Jazzy: source it, or '

@@ -1,6 +1,7 @@
 """Checksums of what a training is made of: written again, the same scene has the same ones."""
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 import hashlib
+from pathlib import Path
 
 from neo_ros.geometry import ViewExpansion
 from neo_ros.scenes.posed_images import PosedImages
@@ -24,6 +25,15 @@ def list_digest(images: PosedImages, window: ViewExpansion | None = None) -> str
     lines += [f'depth {path.name}' for path in images.depth_paths if path is not None]
     lines += [f'mask {path.name}' for path in images.mask_paths if path is not None]
     return _sha256('\n'.join(lines).encode())
+
+
+def files_digest(paths: Iterable[Path]) -> str:
+    """Return the sha256 of what lies in files, one after the other."""
+    files = hashlib.sha256()
+    for path in paths:
+        with open(path, 'rb') as file:
+            files.update(hashlib.file_digest(file, 'sha256').digest())
+    return files.hexdigest()
 
 
 def floors_digest(floors: Sequence[WalkableMap]) -> str:

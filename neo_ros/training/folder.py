@@ -9,7 +9,7 @@ from neo_ros.errors import ConfigError
 from neo_ros.experiment import Experiment
 from neo_ros.field.given_geometry import GivenGeometry
 from neo_ros.machine.files import share_file, write_bytes
-from neo_ros.scenes.digests import floors_digest, list_digest
+from neo_ros.scenes.digests import files_digest, floors_digest, list_digest
 from neo_ros.scenes.scene import Scene
 from neo_ros.training.memory import NOTES, WORK
 from neo_ros.training.tiles import TILES
@@ -52,9 +52,7 @@ def claim(out: Path, scene: Scene, experiment: Experiment,
 
 def note_update(out: Path, run: Path, scene: Scene) -> None:
     """Note in a new folder that it holds the run in the folder `run`, of more photos."""
-    floor = None if scene.walkable is None else floors_digest((scene.walkable, *scene.upper))[:12]
-    note = {**_read_run_note(run / RUN_FILE), 'photos': list_digest(scene.train)[:12],
-            'floor': floor}
+    note = {**_read_run_note(run / RUN_FILE), **_scene_note(scene)}
     note.pop('folder', None)
     write_bytes(out / RUN_FILE, json.dumps(note).encode())
 
@@ -83,15 +81,23 @@ def check_run(run: Path, scene: Scene, experiment: Experiment) -> None:
 
 
 def _run_note(scene: Scene, experiment: Experiment) -> dict[str, Any]:
-    floor = None if scene.walkable is None else floors_digest((scene.walkable, *scene.upper))[:12]
     view = experiment.expansion(scene.train.intrinsics, scene.expansion)
     # Another memory leaves field and network as they are.
     settings = replace(experiment, memory=None).config_hash
     return {'scene': scene.name, 'settings': settings,
-            'field': experiment.field_hash(mapped=floor is not None),
-            'photos': list_digest(scene.train)[:12], 'floor': floor,
+            'field': experiment.field_hash(mapped=scene.walkable is not None),
+            **_scene_note(scene),
             'view': f'{view.source.width}x{view.source.height} at {view.left}, {view.top} in '
                     f'{view.target.width}x{view.target.height}'}
+
+
+def _scene_note(scene: Scene) -> dict[str, Any]:
+    photos = scene.train
+    beside = (path for path in (*photos.depth_paths, *photos.mask_paths) if path is not None)
+    floors = None if scene.walkable is None else floors_digest((scene.walkable, *scene.upper))
+    return {'photos': list_digest(photos)[:12],
+            'files': files_digest((*photos.image_paths, *beside))[:12],
+            'floor': None if floors is None else floors[:12]}
 
 
 def _read_run_note(path: Path) -> dict[str, Any]:
@@ -115,7 +121,7 @@ def take_field(out: Path, scene: Scene, experiment: Experiment, other: Path) -> 
     if (out / 'field.npz').exists():
         return
     found, own = _read_run_note(other / RUN_FILE), _run_note(scene, experiment)
-    differ = [name for name in ('photos', 'field') if found.get(name) != own[name]]
+    differ = [name for name in ('photos', 'files', 'field') if found.get(name) != own[name]]
     if differ or not (other / 'field.npz').exists():
         reason = f'other {" and ".join(differ)}' if differ else 'no finished field'
         raise ConfigError(f'{other}: expected a run of the same photos and the same settings of '
@@ -127,8 +133,12 @@ def take_field(out: Path, scene: Scene, experiment: Experiment, other: Path) -> 
 
 
 def drop_made_of_a_field(out: Path) -> None:
-    """Delete what another field's training left, which would be taken for finished."""
+    """
+    Delete what another field's training left, which would be taken for finished.
+
+    What photos alone tell, points and stereo, stays: the folder is of the same photos.
+    """
     for name in ('field.ckpt', 'outpainter.ckpt', NOTES):
         (out / name).unlink(missing_ok=True)
-    for folder in (*out.glob('panoramas_*'), *out.glob(WORK), *out.glob(TILES)):
+    for folder in (*out.glob('panoramas_*'), *out.glob(f'{WORK}/keyframes_*'), *out.glob(TILES)):
         shutil.rmtree(folder)

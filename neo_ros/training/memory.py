@@ -8,10 +8,11 @@ import shutil
 import time
 from typing import Any
 
-from neo_ros.baking.keyframes import MemoryConfig, Photos
+from neo_ros.baking.keyframes import MemoryConfig
 from neo_ros.baking.landmarks import find_landmarks
 from neo_ros.baking.memory_baking import bake_memory
 from neo_ros.baking.twin_search import find_twins
+from neo_ros.baking.worker_files import SharedScene
 from neo_ros.errors import ModelError
 from neo_ros.field.radiance_field import RadianceField
 from neo_ros.machine.files import sha256_of, write_bytes
@@ -36,14 +37,13 @@ def memory_step(run: TrainingRun, field: RadianceField) -> None:
         scale, started = run.experiment.scale, time.monotonic()
         landmarks = find_landmarks(run.fitted, scale, run.expansion.source, run.out / WORK,
                                    run.progress)
-        photos = Photos(run.fitted.read_images(scale), run.fitted.intrinsics.scaled(scale),
-                        run.fitted.T_world_cam, run.fitted.read_all_usable(scale))
+        scene = SharedScene.unpack(run.out / 'field.npz', run.fitted, scale, run.out / WORK)
         left = math.inf if config.minutes is None else (
             60 * config.minutes - (time.monotonic() - started))
         memory = bake_memory(
-            field, photos, run.expansion, make_sampler(run, field), config, run.experiment.seed,
-            run.out / WORK / f'keyframes_{config.distance}',
-            run.progress, seconds=left, on_ray=run.out / 'field.npz' if run.cluster else None)
+            field, scene.read_photos(), run.expansion, make_sampler(run, field), config,
+            run.experiment.seed, run.out / WORK / f'keyframes_{config.distance}',
+            run.progress, seconds=left, scene=scene if run.cluster else None)
         memory.landmarks = landmarks
         memory.twins = find_twins(memory, run.expansion, of_stage(run.progress, 'look-alikes'))
         memory.write(path)

@@ -129,6 +129,7 @@ class TimeLeft:
                  rules: PlanRules = PlanRules()) -> None:
         self._plan, self._progress, self._clock, self._rules = plan, progress, clock, rules
         self._fitted, self._scores = False, 0.0
+        self._field = rules.field  # Of the minutes: none where a geometry takes its place.
         self._began: dict[str, float] = {}
         self._first: dict[str, tuple[float, int]] = {}  # report of a stage: when, how much
 
@@ -140,12 +141,16 @@ class TimeLeft:
 
     def _minutes_left(self, stage: str, done: int, total: int) -> float:
         minutes, rules = self._plan.minutes, self._rules
-        self._fitted |= stage in ('field', 'geometry')
+        self._fitted |= stage in ('field', 'tiles', 'geometry')
+        if stage == 'geometry':
+            self._field = 0.0
         # The field needs the points that the memory's landmarks are made of, too.
         if stage in ('plan', 'photos') or stage in self.POINTS and not self._fitted:
             return minutes
-        if stage == 'field':
-            return minutes * (1 - rules.field * done / total)
+        if stage in ('field', 'tiles'):
+            return minutes * (1 - self._field * done / total)
+        if stage in ('geometry', 'joining tiles'):
+            return minutes * (1 - self._field)
         if stage == 'outpainter':  # It counts in seconds.
             return (total - done) / 60 + minutes * rules.rest
         if stage == 'scoring':
@@ -158,7 +163,7 @@ class TimeLeft:
         part = 'memory' if stage in self.MEMORY else 'rest'
         spent = (self._clock() - self._began.setdefault(part, self._clock())) / 60
         if part == 'memory':
-            return max(minutes * (1 - rules.field) - spent, self._stage_left(stage, done, total)
+            return max(minutes * (1 - self._field) - spent, self._stage_left(stage, done, total)
                        + minutes * (rules.least_network + rules.rest))
         return max(minutes * rules.rest - spent, 0.0)
 

@@ -1,18 +1,22 @@
 """Keyframes by Ray: the same bytes as here, also where a worker is killed or time is short."""
+from dataclasses import replace
 from pathlib import Path
 
 from neo_ros.baking.keyframes import BakingRules, MemoryConfig, Photos
 from neo_ros.baking.memory_baking import bake_memory
+from neo_ros.baking.worker_files import SharedScene
 from neo_ros.errors import NeoError
 from neo_ros.field.radiance_field import RadianceField
 from neo_ros.machine import ray_jobs
 from neo_ros.machine.progress import no_stage_progress, StageProgress
 from neo_ros.memory.scene_memory import SceneMemory
+from neo_ros.pictures.usable import write_usable
 from neo_ros.pipeline import fit_field_step
 from neo_ros.scenes.scene import read_scene
 from neo_ros.training.memory import memory_step
 from neo_ros.training.run import TrainingRun
 from neo_ros.training.views import make_sampler
+import numpy as np
 import pytest
 from tiny_training import TINY
 from worker_killing import first_worker_killed
@@ -36,8 +40,9 @@ def bake(run: TrainingRun, work: Path, on_ray: bool, seconds: float = float('inf
          progress: StageProgress = no_stage_progress) -> SceneMemory:
     field: RadianceField = fit_field_step(run)
     photos = Photos(run.fitted.read_images(), run.fitted.intrinsics, run.fitted.T_world_cam)
+    scene = SharedScene.keep(run.out / 'field.npz', photos, work) if on_ray else None
     return bake_memory(field, photos, run.expansion, make_sampler(run, field), CONFIG, 0, work,
-                       progress, RULES, seconds, run.out / 'field.npz' if on_ray else None)
+                       progress, RULES, seconds, scene)
 
 
 @pytest.fixture(scope='module')
@@ -91,6 +96,28 @@ def test_what_workers_need_and_cannot_be_kept_says_why(run: TrainingRun, tmp_pat
     (tmp_path / 'work').write_text('')
     with pytest.raises(NeoError, match='images.npy: cannot keep the work: .* make room'):
         bake(run, tmp_path / 'work', True)
+
+
+@pytest.mark.parametrize('masked', [False, True])
+def test_photos_in_files_are_those_in_memory_and_are_not_read_at_once(
+        masked: bool, run: TrainingRun, tmp_path: Path) -> None:
+    photos = run.fitted.subset(range(5))
+    if masked:
+        usable = np.ones((photos.intrinsics.height, photos.intrinsics.width), bool)
+        usable[:9] = False
+        write_usable(tmp_path / 'mask.png', usable)
+        photos = replace(photos, mask_paths=(None, None, tmp_path / 'mask.png', None, None))
+    scene = SharedScene.unpack(Path('field.npz'), photos, 0.5, tmp_path / 'work')
+    found = scene.read_photos()
+    assert isinstance(found.images.base, np.memmap) and found.images.flags.writeable
+    np.testing.assert_array_equal(found.images, photos.read_images(0.5))
+    wanted = photos.read_all_usable(0.5)
+    assert (found.usable is None) == (wanted is None) == (not masked)
+    if masked:
+        np.testing.assert_array_equal(found.usable, wanted)
+    assert found.intrinsics == photos.intrinsics.scaled(0.5)
+    found.images[:] = 0  # It changes no file.
+    assert scene.read_photos().images.any()
 
 
 def test_a_run_on_a_cluster_hands_its_keyframes_over(

@@ -1,6 +1,8 @@
 """The command line: its help, its errors, and the way from a scene to a replayed bag."""
 from dataclasses import replace
+import errno
 import json
+import os
 from pathlib import Path
 import re
 import subprocess
@@ -166,6 +168,29 @@ def test_a_missing_module_of_our_own_is_no_missing_extra(monkeypatch: pytest.Mon
 
     monkeypatch.setattr('neo_ros.cli.main.app', command)
     with pytest.raises(ModuleNotFoundError):
+        main()
+
+
+@pytest.mark.parametrize('number, file, message', [
+    (errno.ENOSPC, None, 'neo: the disk: No space left on device; make room, and give'),
+    (errno.EACCES, '/a/pairs.txt', 'neo: /a/pairs.txt: Permission denied; choose a place')])
+def test_a_disk_that_takes_nothing_is_told_in_a_line(
+        number: int, file: str | None, message: str, monkeypatch: pytest.MonkeyPatch,
+        capsys: pytest.CaptureFixture[str]) -> None:
+    def command() -> None:
+        raise OSError(number, os.strerror(number), file)
+
+    monkeypatch.setattr('neo_ros.cli.main.app', command)
+    assert run_main(monkeypatch) == 2
+    assert capsys.readouterr().err.startswith(message)
+
+
+def test_other_errors_of_files_are_bugs_and_show_where(monkeypatch: pytest.MonkeyPatch) -> None:
+    def command() -> None:
+        raise OSError(errno.EBADF, os.strerror(errno.EBADF))
+
+    monkeypatch.setattr('neo_ros.cli.main.app', command)
+    with pytest.raises(OSError, match='Bad file'):
         main()
 
 

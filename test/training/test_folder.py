@@ -72,12 +72,30 @@ def test_a_new_field_is_not_mixed_with_what_the_old_one_made(
         tiny_run: TrainingRun, tmp_path: Path) -> None:
     run = replace(tiny_run, out=shutil.copytree(tiny_run.out, tmp_path / 'out'))
     (run.out / 'panoramas_3').mkdir()
-    (run.out / 'memory_work').mkdir()
-    (run.out / 'memory_work/keyframe').touch()
+    for made in ('keyframes_0.3', 'stereo'):
+        (run.out / 'memory_work' / made).mkdir(parents=True)
+        (run.out / 'memory_work' / made / '000000').touch()
     for name in ('field.npz', 'field.json'):
         (run.out / name).unlink()
     fit_field_step(run)
     assert (run.out / 'field.npz').exists()
-    for name in ('outpainter.ckpt', 'memory.json', 'panoramas_3', 'memory_work/keyframe',
-                 'field.ckpt'):
+    for name in ('outpainter.ckpt', 'memory.json', 'panoramas_3',
+                 'memory_work/keyframes_0.3', 'field.ckpt'):
         assert not (run.out / name).exists()
+    # What the photos tell without a field: a training that is stopped before its field begins
+    # does not look for it again.
+    assert (run.out / 'memory_work/stereo/000000').exists()
+
+
+def test_retouched_photos_are_others(tiny_run: TrainingRun, tmp_path: Path) -> None:
+    folder = shutil.copytree(tiny_run.out.parent / 'scene', tmp_path / 'scene')
+    out = tmp_path / 'out'
+    out.mkdir()
+    claim(out, read_upright_scene(folder), TINY)
+    claim(out, read_upright_scene(folder), TINY)
+    photo = read_upright_scene(folder).train.image_paths[3]
+    shutil.copyfile(read_upright_scene(folder).train.image_paths[4], photo)
+    with pytest.raises(ConfigError, match="files': '[0-9a-f]{12}'.*got a run of"):
+        claim(out, read_upright_scene(folder), TINY)
+    with pytest.raises(ConfigError, match='got one of other files'):
+        take_field(out, read_upright_scene(folder), TINY, tiny_run.out)

@@ -182,6 +182,19 @@ def test_points_before_the_field_take_nothing_of_the_memorys_time() -> None:
     assert [note.split(' of ')[0] for note in shown] == ['30', '30', '16']
 
 
+def test_tiles_are_the_field_and_where_a_geometry_is_given_none_is_fitted() -> None:
+    tell, now, shown = telling(30)
+    tell('tiles', 2, 4)
+    tell('joining tiles', 0, 1)
+    tell('keyframes', 0, 9)
+    assert [note.split(' of ')[0] for note in shown] == ['23', '16', '16']
+    tell, now, shown = telling(30)
+    tell('geometry', 0, 1, 'room.ply')
+    tell('features', 1, 9)
+    tell('keyframes', 0, 9)
+    assert [note.split(' of ')[0] for note in shown] == ['room.ply; 30', '30', '30']
+
+
 def test_keyframes_that_take_longer_than_planned_are_told_of() -> None:
     tell, now, shown = telling(6)
     tell('keyframes', 1, 111)
