@@ -160,9 +160,10 @@ class JournalWriter:
             pixels = self._pixels + _pixels(record)
             most = self._largest + TURN_BYTES if isinstance(record, Turn) else self._most
             if self._end + len(content) > most or pixels > MOST_PIXELS:
+                if not self.full:
+                    logger.warning('%s: the journal is full (%d kB), nothing more is learnt; neo '
+                                   'memory compact makes room', self.path, self._end >> 10)
                 self._most = self._end
-                logger.warning('%s: the journal is full (%d kB), nothing more is learnt; neo '
-                               'memory compact makes room', self.path, self._end >> 10)
                 break
             if os.pwrite(self._file, content, self._end) != len(content):
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

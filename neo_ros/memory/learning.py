@@ -58,11 +58,16 @@ class LearningThresholds:
 
 
 class Learnt(NamedTuple):
-    """What was found, the changes of the memory with it, and keyframes that show these."""
+    """
+    The changes of the memory with what was found, and keyframes that show these.
 
-    records: list[Record]
+    others: somebody else wrote the journal meanwhile; turned: something is shown as before.
+    """
+
     changes: Changes
     drawn: dict[Key, Keyframe]
+    others: bool
+    turned: bool
 
 
 class Learner:
@@ -80,6 +85,7 @@ class Learner:
         self._memory, self._open_journal, self._beside = memory, open_journal, beside
         # Opened when there is something to write: who had it before may still hold it.
         self._journal: JournalWriter | None = None
+        self._holding = threading.Lock()
         self._closed = threading.Event()
         self._observed = expansion.observed
         source = expansion.source
@@ -90,10 +96,13 @@ class Learner:
         self._shots: list[Shot] = []
         self._depths: dict[Shot, np.ndarray] = {}
         self._new = 0
-        self._changes = memory.changes or Changes(())
-        self._batch = 1 + max((patch.batch for patch in self._changes.patches), default=-1)
-        self._begun = self._batch  # The first one of this visit.
+        self._begin_visit(memory.changes or Changes(()))
         self._pending: Future[Learnt] | None = None
+
+    def _begin_visit(self, changes: Changes) -> None:
+        self._changes = changes
+        self._batch = 1 + max((patch.batch for patch in changes.patches), default=-1)
+        self._begun = self._batch  # The first one of this visit.
 
     def see(self, image: np.ndarray, shown: np.ndarray, depth: np.ndarray, pose: CameraPose,
             gain: np.ndarray, agreement: float) -> None:
@@ -131,8 +140,14 @@ class Learner:
     def close(self) -> None:
         """Let others write the journal; what was not looked at yet is forgotten."""
         self._closed.set()
-        if self._pending is None and self._journal is not None:
-            self._journal.close()
+        if self._pending is None or self._pending.done():
+            self._release()  # Else who works on it does that.
+
+    def _release(self) -> None:
+        with self._holding:
+            journal, self._journal = self._journal, None
+        if journal is not None:
+            journal.close()
 
     def _shot(self, image: np.ndarray, shown: np.ndarray, depth: np.ndarray, pose: CameraPose,
               gain: np.ndarray, stamp_ns: int) -> Shot:
@@ -170,22 +185,31 @@ class Learner:
             # On Linux a thread has a priority of its own.
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 19)
         try:
-            turn = find_turn(shots[-new:], changes, self._camera, batch, self._begun,
-                             self.thresholds.states)
-            patches = find_patches(shots, new, self._camera, self._rays, batch, self._depths,
-                                   self.thresholds)
-            if self._journal is None:
-                self._journal = self._open_journal()
-            records = self._journal.append([*([] if turn is None else [turn]), *patches])
-            logger.debug(LOOKED, len(records), shots[-1].stamp_ns)
-            changes = changes.with_more(records)
-            changes.cells  # Found here: who draws does not wait for it, nor for keyframes.
-            drawn = self._memory.drawn_with(changes) if self._beside and records else {}
-            pending.set_result(Learnt(records, changes, drawn))
+            pending.set_result(self._learn(shots, new, changes, batch))
         except Exception as error:
+            self._release()  # It may hold what is not among the changes: it is read again.
             pending.set_exception(error)
-        if self._closed.is_set() and self._journal is not None:
-            self._journal.close()
+        if self._closed.is_set():
+            self._release()
+
+    def _learn(self, shots: Sequence[Shot], new: int, before: Changes, batch: int) -> Learnt:
+        journal, others, records = self._journal, False, list[Record]()
+        if journal is None:
+            journal = self._journal = self._open_journal()
+            others = not _are_same(journal.records, before.records)
+        if others:  # The images were compared with what is shown no more.
+            changes = Changes(journal.records)
+        else:
+            turn = find_turn(shots[-new:], before, self._camera, batch, self._begun,
+                             self.thresholds.states)
+            patches = [] if journal.full else find_patches(
+                shots, new, self._camera, self._rays, batch, self._depths, self.thresholds)
+            records = journal.append([*([] if turn is None else [turn]), *patches])
+            changes = before.with_more(records) if records else before
+        logger.debug(LOOKED, len(records), shots[-1].stamp_ns)
+        changes.cells  # Found here: who draws does not wait for it, nor for keyframes.
+        drawn = self._memory.drawn_with(changes) if self._beside and changes is not before else {}
+        return Learnt(changes, drawn, others, any(isinstance(one, Turn) for one in records))
 
     def _take_up(self, wait: bool = False) -> None:
         """Let the memory show what was found meanwhile."""
@@ -197,12 +221,20 @@ class Learner:
         except Exception as error:  # A full disk must not end the camera.
             logger.warning('learning: %s: %s', type(error).__name__, error)
             return
-        if learnt.records:
+        if learnt.changes is not self._changes:
             self._changes = learnt.changes
             self._memory.change(learnt.changes, learnt.drawn)
-        if any(isinstance(record, Turn) for record in learnt.records):
+        if learnt.others:
+            self._begin_visit(learnt.changes)
+            self._shots, self._new = [], 0
+        elif learnt.turned:
             # What waits was compared with what is shown no more.
-            self._shots, self._new = self._shots[:len(self._shots) - self._new], 0
+            self._shots, self._new = self._shots[:max(len(self._shots) - self._new, 0)], 0
+
+
+def _are_same(some: Sequence[Record], others: Sequence[Record]) -> bool:
+    return len(some) == len(others) and all(
+        one.to_bytes() == other.to_bytes() for one, other in zip(some, others))
 
 
 def find_patches(shots: Sequence[Shot], new: int, camera: Intrinsics, rays: np.ndarray,

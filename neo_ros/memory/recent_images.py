@@ -5,6 +5,7 @@ from typing import NamedTuple
 import cv2
 from neo_ros.geometry import CameraPose, ViewExpansion
 from neo_ros.geometry.camera_pose import rotation_angle
+from neo_ros.memory.changes import Changes
 from neo_ros.memory.kernels import Pinhole
 from neo_ros.memory.recent_kernels import bring_differences, SeenImages
 import numpy as np
@@ -107,6 +108,12 @@ class RecentImages:
         self._poses[slot], self._numbers[slot] = pose, self._number
         self._twins = len(self._order) > 1 and (
             self._moved(*self._order[:2]) < limits.moved)
+
+    def distrust(self, changes: Changes) -> None:
+        """Trust no image where the memory has changed: it differed from what was shown before."""
+        for slot in self._order:
+            changed = changes.shown_at(self._depths[slot], self._source, self._poses[slot])
+            self._trusts[slot][changed > 0] = 0
 
     def _moved(self, one: int, other: int) -> float:
         """Return by which share of the width surfaces move from one kept image to another."""

@@ -143,6 +143,8 @@ class SceneGuide:
         # Another light would be learnt as a change.
         if self.learner is not None and self.light.as_in_photos:
             self.learner.see(image.pixels, view.image, solid, best.pose, gain, best.agreement)
+            if self._memory.changes is not None and self._memory.changes is not changes:
+                self._recent.distrust(self._memory.changes)
         return Guide(view.image, known, view.stretched, best.pose, best.agreement, seen_before,
                      best.found, len(best.location.points) if best.location else 0, view.depth,
                      partial(self._covariance, best, image.photo[0]), self.expansion.observed,

@@ -5,7 +5,9 @@ from box_room import box_memory, EXPANSION, planar, view
 import cv2
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
 from neo_ros.machine.compiled import ALL_THREADS
+from neo_ros.memory.changes import Changes
 from neo_ros.memory.guided_view import GuidedView
+from neo_ros.memory.patch import Patch
 from neo_ros.memory.recent_images import RecentImages, RecentThresholds, SeenBefore
 from neo_ros.memory.recent_kernels import bring_differences
 from neo_ros.memory.scene_guide import SceneGuide
@@ -251,3 +253,20 @@ def test_the_number_of_threads_changes_no_bit() -> None:
         seen.append(found.seen_before)
     assert seen[0].weight.any()
     assert all(np.array_equal(one, other) for one, other in zip(*seen))
+
+
+def test_where_the_memory_has_changed_no_image_of_before_corrects_it() -> None:
+    recent = RecentImages(EXPANSION)
+    keep(recent, BEFORE, 20)
+    whole = brought(recent)
+    # What has changed lies before the camera of now, above its middle.
+    fine = EXPANSION.target.scaled(4)
+    depth = depth_at(NOW, fine)
+    image = np.full((*depth.shape, 3), 120, np.uint8)
+    depth[256:] = 0
+    changes = Changes((Patch.of(NOW, fine, image, depth, 0, 0, (image, depth)),))
+    recent.distrust(changes)
+    less = brought(recent)
+    assert (less.weight[:60] == 0).all() and (whole.weight[:60] > 0).any()
+    np.testing.assert_array_equal(less.weight[74:], whole.weight[74:])
+    assert (less.weight[74:] > 0).any()
