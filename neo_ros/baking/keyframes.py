@@ -93,6 +93,8 @@ def seen_by_photos(field: RadianceField, photos: Photos, rules: BakingRules = Ba
 
 def seeing_camera(camera: Intrinsics, rules: BakingRules) -> Intrinsics:
     """Return the camera by which the depth of photos is kept, no finer than the field is."""
+    if camera.fx < rules.photo_focal + 0.5:  # It was made small before, to whole pixels.
+        return camera
     return camera.scaled(min(rules.photo_focal / camera.fx, 1.0))
 
 

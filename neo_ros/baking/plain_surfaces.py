@@ -39,6 +39,8 @@ class PlaneRules:
     least_edge_share: float = 0.3  # of the edges around a surface, that lie on its plane
 
 
+# Metres: cameras of a robot are at one height, of storeys this far apart.
+SAME_HEIGHT, STOREY = 0.02, 1.5
 NO_DIRECTIONS = np.zeros((0, 3), np.float32)
 
 
@@ -56,9 +58,12 @@ def hand_held(positions: np.ndarray) -> bool:
     """
     Tell whether keyframes (K, 3) stand at several heights, as those of a hand-held camera do.
 
-    Planes were measured to do harm there: see docs/decisions/0013.
+    A robot's stand at one height on each storey. Planes were measured to do harm where a camera is
+    hand-held: see docs/decisions/0013.
     """
-    return bool(np.ptp(positions[:, 2]) > 0)
+    heights = np.sort(positions[:, 2])
+    storeys = np.split(heights, np.flatnonzero(np.diff(heights) > STOREY) + 1)
+    return any(np.ptp(storey) > SAME_HEIGHT for storey in storeys)
 
 
 def dominant_directions(depths: Iterable[np.ndarray], rays: Iterable[np.ndarray],

@@ -19,6 +19,9 @@ from neo_ros.updating.changed_keyframes import directions_of
 from neo_ros.updating.growth import Growth
 import numpy as np
 
+# Metres off a height of the memory's keyframes by which a place of the same robot is.
+NEAR_HEIGHT = 0.1
+
 
 def new_floor(growth: Growth, camera: Intrinsics, config: SamplingConfig,
               walkable: WalkableMap | None) -> WalkableMap | None:
@@ -68,11 +71,17 @@ def new_positions(growth: Growth, floor: WalkableMap | None, memory: SceneMemory
     Places are where photos were taken, and the free floor; a hand-held camera's are the first
     alone. The memory's own keyframes count.
     """
-    places = growth.T[:, :3, 3]
-    if floor is not None and not hand_held(memory.positions):
-        centres = floor.centres()
-        places = np.concatenate([places, np.column_stack(
-            [centres, np.full(len(centres), floor.camera_height)])])
+    places = growth.T[:, :3, 3].copy()
+    if not hand_held(memory.positions):
+        if floor is not None:
+            centres = floor.centres()
+            places = np.concatenate([places, np.column_stack(
+                [centres, np.full(len(centres), floor.camera_height)])])
+        # Poses that were found are off by some centimetres; the camera's height is not.
+        heights = memory.positions[:, 2]
+        nearest = heights[np.abs(heights - places[:, 2:]).argmin(1)]
+        near = np.abs(nearest - places[:, 2]) < NEAR_HEIGHT
+        places[near, 2] = nearest[near]
     return spread(places, memory.positions, distance)
 
 

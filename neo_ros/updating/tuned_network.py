@@ -20,14 +20,17 @@ def tune_network(folder: Path, scene: Scene, experiment: Experiment, minutes: fl
     """
     Train the network of a run, updated in `folder`, for some minutes and export it anew.
 
-    It begins as the network of before. Memory and lineage stay.
+    It begins as the network of before. Memory, lineage and view stay.
     """
+    before = read_model_card(folder / f'{scene.name}.onnx')
+    # An updated scene has no test frames any more, which may have told the view.
+    scene = replace(scene, test=None, expansion=before.expansion.scaled(1 / experiment.scale))
     run = TrainingRun(scene, replace(experiment, outpaint=replace(
         experiment.outpaint, minutes=minutes)), folder, progress)
     field = read_field(folder / 'field.npz', chosen_device(experiment.field.device))
     earlier = folder / f'earlier_{CHECKPOINT}'
     (folder / CHECKPOINT).rename(earlier)
-    before, held_out = read_model_card(run.model_path), held_out_views(run, field)
+    held_out = held_out_views(run, field)
     network = fit_outpainter_step(run, field, held_out, earlier=earlier)
     earlier.unlink()
     run.seconds += before.trained_seconds

@@ -7,7 +7,8 @@ from neo_ros.baking import band_rendering, keyframes, memory_baking
 from neo_ros.baking.band_rendering import mesh_depth
 from neo_ros.baking.glances import glance_rotations
 from neo_ros.baking.kernels import colour_from_photos, PanoramaPixels, PhotoArrays
-from neo_ros.baking.keyframes import keyframe_positions, MemoryConfig, Photos
+from neo_ros.baking.keyframes import (
+    BakingRules, keyframe_positions, MemoryConfig, Photos, seeing_camera)
 from neo_ros.baking.memory_baking import bake_memory
 from neo_ros.errors import ConfigError, NeoError
 from neo_ros.field.rendering import Rendering
@@ -329,3 +330,13 @@ def test_a_texture_finer_than_the_depth_is_as_sharp_as_one_with_depth_for_every_
     error = {name: np.abs(image[level] - truth[level]).mean() for name, image in baked.items()}
     assert error['all'] < 4
     assert error['third'] < error['all'] + 0.5
+
+
+@pytest.mark.parametrize('width, height, fx', [(720, 1280, 361.4), (480, 640, 333.3),
+                                               (640, 480, 465.6), (64, 64, 32.0)])
+def test_photos_that_were_made_small_for_the_field_are_not_made_smaller(
+        width: int, height: int, fx: float) -> None:
+    camera = Intrinsics(width, height, fx, fx, width / 2, height / 2)
+    small = camera.scaled(min(64 / camera.fx, 1.0))
+    assert seeing_camera(small, BakingRules()) == small
+    assert seeing_camera(camera, BakingRules()) == small

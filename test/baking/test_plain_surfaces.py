@@ -126,7 +126,9 @@ def test_finer_pixels_follow_their_block_but_not_onto_another_surface() -> None:
 
 
 @pytest.mark.parametrize('heights, expected', [([1.2], False), ([1.2, 1.2, 1.2], False),
-                                               ([1.2, 1.25], True)])
+                                               ([1.2, 1.25], True),
+                                               ([1.2, 1.21, 4.2, 4.21], False),
+                                               ([1.2, 1.2, 4.2, 4.3], True)])
 def test_keyframes_at_several_heights_are_of_a_hand_held_camera(
         heights: list[float], expected: bool) -> None:
     positions = np.column_stack([np.arange(len(heights)), np.zeros(len(heights)), heights])

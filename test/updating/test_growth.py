@@ -1,6 +1,10 @@
 """A room that no photo showed is taken into the field; what the field had keeps its bits."""
+from types import SimpleNamespace
+from typing import Any
+
 from box_room import BAND
 from neo_ros.baking.keyframes import Photos
+from neo_ros.baking.plain_surfaces import hand_held
 from neo_ros.field.config import FieldConfig
 from neo_ros.field.rendering import render_rays, world_rays
 from neo_ros.field.voxel_field import VoxelField
@@ -10,6 +14,7 @@ from neo_ros.memory.scene_memory import Glances, SceneMemory
 from neo_ros.updating.compared_photos import compare
 from neo_ros.updating.driven_photos import LostImage
 from neo_ros.updating.growth import grow, GrowthRules, stand_outside
+from neo_ros.updating.new_keyframes import new_positions
 from neo_ros.updating.placing import Placed
 import numpy as np
 import pytest
@@ -83,3 +88,15 @@ def test_a_new_room_is_added_and_the_old_one_keeps_its_bits() -> None:
         far.append(np.abs(shown.depth - depth)[here])
 
     assert np.median(np.concatenate(far)) < 0.15 and np.concatenate(off).mean() < 20
+
+
+def test_new_keyframes_of_a_robot_stand_at_its_height_not_at_that_of_a_pose_that_is_off() -> None:
+    memory = remembered()
+    assert not hand_held(memory.positions)
+    T = np.eye(4)[None].repeat(3, 0)
+    T[:, :3, 3] = (5, 1, HEIGHT + 0.03), (7, 1, HEIGHT - 0.05), (9, 1, HEIGHT + 0.5)
+    growth: Any = SimpleNamespace(T=T)
+    positions = new_positions(growth, None, memory, 0.5)
+    assert sorted(positions[:, 2]) == [HEIGHT, HEIGHT, HEIGHT + 0.5]  # The last stands on a ramp.
+    memory.positions = memory.positions + np.array([[0, 0, 0], [0, 0, 0.1], [0, 0, 0.3]])
+    assert set(new_positions(growth, None, memory, 0.5)[:, 2]) == set(T[:, 2, 3])
