@@ -75,13 +75,12 @@ def _take_points(result: VoxelField, field: VoxelField, at: np.ndarray) -> None:
 
 def seen_at(one: VoxelField, other: VoxelField, cells: np.ndarray) -> np.ndarray:
     """Tell of cells (X, Y, Z) of another field which a field's photos reach: bool (X, Y, Z)."""
-    found, size = np.zeros(other.shape, bool), np.array(one.shape)
+    found = np.zeros(other.shape, bool)
     seen = one.seen.view(bool).reshape(one.shape)
     index = np.argwhere(cells)
     for start in range(0, len(index), _CELLS_AT_ONCE):  # Positions are float64.
         part = index[start:start + _CELLS_AT_ONCE]
-        place = (one.grid_position(other.world_points(part + 0.5)) + 1) / 2 * (size - 1)
-        found[tuple(part.T)] = seen[tuple(np.clip(place.astype(int), 0, size - 2).T)]
+        found[tuple(part.T)] = seen[tuple(one.cells_at(other.world_points(part + 0.5)).T)]
     return found
 
 

@@ -194,12 +194,16 @@ class VoxelField:
         """Tell which cells are not empty air, bool (X, Y, Z), even among those `searched`."""
         return self.occupied(self.grid).reshape(self.shape)
 
-    def is_matter(self, points: np.ndarray) -> np.ndarray:
-        """Tell which world points (..., 3) lie in cells that are not empty air: bool (...)."""
+    def cells_at(self, points: np.ndarray) -> np.ndarray:
+        """Return the cells that world points (..., 3) lie in, or the nearest: int (..., 3)."""
         size = np.array(self.shape)
         place = (self.grid_position(np.asarray(points)) + 1) / 2 * (size - 1)
-        x, y, z = np.moveaxis(np.clip(place.astype(int), 0, size - 2), -1, 0)
-        return self.skip[(x * size[1] + y) * size[2] + z] == 0
+        return np.clip(place.astype(int), 0, size - 2)
+
+    def is_matter(self, points: np.ndarray) -> np.ndarray:
+        """Tell which world points (..., 3) lie in cells that are not empty air: bool (...)."""
+        x, y, z = np.moveaxis(self.cells_at(points), -1, 0)
+        return self.skip[(x * self.shape[1] + y) * self.shape[2] + z] == 0
 
     def update_occupancy(self) -> float:
         """

@@ -84,9 +84,7 @@ class ChangedSpace:
 
     def holds(self, field: VoxelField, points: np.ndarray) -> np.ndarray:
         """Tell which world points (N, 3) lie in it: bool (N,)."""
-        size = np.array(field.shape)
-        place = (field.grid_position(points) + 1) / 2 * (size - 1)
-        return self.cells[tuple(np.clip(place.astype(int), 0, size - 2).T)]
+        return self.cells[tuple(field.cells_at(points).T)]
 
 
 def find_changed_space(field: VoxelField, compared: ComparedPhotos,

@@ -173,9 +173,7 @@ def _new_cells(field: VoxelField, own: VoxelField, compared: ComparedPhotos,
         found[found] = _looks(points[found], compared, slice(compared.old), behind) == 0
         cells[tuple(index[found].T)] = True
     labels, _ = ndimage.label(cells)
-    size = np.array(field.shape)
-    place = ((field.grid_position(positions) + 1) / 2 * (size - 1)).astype(int)
-    reached = np.unique(labels[tuple(np.clip(place, 0, size - 2).T)])
+    reached = np.unique(labels[tuple(field.cells_at(positions).T)])
     return np.isin(labels, reached[reached > 0])
 
 
