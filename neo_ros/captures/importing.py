@@ -13,9 +13,11 @@ from neo_ros.captures.frame_selection import select_frames
 from neo_ros.captures.held_out_runs import hold_out_runs
 from neo_ros.captures.levelling import CLEARLY_TILTED, level_world, scaled
 from neo_ros.captures.masks import find_masks
+from neo_ros.captures.picture_steps import select_by_picture
 from neo_ros.captures.report import write_capture_report
 from neo_ros.captures.scene_copying import import_transforms
 from neo_ros.captures.scene_writing import write_capture
+from neo_ros.captures.sfm_stages import EXHAUSTIVE_UP_TO
 from neo_ros.captures.structure_from_motion import reconstruct
 from neo_ros.captures.video import read_video
 from neo_ros.errors import ConfigError, SceneError
@@ -84,6 +86,9 @@ def import_capture(source: Path, scene: Path, format_: CaptureFormat, options: I
         capture = _with_fisheye_view(capture, options.fisheye_view)
     if not capture.posed:
         try:
+            # Of a video they are chosen while it is read.
+            if format_ == CaptureFormat.BAG and len(capture) > EXHAUSTIVE_UP_TO:
+                capture = select_by_picture(capture, of_stage(progress, 'frames'))
             capture, verdict = reconstruct(capture, scene / 'sfm', progress)
         except SceneError as error:
             # What was left out may be why it failed.

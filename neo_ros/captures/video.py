@@ -5,16 +5,12 @@ from pathlib import Path
 import cv2
 from neo_ros.captures.camera_file import read_camera_file
 from neo_ros.captures.capture import Capture, CapturedFrame, origin_of
+from neo_ros.captures.picture_steps import chosen_note, PictureSteps
 from neo_ros.errors import SceneError
 from neo_ros.machine.progress import no_progress, Progress
-from neo_ros.pictures.sharpness import sharpness
 import numpy as np
 
 VIDEO_SUFFIXES = ('.mp4', '.mov', '.avi', '.mkv', '.webm', '.m4v')
-# A step ends where corners have moved by so much of the picture's width, or most are lost:
-# neighbours then share about nine tenths of what they show.
-STEP = 0.08
-_TRACK_WIDTH, _CORNERS, _LOST = 320, 300, 0.5
 
 
 def read_video(source: Path, progress: Progress = no_progress,
@@ -29,23 +25,15 @@ def read_video(source: Path, progress: Progress = no_progress,
     """
     lens = None if camera_info is None else read_camera_file(camera_info)
     total = _frame_count(source)
-    chosen: list[int] = []
-    best, count = (-1, -1.0), 0
-    start: _Corners | None = None
+    steps, count = PictureSteps(), 0
     for index, image in _frames(source):
         count = index + 1
-        grey = _small(image)
-        if start is None or start.moved(grey) > STEP:
-            chosen += [best[0]] if start is not None else []
-            start, best = _Corners(grey), (-1, -1.0)
-        score = sharpness(image)
-        if score > best[1]:
-            best = (index, score)
+        steps.add(index, image)
         if count < total:
             progress(count, total)
-    if start is None:
+    chosen = steps.chosen
+    if not chosen:
         raise SceneError(f'{source}: expected a video that OpenCV can read, got no frame')
-    chosen.append(best[0])
     if total > 0:
         progress(count, count)  # Many videos say a few more or less than they have.
 
@@ -59,33 +47,9 @@ def read_video(source: Path, progress: Progress = no_progress,
                     return
             yield from ((index, None) for index in wanted.values())
 
-    note = f'{len(chosen)} frames chosen of {count}, the sharpest of every step of the picture'
     return Capture(tuple(CapturedFrame(f'images/{number:06d}.png', None, lens)
-                         for number in chosen), (note,), stream, origin_of(source))
-
-
-class _Corners:
-    """Corners of the first frame of a step, and how far they have moved since."""
-
-    def __init__(self, grey: np.ndarray) -> None:
-        self._last = grey
-        found = cv2.goodFeaturesToTrack(grey, _CORNERS, 0.01, 5)
-        self._start = np.zeros((0, 1, 2), np.float32) if found is None else found
-        self._now = self._start
-        self._count = len(self._start)
-
-    def moved(self, grey: np.ndarray) -> float:
-        """Return the median shift over the width; infinite where too few corners are left."""
-        if not len(self._now):
-            return np.inf
-        now, status, _ = cv2.calcOpticalFlowPyrLK(
-            self._last, grey, self._now, np.empty_like(self._now))
-        kept = status.ravel() == 1
-        self._start, self._now, self._last = self._start[kept], now[kept], grey
-        if kept.sum() < _LOST * self._count:
-            return np.inf
-        shift = np.linalg.norm(self._now - self._start, axis=-1)
-        return float(np.median(shift)) / grey.shape[1]
+                         for number in chosen),
+                   (chosen_note(len(chosen), count),), stream, origin_of(source))
 
 
 def _frames(source: Path) -> Iterator[tuple[int, np.ndarray]]:
@@ -110,11 +74,3 @@ def _frame_count(source: Path) -> int:
         return int(video.get(cv2.CAP_PROP_FRAME_COUNT))
     finally:
         video.release()
-
-
-def _small(image: np.ndarray) -> np.ndarray:
-    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-    if grey.shape[1] <= _TRACK_WIDTH:
-        return grey
-    size = (_TRACK_WIDTH, max(1, round(grey.shape[0] * _TRACK_WIDTH / grey.shape[1])))
-    return cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
