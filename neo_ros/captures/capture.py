@@ -102,6 +102,7 @@ class Capture:
     origin  what tells the source of a stream from any other one
     z_up    the format says that the world's z axis points up
     arbitrary_scale  nobody knows how long a unit of the poses is
+    quarter_turns  of the cameras about where they look, after which the photos stand upright
     depth_stream  yields (index, numbers (h, w) or None) for depth that is no file
     """
 
@@ -112,6 +113,7 @@ class Capture:
     z_up: bool = False
     arbitrary_scale: bool = False
     depth_stream: ImageStream | None = None
+    quarter_turns: int = 0
 
     def __len__(self) -> int:
         return len(self.frames)

@@ -11,7 +11,7 @@ from neo_ros.captures.capture import Capture
 from neo_ros.captures.formats import CaptureFormat, FOLDER_READERS
 from neo_ros.captures.frame_selection import select_frames
 from neo_ros.captures.held_out_runs import hold_out_runs
-from neo_ros.captures.levelling import CLEARLY_TILTED, level_world, scaled
+from neo_ros.captures.levelling import CLEARLY_TILTED, held_poses, level_world, scaled
 from neo_ros.captures.masks import find_masks
 from neo_ros.captures.picture_steps import select_by_picture
 from neo_ros.captures.report import write_capture_report
@@ -160,7 +160,7 @@ def _with_fisheye_view(capture: Capture, degrees: float) -> Capture:
 
 def _tilt_note(capture: Capture, frames_may_differ: bool) -> list[str]:
     """Say that the photos were not held upright, and which option may mend that."""
-    poses = [frame.pose for frame in capture.frames if frame.pose is not None]
+    poses = held_poses(capture)
     angle = tilt(poses)
     if angle <= CLEARLY_TILTED:
         return []

@@ -1,23 +1,27 @@
 """TUM RGB-D, EuRoC, Record3D and Polycam give the photos and poses that were written."""
 from collections.abc import Callable
-from dataclasses import astuple
+from dataclasses import astuple, replace
 from functools import partial
 import json
+import math
 from pathlib import Path
 
-from capture_files import CAMERA, demo_photos, write_image, write_matrix
+from capture_files import CAMERA, demo_photos, Photos, write_image, write_matrix
 from neo_ros.captures.euroc import read_euroc
 from neo_ros.captures.formats import CaptureFormat, detect_format, FOLDER_READERS
+from neo_ros.captures.importing import import_capture, ImportOptions
 from neo_ros.captures.polycam import read_polycam
 from neo_ros.captures.record3d import read_record3d
 from neo_ros.captures.scene_writing import write_capture
 from neo_ros.captures.tum import read_tum
 from neo_ros.errors import SceneError
 from neo_ros.geometry import CameraPose
+from neo_ros.geometry.camera_pose import rotation_from_vector
+from neo_ros.machine.progress import no_stage_progress
 from neo_ros.scenes.scene import read_scene
 import numpy as np
 from phone_files import (
-    write_camera_info, write_euroc, write_polycam, write_r3d, write_record3d, write_tum)
+    write_camera_info, write_euroc, write_polycam, write_r3d, write_record3d, write_tum, Y_UP)
 import pytest
 
 FORMATS: dict[str, tuple[Callable[..., Path], CaptureFormat]] = {
@@ -181,6 +185,57 @@ def test_polycam_images_and_cameras_without_the_other_are_counted(tmp_path: Path
     (source / 'keyframes/corrected_cameras/102.json').write_text('{"fx": 3}')
     with pytest.raises(SceneError, match="102.json: expected the key 't_00'"):
         read_polycam(source)
+
+
+def held_by_hand(turns: float, quarter_turns: int, down: float = 0.1, count: int = 24) -> Photos:
+    """Look around by so many turns, a little up and down, with the phone turned in the hand."""
+    poses = []
+    for index in range(count):
+        T = CameraPose.from_planar(1, 1, 1.5, index / count * turns * 2 * math.pi).T_world_cam
+        T = T.copy()
+        for turn in ([-down - 0.2 * math.sin(index), 0, 0],
+                     [0, 0, quarter_turns * math.pi / 2 + 0.05 * math.cos(3 * index)]):
+            T[:3, :3] = T[:3, :3] @ rotation_from_vector(np.array(turn))
+        poses.append(CameraPose(T))
+    return Photos(np.zeros((count, CAMERA.height, CAMERA.width, 3), np.uint8), tuple(poses))
+
+
+@pytest.mark.parametrize('level', [False, True], ids=['', 'level'])
+@pytest.mark.parametrize('quarter_turns', range(4))
+@pytest.mark.parametrize('turns, down', [(2, 0.1), (2, 0.8), (0.15, 0.1)], ids=[
+    'two turns', 'looking down', 'one wall'])
+def test_up_of_a_phone_is_up_however_it_was_held(
+        tmp_path: Path, turns: float, down: float, quarter_turns: int, level: bool) -> None:
+    photos = held_by_hand(turns, quarter_turns, down)
+    notes = import_capture(
+        write_polycam(tmp_path / 's', photos), tmp_path / 'scene', CaptureFormat.POLYCAM,
+        ImportOptions(level=level), no_stage_progress)
+    found = read_scene(tmp_path / 'scene').train
+    assert found.z_up
+    expected = np.array([pose.T_world_cam for pose in photos.poses])
+    if not level:
+        np.testing.assert_allclose(found.T_world_cam, expected, atol=1e-6)
+    # To level it turns the world a little, but never over.
+    assert (found.T_world_cam[:, 2, :3] * expected[:, 2, :3]).sum(-1).min() > 0.8
+    assert not any('--level' in note for note in notes)
+    words = ('', 'lie on their side', 'are upside down', 'lie on their side')[quarter_turns]
+    assert any(f'the photos {words}, as the phone was held; y is taken for up' in note
+               for note in notes) == (quarter_turns > 0)
+
+
+@pytest.mark.parametrize('turns', [2, 0.5])
+@pytest.mark.parametrize('first', range(4))
+def test_a_world_of_a_phone_that_someone_turned_is_left_as_it_is(
+        tmp_path: Path, turns: float, first: int) -> None:
+    photos = held_by_hand(turns, 0)
+    c, s = math.cos(first * math.pi / 2), math.sin(first * math.pi / 2)
+    z_up = np.array([[c, -s, 0, 0], [s, c, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    capture = read_polycam(write_polycam(tmp_path / 's', replace(photos, poses=tuple(
+        CameraPose(np.linalg.inv(Y_UP) @ z_up @ pose.T_world_cam) for pose in photos.poses))))
+    assert not capture.z_up
+    np.testing.assert_allclose(
+        [frame.pose.T_world_cam for frame in capture.frames if frame.pose is not None],
+        [z_up @ pose.T_world_cam for pose in photos.poses], atol=1e-6)
 
 
 NEAR: dict[str, tuple[str, str, str]] = {
