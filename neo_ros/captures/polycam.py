@@ -3,8 +3,9 @@ Polycam's raw data: keyframes/images/N.jpg with keyframes/cameras/N.json.
 
 corrected_images/ with corrected_cameras/, which Polycam aligned once more, come first. A camera is
 t_00 ... t_23 (the upper three rows of a 4x4, camera to world, OpenGL axes, metres, ARKit's world
-with y up), fx fy cx cy, width and height. depth/N.png is in millimetres, smaller than the image
-and of the same view; confidence/N.png is 0 where it is not to be trusted.
+with y up), fx fy cx cy, width and height; recent corrected cameras lack the last two. depth/N.png
+is in millimetres, smaller than the image and of the same view; confidence/N.png is 0 where it is
+not to be trusted.
 """
 import json
 from pathlib import Path
@@ -17,7 +18,7 @@ from neo_ros.errors import GeometryError, SceneError
 from neo_ros.geometry import Intrinsics
 from neo_ros.geometry.lens import Lens
 from neo_ros.machine.names import listed
-from neo_ros.pictures.photo import list_photos
+from neo_ros.pictures.photo import list_photos, photo_size
 import numpy as np
 
 _KINDS = ('corrected_', '')
@@ -42,7 +43,7 @@ def read_polycam(source: Path) -> Capture:
     images, cameras = folder / f'{kind}images', folder / f'{kind}cameras'
     photos = list_photos(images)
     files = {path.stem: path for path in cameras.glob('*.json')}
-    frames, lost, without = [], [], []
+    frames, lost, without, unreadable = [], [], [], []
     for photo in photos:
         file = files.pop(photo.stem, None)
         if file is None:
@@ -53,11 +54,16 @@ def read_polycam(source: Path) -> Capture:
         if pose is None:
             lost.append(photo.name)
             continue
-        frames.append(CapturedFrame(f'images/{photo.name}', pose, _lens(camera, file),
+        lens = _lens(camera, file, photo, folder / 'cameras' / file.name)
+        if lens is None:
+            unreadable.append(photo.name)
+            continue
+        frames.append(CapturedFrame(f'images/{photo.name}', pose, lens,
                                     file=photo, depth=_depth(folder, photo.stem)))
     notes = [f'{len(names)} {what}: {listed(names)}' for names, what in (
         (without, f'images have no file in {cameras.name}/ and are left out'),
         (lost, 'images have no finite pose and are left out'),
+        (unreadable, 'images cannot be read and are left out'),
         (sorted(path.name for path in files.values()),
          f'cameras have no image in {images.name}/ and are left out')) if names]
     if not frames:
@@ -92,7 +98,15 @@ def _matrix(camera: dict[str, Any], file: Path) -> np.ndarray:
         raise SceneError(f'{file}: t_00 ... t_23: {error}') from error
 
 
-def _lens(camera: dict[str, Any], file: Path) -> Lens:
+def _lens(camera: dict[str, Any], file: Path, photo: Path, uncorrected: Path) -> Lens | None:
+    """Return the lens; where no file says its size the photo has it, None if it is unreadable."""
+    keys = ('width', 'height')
+    if not camera.keys() >= {*keys}:
+        others = _read(uncorrected) if uncorrected.is_file() else {}
+        size = [others[key] for key in keys] if others.keys() >= {*keys} else photo_size(photo)
+        if size is None:
+            return None
+        camera = {**camera, **dict(zip(keys, size))}
     try:
         return Lens(Intrinsics(int(camera['width']), int(camera['height']),
                                *(float(camera[key]) for key in ('fx', 'fy', 'cx', 'cy'))))

@@ -17,6 +17,7 @@ from neo_ros.captures.tum import read_tum
 from neo_ros.errors import SceneError
 from neo_ros.geometry import CameraPose
 from neo_ros.geometry.camera_pose import rotation_from_vector
+from neo_ros.geometry.lens import Lens
 from neo_ros.machine.progress import no_stage_progress
 from neo_ros.scenes.scene import read_scene
 import numpy as np
@@ -185,6 +186,25 @@ def test_polycam_images_and_cameras_without_the_other_are_counted(tmp_path: Path
     (source / 'keyframes/corrected_cameras/102.json').write_text('{"fx": 3}')
     with pytest.raises(SceneError, match="102.json: expected the key 't_00'"):
         read_polycam(source)
+
+
+@pytest.mark.parametrize('kind', ['corrected_', ''])
+def test_the_size_of_a_polycam_camera_may_stand_elsewhere(tmp_path: Path, kind: str) -> None:
+    source = write_polycam(tmp_path / 's', demo_photos(), kind)
+    keyframes = source / 'keyframes'
+    for file in [*(keyframes / f'{kind}cameras').iterdir()]:
+        camera = json.loads(file.read_text())
+        del camera['width'], camera['height']
+        file.write_text(json.dumps(camera))
+    lenses = {frame.lens for frame in read_polycam(source).frames}
+    assert lenses == {Lens(CAMERA)}  # of the photos
+    (keyframes / f'{kind}images/100.png').write_bytes(b'no image')
+    assert '1 images cannot be read and are left out: 100.png' in read_polycam(source).notes
+    if kind:
+        (keyframes / 'cameras').mkdir()
+        (keyframes / 'cameras/100.json').write_text('{"width": 640, "height": 480}')
+        lens = read_polycam(source).frames[0].lens
+        assert lens is not None and astuple(lens.intrinsics)[:2] == (640, 480)
 
 
 def held_by_hand(turns: float, quarter_turns: int, down: float = 0.1, count: int = 24) -> Photos:
