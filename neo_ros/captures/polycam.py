@@ -5,8 +5,9 @@ corrected_images/ with corrected_cameras/, which Polycam aligned once more, come
 t_00 ... t_23 (the upper three rows of a 4x4, camera to world, OpenGL axes, metres, ARKit's world
 with y up), fx fy cx cy, width and height; recent corrected cameras lack the last two. depth/N.png
 is in millimetres, smaller than the image and of the same view; confidence/N.png is 0 where it is
-not to be trusted.
+not to be trusted. Along the border of a corrected image a few pixels may be black.
 """
+from dataclasses import replace
 import json
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,8 @@ from neo_ros.pictures.photo import list_photos, photo_size
 import numpy as np
 
 _KINDS = ('corrected_', '')
+# Pixels along the border of a corrected image that may be black: as many as nerfstudio crops.
+_RIM = 15
 
 
 def find_keyframes(source: Path) -> Path | None:
@@ -41,6 +44,7 @@ def read_polycam(source: Path) -> Capture:
     kind = next(kind for kind in _KINDS if (folder / f'{kind}images').is_dir()
                 and (folder / f'{kind}cameras').is_dir())
     images, cameras = folder / f'{kind}images', folder / f'{kind}cameras'
+    rim = _RIM if kind else 0
     photos = list_photos(images)
     files = {path.stem: path for path in cameras.glob('*.json')}
     frames, lost, without, unreadable = [], [], [], []
@@ -58,7 +62,7 @@ def read_polycam(source: Path) -> Capture:
         if lens is None:
             unreadable.append(photo.name)
             continue
-        frames.append(CapturedFrame(f'images/{photo.name}', pose, lens,
+        frames.append(CapturedFrame(f'images/{photo.name}', pose, replace(lens, rim=rim),
                                     file=photo, depth=_depth(folder, photo.stem)))
     notes = [f'{len(names)} {what}: {listed(names)}' for names, what in (
         (without, f'images have no file in {cameras.name}/ and are left out'),
@@ -69,6 +73,9 @@ def read_polycam(source: Path) -> Capture:
     if not frames:
         raise SceneError(f'{images}: none of its {len(photos)} images has a pose: '
                          f'{"; ".join(notes) or "the folder is empty"}')
+    if rim:
+        notes.append(f'{rim} pixels along the border of {images.name}/ are left out: '
+                     'they may be black')
     return stood_up_from_y(Capture(tuple(frames), tuple(notes)))
 
 

@@ -34,12 +34,14 @@ class Lens:
     distortion    OpenCV's coefficients, of COUNTS; or k1 k2 k3 k4 of a fisheye. Zeros may follow
     fisheye       the equidistant model (COLMAP OPENCV_FISHEYE, ROS equidistant)
     fisheye_view  degrees that a fisheye's pinhole view has at most, across and down
+    rim           pixels along the border that show nothing; not of a fisheye
     """
 
     intrinsics: Intrinsics
     distortion: tuple[float, ...] = ()
     fisheye: bool = False
     fisheye_view: float = FISHEYE_VIEW
+    rim: int = 0
 
     def __post_init__(self) -> None:
         most = (FISHEYE_COUNTS if self.fisheye else COUNTS)[-1]
@@ -105,12 +107,12 @@ class Lens:
         return bool(np.isfinite(found).all() and np.abs(found - points).max() < tolerance)
 
     def _inner_rectangle(self) -> np.ndarray:
-        """Return what lies inside the straightened border of the image."""
+        """Return what lies inside the straightened border of the image, or inside its rim."""
         width, height = self.intrinsics.width, self.intrinsics.height
-        along = np.linspace(0, 1, EDGE_POINTS)
-        x, y, zero = along * width, along * height, np.zeros(EDGE_POINTS)
-        left, right, top, bottom = (self.straighten(np.stack(edge, -1)) for edge in (
-            (zero, y), (zero + width, y), (x, zero), (x, zero + height)))
+        x, y = (np.linspace(self.rim, size - self.rim, EDGE_POINTS) for size in (width, height))
+        left, right, top, bottom = (
+            self.straighten(np.stack(np.broadcast_arrays(*edge), -1)) for edge in (
+                (x[0], y), (x[-1], y), (x, y[0]), (x, y[-1])))
         return np.array([left[:, 0].max(), right[:, 0].min(), top[:, 1].max(), bottom[:, 1].min()])
 
     def _fisheye_rectangle(self) -> np.ndarray:
@@ -176,8 +178,8 @@ def common_pinhole(lenses: Mapping[Lens, str]) -> Intrinsics:
     Return the one pinhole camera that all images are brought to.
 
     lenses: each with the name of an image that was taken with it. A single camera without
-    distortion stays as it is. Otherwise the result has the images' size and shows the largest
-    rectangle that every one of the cameras sees, without black borders.
+    distortion or rim stays as it is. Otherwise the result has the images' size and shows the
+    largest rectangle that every one of the cameras sees, without black borders.
     Raises SceneError for images of several sizes, and names the image whose camera sees next to
     nothing or all around, or not nearly what the others see.
     """
@@ -191,7 +193,7 @@ def common_pinhole(lenses: Mapping[Lens, str]) -> Intrinsics:
             + ', '.join(f'{w}x{h} ({name})' for (w, h), name in sorted(sizes.items()))
             + '; photos are never resized: import the sizes as scenes of their own')
     rectangles = np.array([_plausible_rectangle(lens, name) for lens, name in lenses.items()])
-    if len(cameras) == 1 and cameras[0].is_pinhole:
+    if len(cameras) == 1 and cameras[0].is_pinhole and not cameras[0].rim:
         return cameras[0].intrinsics
     _check_alike(rectangles, list(lenses.values()))
     left, top = rectangles[:, 0].max(), rectangles[:, 2].max()

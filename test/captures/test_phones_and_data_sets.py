@@ -1,12 +1,12 @@
 """TUM RGB-D, EuRoC, Record3D and Polycam give the photos and poses that were written."""
 from collections.abc import Callable
 from dataclasses import astuple, replace
-from functools import partial
 import json
 import math
 from pathlib import Path
 
 from capture_files import CAMERA, demo_photos, Photos, write_image, write_matrix
+from depth_files import write_polycam_depth
 from neo_ros.captures.euroc import read_euroc
 from neo_ros.captures.formats import CaptureFormat, detect_format, FOLDER_READERS
 from neo_ros.captures.importing import import_capture, ImportOptions
@@ -15,10 +15,11 @@ from neo_ros.captures.record3d import read_record3d
 from neo_ros.captures.scene_writing import write_capture
 from neo_ros.captures.tum import read_tum
 from neo_ros.errors import SceneError
-from neo_ros.geometry import CameraPose
+from neo_ros.flat.demo_flat import build_demo_flat
+from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.geometry.camera_pose import rotation_from_vector
-from neo_ros.geometry.lens import Lens
 from neo_ros.machine.progress import no_stage_progress
+from neo_ros.pictures.depth import read_depth
 from neo_ros.scenes.scene import read_scene
 import numpy as np
 from phone_files import (
@@ -31,7 +32,6 @@ FORMATS: dict[str, tuple[Callable[..., Path], CaptureFormat]] = {
     'record3d': (write_record3d, CaptureFormat.RECORD3D),
     'r3d': (write_r3d, CaptureFormat.RECORD3D),
     'polycam': (write_polycam, CaptureFormat.POLYCAM),
-    'polycam, not corrected': (partial(write_polycam, kind=''), CaptureFormat.POLYCAM),
 }
 
 
@@ -175,7 +175,7 @@ def test_a_metadata_file_of_something_else_is_no_record3d(tmp_path: Path) -> Non
 
 
 def test_polycam_images_and_cameras_without_the_other_are_counted(tmp_path: Path) -> None:
-    source = write_polycam(tmp_path / 's', demo_photos())
+    source = write_polycam(tmp_path / 's', demo_photos(), 'corrected_')
     (source / 'keyframes/corrected_cameras/100.json').unlink()
     (source / 'keyframes/corrected_images/101.png').unlink()
     capture = read_polycam(source)
@@ -196,8 +196,8 @@ def test_the_size_of_a_polycam_camera_may_stand_elsewhere(tmp_path: Path, kind: 
         camera = json.loads(file.read_text())
         del camera['width'], camera['height']
         file.write_text(json.dumps(camera))
-    lenses = {frame.lens for frame in read_polycam(source).frames}
-    assert lenses == {Lens(CAMERA)}  # of the photos
+    lenses = {frame.lens and frame.lens.intrinsics for frame in read_polycam(source).frames}
+    assert lenses == {CAMERA}  # The size is that of the photos.
     (keyframes / f'{kind}images/100.png').write_bytes(b'no image')
     assert '1 images cannot be read and are left out: 100.png' in read_polycam(source).notes
     if kind:
@@ -205,6 +205,32 @@ def test_the_size_of_a_polycam_camera_may_stand_elsewhere(tmp_path: Path, kind: 
         (keyframes / 'cameras/100.json').write_text('{"width": 640, "height": 480}')
         lens = read_polycam(source).frames[0].lens
         assert lens is not None and astuple(lens.intrinsics)[:2] == (640, 480)
+
+
+def test_black_rims_of_polycams_corrected_images_are_left_out(tmp_path: Path) -> None:
+    photos = demo_photos()
+    source = write_polycam_depth(tmp_path / 's', photos, 'corrected_')
+    folder = source / 'keyframes/corrected_images'
+    for name, image in zip(sorted(path.name for path in folder.iterdir()), photos.images):
+        black = np.zeros_like(image)
+        black[12:-12, 12:-12] = image[12:-12, 12:-12]
+        write_image(folder / name, black)
+    notes = write_capture(read_polycam(source), tmp_path / 'scene')
+    assert '15 pixels along the border of corrected_images/ are left out: they may be black' in (
+        notes)
+    found = read_scene(tmp_path / 'scene').train
+    camera = Intrinsics(64, 48, 58.5 * 64 / 34, 58.5 * 48 / 18, 32, 24)
+    assert astuple(found.intrinsics) == pytest.approx(astuple(camera))
+    flat = build_demo_flat()
+    assert len(found.depth_paths) == 5
+    for image, path, pose in zip(found.read_images(), found.depth_paths, photos.poses):
+        truth, depth = flat.render(camera, pose)
+        assert np.abs(image.astype(int) - truth).mean() < 12
+        assert path is not None
+        measured = read_depth(path, 64, 48) / 1000
+        known = measured > 0
+        assert known.mean() > 0.8
+        assert np.median(np.abs(measured - depth)[known]) < 0.05
 
 
 def held_by_hand(turns: float, quarter_turns: int, down: float = 0.1, count: int = 24) -> Photos:

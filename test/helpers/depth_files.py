@@ -57,9 +57,9 @@ def write_scannet_depth(folder: Path, photos: Photos) -> Path:
     return folder
 
 
-def write_polycam_depth(folder: Path, photos: Photos) -> Path:
+def write_polycam_depth(folder: Path, photos: Photos, kind: str = '') -> Path:
     """Write depth of half the size that is everywhere, not to be trusted where it is unknown."""
-    write_polycam(folder, photos)
+    write_polycam(folder, photos, kind)
     for index, depth in enumerate(true_depth()):
         small = steps(depth)[::2, ::2]
         write_image(folder / f'keyframes/depth/{100 + index}.png', np.maximum(small, 50))

@@ -98,7 +98,7 @@ def write_r3d(folder: Path, photos: Photos) -> Path:
     return folder / 'walk.r3d'
 
 
-def write_polycam(folder: Path, photos: Photos, kind: str = 'corrected_') -> Path:
+def write_polycam(folder: Path, photos: Photos, kind: str = '') -> Path:
     keyframes = folder / 'keyframes'
     (keyframes / f'{kind}cameras').mkdir(parents=True)
     for index, (image, pose) in enumerate(zip(photos.images, photos.poses)):
