@@ -19,9 +19,14 @@ EXIF_SUFFIXES = ('.jpg', '.jpeg', '.tif', '.tiff', '.webp')
 
 
 def find_photos(source: Path) -> list[Path]:
-    """Return the image files of SOURCE, or of its folder images/, in natural order."""
-    return next((found for folder in (source, *(source / name for name in PHOTO_FOLDERS))
-                 if (found := list_photos(folder))), [])
+    """Return the image files of SOURCE or its folder images/, where most are, in natural order."""
+    # Of as many the first; a preview may lie beside the folder.
+    return max(_photo_lists(source), key=len)
+
+
+def _photo_lists(source: Path) -> list[list[Path]]:
+    return [list_photos(folder) for folder in (
+        source, *(source / name for name in PHOTO_FOLDERS))]
 
 
 def read_photos(source: Path, camera_info: Path | None = None) -> Capture:
@@ -38,7 +43,7 @@ def read_photos(source: Path, camera_info: Path | None = None) -> Capture:
         raise SceneError(f'{source}: expected photos, there are none')
     listing = _list_readable(source, files)
     readable, turned = list(listing.stored), listing.turned
-    notes = _notes(files, listing)
+    notes = [*_aside_notes(source, files), *_notes(files, listing)]
     lens = None if camera_info is None else read_camera_file(camera_info)
     if listing.mixed or not turned:
         return Capture(tuple(CapturedFrame(f'images/{file.name}', None, lens, file=file)
@@ -96,6 +101,13 @@ def _list_readable(source: Path, files: Sequence[Path]) -> _Listing:
         raise SceneError(f'{source}: expected photos of one size, got {described}. '
                          'Photos are never resized: import the sizes as scenes of their own')
     return listing
+
+
+def _aside_notes(source: Path, files: Sequence[Path]) -> list[str]:
+    """Name the photos that lie in other folders than those that are taken."""
+    return [f'{len(others)} photos in {others[0].parent} are left aside, as {files[0].parent} has '
+            f'{len(files)}: {listed([file.name for file in others])}'
+            for others in _photo_lists(source) if others and others != files]
 
 
 def _notes(files: Sequence[Path], listing: _Listing) -> list[str]:

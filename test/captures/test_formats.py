@@ -102,6 +102,24 @@ def test_a_plain_folder_of_images_is_taken_for_photos(tmp_path: Path) -> None:
     assert not capture.posed
 
 
+def test_a_picture_beside_the_folder_of_the_photos_does_not_hide_them(tmp_path: Path) -> None:
+    write_image(tmp_path / 'preview.jpg', demo_photos().images[0][::2, ::2])
+    for index, image in enumerate(demo_photos(3).images):
+        write_image(tmp_path / f'images/{index}.png', image)
+    write_image(tmp_path / 'rgb/one.png', demo_photos().images[0])
+    assert detect_format(tmp_path) == CaptureFormat.PHOTOS
+    capture = read_photos(tmp_path)
+    assert [frame.file for frame in capture.frames] == [
+        tmp_path / f'images/{index}.png' for index in range(3)]
+    assert capture.notes == tuple(
+        f'1 photos in {folder} are left aside, as {tmp_path}/images has 3: {name}'
+        for folder, name in ((tmp_path, 'preview.jpg'), (tmp_path / 'rgb', 'one.png')))
+    for index, image in enumerate(demo_photos(3).images[:2]):
+        write_image(tmp_path / f'{index}.jpg', image[::2, ::2])
+    assert [frame.file and frame.file.name for frame in read_photos(tmp_path).frames] == [
+        '0.jpg', '1.jpg', 'preview.jpg']  # As many: those of the folder itself.
+
+
 @pytest.mark.parametrize('orientation, turn', [(6, -1), (3, 2)], ids=['portrait', 'upside down'])
 def test_photos_that_a_camera_stored_turned_are_written_upright(
         tmp_path: Path, orientation: int, turn: int) -> None:
