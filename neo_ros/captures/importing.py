@@ -13,6 +13,7 @@ from neo_ros.captures.frame_selection import select_frames
 from neo_ros.captures.held_out_runs import hold_out_runs
 from neo_ros.captures.levelling import CLEARLY_TILTED, held_poses, level_world, scaled
 from neo_ros.captures.masks import find_masks
+from neo_ros.captures.photos import read_photos
 from neo_ros.captures.picture_steps import select_by_picture
 from neo_ros.captures.report import write_capture_report
 from neo_ros.captures.scene_copying import import_transforms
@@ -135,7 +136,12 @@ def _read(source: Path, format_: CaptureFormat, options: ImportOptions,
         return read_bag_capture(source, options.bag, of_stage(progress, 'messages'))
     if format_ == CaptureFormat.VIDEO:
         return read_video(source, of_stage(progress, 'video frames'), **options.folder)
-    return find_masks(FOLDER_READERS[format_](source, **options.folder), source)
+    if format_ == CaptureFormat.PHOTOS:
+        capture = read_photos(
+            source, progress=of_stage(progress, 'photo files'), **options.folder)
+    else:
+        capture = FOLDER_READERS[format_](source, **options.folder)
+    return find_masks(capture, source)
 
 
 def _with_depth_unit(capture: Capture, unit: float) -> Capture:

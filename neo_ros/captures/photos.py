@@ -7,7 +7,9 @@ from neo_ros.captures.camera_file import read_camera_file
 from neo_ros.captures.capture import Capture, CapturedFrame, origin_of
 from neo_ros.errors import SceneError
 from neo_ros.machine.names import listed
-from neo_ros.pictures.photo import heic_advice, list_photos, read_photo
+from neo_ros.machine.progress import no_progress, Progress
+from neo_ros.pictures.header import jpeg_orientation, JPEG_START
+from neo_ros.pictures.photo import decode_photo, heic_advice, list_photos, read_photo
 import numpy as np
 
 PHOTO_FOLDERS = ('images', 'photos', 'rgb')
@@ -29,7 +31,8 @@ def _photo_lists(source: Path) -> list[list[Path]]:
         source, *(source / name for name in PHOTO_FOLDERS))]
 
 
-def read_photos(source: Path, camera_info: Path | None = None) -> Capture:
+def read_photos(source: Path, camera_info: Path | None = None,
+                progress: Progress = no_progress) -> Capture:
     """
     List photos without poses; camera_info is their calibration, else they have none.
 
@@ -41,7 +44,7 @@ def read_photos(source: Path, camera_info: Path | None = None) -> Capture:
     files = find_photos(source)
     if not files:
         raise SceneError(f'{source}: expected photos, there are none')
-    listing = _list_readable(source, files)
+    listing = _list_readable(source, files, progress)
     readable, turned = list(listing.stored), listing.turned
     notes = [*_aside_notes(source, files), *_notes(files, listing)]
     lens = None if camera_info is None else read_camera_file(camera_info)
@@ -72,22 +75,19 @@ class _Listing:
         return len(set(self.shown.values())) > 1 and len(set(self.stored.values())) == 1
 
 
-def _list_readable(source: Path, files: Sequence[Path]) -> _Listing:
+def _list_readable(source: Path, files: Sequence[Path], progress: Progress) -> _Listing:
     """Read all photos once; raises SceneError where none can be, and for several sizes."""
     stored: dict[Path, tuple[int, int]] = {}
     shown: dict[Path, tuple[int, int]] = {}
     turned = 0
-    for file in files:
+    for done, file in enumerate(files, start=1):
         photo = read_photo(file)
+        progress(done, len(files))
         if photo is None:
             continue
-        upright: np.ndarray | None = photo
-        if file.suffix.lower() in EXIF_SUFFIXES:
-            upright = read_photo(file, upright=True)
-        assert upright is not None, 'it could be read just now'
         stored[file] = (photo.shape[1], photo.shape[0])
-        shown[file] = (upright.shape[1], upright.shape[0])
-        turned += not np.array_equal(photo, upright)
+        shown[file], was_turned = _as_shown(file, photo)
+        turned += was_turned
     if not stored:
         raise SceneError(f'{source}: none of the {len(files)} images can be read'
                          f'{heic_advice(files)}')
@@ -101,6 +101,20 @@ def _list_readable(source: Path, files: Sequence[Path]) -> _Listing:
         raise SceneError(f'{source}: expected photos of one size, got {described}. '
                          'Photos are never resized: import the sizes as scenes of their own')
     return listing
+
+
+def _as_shown(file: Path, photo: np.ndarray) -> tuple[tuple[int, int], bool]:
+    """Return (width, height) of a photo upright, and whether it is stored otherwise."""
+    size = (photo.shape[1], photo.shape[0])
+    if file.suffix.lower() not in EXIF_SUFFIXES:
+        return size, False
+    data = file.read_bytes()
+    if data.startswith(JPEG_START):  # To decode large photos twice takes minutes.
+        orientation = jpeg_orientation(data)
+        return (size[::-1] if orientation >= 5 else size), orientation != 1
+    upright = decode_photo(data, upright=True)
+    assert upright is not None, 'it could be read just now'
+    return (upright.shape[1], upright.shape[0]), not np.array_equal(photo, upright)
 
 
 def _aside_notes(source: Path, files: Sequence[Path]) -> list[str]:

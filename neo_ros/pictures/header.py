@@ -16,11 +16,13 @@ MAX_SCANS = 64
 # Start-of-frame markers; the other codes of their range are tables.
 JPEG_FRAMES = frozenset(range(0xc0, 0xd0)) - {0xc4, 0xc8, 0xcc}
 JPEG_SCAN = 0xda
+# Where cameras write how they were held: a TIFF of its own without a picture.
+JPEG_EXIF, EXIF_START = 0xe1, b'Exif\0\0'
 # In the data of a scan: what is neither a stuffed byte, a fill byte, nor a restart.
 JPEG_MARKER = re.compile(rb'\xff[^\x00\xff\xd0-\xd7]')
 # TIFF: tags of the first directory that say how much memory the pixels take.
 TIFF_WIDTH, TIFF_HEIGHT, TIFF_BITS, TIFF_SAMPLES, TIFF_TILE = 256, 257, 258, 277, (322, 323)
-TIFF_FORMAT = 339
+TIFF_FORMAT, TIFF_ORIENTATION = 339, 274
 MAX_TIFF_TAGS = 256
 MAX_TIFF_SAMPLES = 4
 
@@ -194,6 +196,36 @@ def jpeg_is_whole(data: bytes) -> bool:
     """
     return all(data.find(JPEG_END, place) > 0
                for marker, place in _jpeg_segments(data) if marker == JPEG_SCAN)
+
+
+def jpeg_orientation(data: bytes) -> int:
+    """
+    Return how the picture of a JPEG file is stored (EXIF).
+
+    1 as it is shown, 2 to 4 mirrored or upside down, 5 to 8 on its side. 1 where nothing says it.
+    """
+    for marker, place in _jpeg_segments(data):
+        length = int.from_bytes(data[place + 2:place + 4], 'big')
+        segment = data[place + 4:place + 2 + length]
+        if marker == JPEG_EXIF and segment.startswith(EXIF_START):
+            return _orientation(segment[len(EXIF_START):])
+        if marker == JPEG_SCAN:
+            break
+    return 1
+
+
+def _orientation(exif: bytes) -> int:
+    """Look into the first directory; other tags of it, and what is broken, do not matter."""
+    order = TIFF_STARTS.get(exif[:4])
+    if order is None:
+        return 1
+    start = int.from_bytes(exif[4:8], order)
+    count = int.from_bytes(exif[start:start + 2], order)
+    for entry in range(start + 2, min(start + 2 + 12 * count, len(exif) - 11), 12):
+        if int.from_bytes(exif[entry:entry + 2], order) == TIFF_ORIENTATION:
+            value = int.from_bytes(exif[entry + 8:entry + 10], order)
+            return value if 1 <= value <= 8 else 1
+    return 1
 
 
 def _jpeg_segments(data: bytes) -> Iterator[tuple[int, int]]:

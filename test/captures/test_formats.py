@@ -12,6 +12,7 @@ from capture_files import (
     CAMERA, demo_photos, START_NS, STEP_NS, write_bag, write_colmap_binary, write_colmap_text,
     write_image, write_matrix, write_scannet, write_seven_scenes, write_trajectory,
     write_transforms_capture, write_turned_jpeg)
+import cv2
 from neo_ros.captures.bag import read_bag_capture
 from neo_ros.captures.capture import Capture
 from neo_ros.captures.colmap import read_colmap
@@ -100,6 +101,26 @@ def test_a_plain_folder_of_images_is_taken_for_photos(tmp_path: Path) -> None:
     capture = read_photos(tmp_path)
     assert [frame.name for frame in capture.frames] == ['images/b9.jpg', 'images/b10.jpg']
     assert not capture.posed
+
+
+def test_reading_photos_shows_progress_and_decodes_a_jpeg_once(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for index, image in enumerate(demo_photos(3).images):
+        write_turned_jpeg(tmp_path / f'{index}.jpg', image, 8)
+    (tmp_path / '3.jpg').write_bytes(b'no image')
+    decoded: list[int] = []
+    decode = cv2.imdecode
+
+    def counted(data: np.ndarray, flags: int) -> np.ndarray | None:
+        decoded.append(len(data))
+        return decode(data, flags)
+
+    monkeypatch.setattr(cv2, 'imdecode', counted)
+    shown: list[tuple[int, int]] = []
+    capture = read_photos(tmp_path, progress=lambda done, total: shown.append((done, total)))
+    assert shown == [(done, 4) for done in range(1, 5)]
+    assert len(capture) == 3 and len(decoded) == 4
+    assert '3 photos are stored turned' in capture.notes[1]
 
 
 def test_a_picture_beside_the_folder_of_the_photos_does_not_hide_them(tmp_path: Path) -> None:

@@ -3,6 +3,9 @@ import math
 from pathlib import Path
 
 from camera_bags import CameraBag
+from capture_files import demo_photos, write_image
+from neo_ros.captures import importing
+from neo_ros.captures.capture import Capture
 from neo_ros.captures.formats import CaptureFormat
 from neo_ros.captures.importing import import_capture, ImportOptions
 from neo_ros.errors import ConfigError, SceneError
@@ -54,3 +57,19 @@ def test_a_fisheye_view_of_another_camera_is_refused(tmp_path: Path) -> None:
 def test_a_fisheye_view_that_cannot_be_is_refused(degrees: float) -> None:
     with pytest.raises(ConfigError, match='fisheye-view: expected 3 to 170 degrees'):
         ImportOptions(fisheye_view=degrees)
+
+
+def test_an_import_shows_how_many_photos_it_has_read(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for index, image in enumerate(demo_photos(3).images):
+        write_image(tmp_path / f'photos/{index}.png', image)
+
+    def refused(capture: Capture, *arguments: object) -> None:
+        raise SceneError('no poses')
+
+    monkeypatch.setattr(importing, 'reconstruct', refused)
+    shown: list[tuple[str, int, int]] = []
+    with pytest.raises(SceneError, match='no poses'):
+        import_capture(tmp_path, tmp_path / 'scene', CaptureFormat.PHOTOS, ImportOptions(),
+                       lambda stage, done, total, note='': shown.append((stage, done, total)))
+    assert shown == [('photo files', done, 3) for done in (1, 2, 3)]
