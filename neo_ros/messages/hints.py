@@ -2,6 +2,7 @@
 from bisect import bisect_left
 from collections import deque
 import threading
+from time import monotonic
 from typing import Any
 
 from neo_ros.geometry import CameraPose
@@ -10,6 +11,8 @@ import numpy as np
 
 # Odometry is kept for so many messages, and believed over a hole of so long.
 KEPT, LONGEST_HOLE_NS = 400, 200_000_000
+# A robot may be anywhere else after so long.
+PRIOR_VALID_S = 10.0
 
 
 def read_pose(pose: Any) -> CameraPose:
@@ -29,13 +32,13 @@ class PoseHints:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._prior: CameraPose | None = None
+        self._prior: tuple[CameraPose, float] | None = None  # And when it came.
         self._odometry: deque[tuple[int, CameraPose]] = deque(maxlen=KEPT)
 
     def set_prior(self, pose: CameraPose) -> None:
         """Keep a prior for the next image; it takes the place of one that still waits."""
         with self._lock:
-            self._prior = pose
+            self._prior = pose, monotonic()
 
     def add_odometry(self, header: Any, pose: CameraPose) -> None:
         """Keep a pose that odometry has measured; time that runs back forgets all before."""
@@ -46,10 +49,10 @@ class PoseHints:
             self._odometry.append((stamp_ns, pose))
 
     def take_prior(self) -> CameraPose | None:
-        """Return the prior, once."""
+        """Return the prior, once; None for one that has waited for too long."""
         with self._lock:
-            prior, self._prior = self._prior, None
-        return prior
+            found, self._prior = self._prior, None
+        return found[0] if found and monotonic() - found[1] <= PRIOR_VALID_S else None
 
     def motion(self, from_ns: int, to_ns: int) -> np.ndarray | None:
         """

@@ -279,6 +279,8 @@ class ExtrapolatorNode(LifecycleNode):
             self._model.stop_learning()  # Both may have one journal.
             model.forget_light()  # It was read before the other model wrote it.
         self._model = model
+        if self._pose_inputs is not None:
+            self._pose_inputs.hints.take_prior()  # It was meant for the other model's scene.
         self._statistics.forget_model()
         self._diagnosing.begin()
         if self._outputs is not None:

@@ -59,6 +59,15 @@ def test_a_prior_is_used_once(hints):
     assert hints.take_prior() is not None and hints.take_prior() is None
 
 
+def test_a_prior_that_waited_too_long_is_not_used(hints, monkeypatch):
+    now = 100.0
+    monkeypatch.setattr('neo_ros.messages.hints.monotonic', lambda: now)
+    for waited, used in ((9.0, True), (11.0, False)):
+        hints.set_prior(at(0))
+        now += waited
+        assert (hints.take_prior() is not None) == used
+
+
 def test_a_pose_without_a_rotation_is_refused():
     zero = SimpleNamespace(x=0.0, y=0.0, z=0.0, w=0.0)
     with pytest.raises(GeometryError, match='quaternion'):

@@ -91,6 +91,14 @@ def test_prior_odometry_and_relocalize_reach_the_memory(tmp_path, graph):
     assert 'searched' in status[-1].status[0].message
 
 
+def test_a_prior_for_one_model_is_not_given_to_the_next(tmp_path, graph, model):
+    other = write_box_model(tmp_path)
+    with node_beside(graph, model) as node:
+        node._pose_inputs.hints.set_prior(planar(2.1, 1.6, 40))
+        assert node.set_parameters([Parameter('model', value=str(other))])[0].successful
+        assert node._pose_inputs.hints.take_prior() is None
+
+
 def test_a_camera_that_was_carried_while_nobody_listened_is_searched_for(tmp_path, graph):
     images = graph.node.create_publisher(Image, '/robot/image', 10)
     with node_beside(graph, write_box_model(tmp_path)):
