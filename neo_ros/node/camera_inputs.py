@@ -27,6 +27,7 @@ class CameraInputs:
         self._node, self._take = node, take
         self._topics = InputTopics(node)
         self._subscriptions: list[Subscription] = []
+        self._fault = ''  # Why the last try to subscribe failed.
         self._pairing = CameraPairing(self._take_pair, self._is_announced)
         self.stamps = StampWatch()
         self.frame_id = ''  # Of the images; '' before the first.
@@ -48,6 +49,8 @@ class CameraInputs:
         if self._pairing.waits:
             return (f'an image came on {self.topic}; it waits up to {CAMERA_INFO_WAIT_S:.0f} s '
                     f'for the camera_info on {self._topics.camera_info()}')
+        if self._fault:
+            return self._fault
         publishers = self.publishers
         hint = '' if publishers else self._topics.hint(self._transport)
         words = 'waiting for image on' if self.subscribed else 'no image is taken from'
@@ -86,10 +89,22 @@ class CameraInputs:
     def choose(self, transport: str, reliable: bool) -> None:
         """Take no more images; set what the next `subscribe` asks for."""
         self.unsubscribe()
-        self._transport, self._reliable = transport, reliable
+        self._transport, self._reliable, self._fault = transport, reliable, ''
 
     def subscribe(self) -> None:
-        """Take images from now on."""
+        """Take images from now on; what keeps them away is logged and said by `missing`."""
+        try:
+            self._subscribe()
+            self._fault = ''
+        except Exception as error:  # Such as a typo in a QoS override; it would end the node.
+            self.unsubscribe()
+            if not self._node.context.ok():
+                raise
+            self._fault = (f'cannot subscribe to {self.topic} and its camera_info: '
+                           f'{type(error).__name__}: {error}')
+            self._node.get_logger().error(self._fault)
+
+    def _subscribe(self) -> None:
         for (topic, endpoint), callback in zip(
                 self._wanted(), (self._on_image, self._on_info)):
             # The newest only; a frame that waits here is as old as one that waits anywhere.

@@ -190,6 +190,17 @@ def test_inputs_follow_the_qos_overrides(graph, model):
             (ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL)}
 
 
+def test_a_typo_in_a_qos_override_is_told_and_ends_nothing(graph, model):
+    with node_beside(graph, model, '-p', f'{IMAGE_QOS}.reliability:=besteffort') as node:
+        camera = Camera(graph)  # Nobody has subscribed to the node before.
+        camera.wait_for_diagnosis(WARN, 'cannot subscribe to /robot/image and .*besteffort')
+        assert node.state_label == 'active' and not node._inputs.subscribed
+        graph.node.create_publisher(CompressedImage, '/robot/image/compressed', 10)
+        assert set_parameter(graph, 'image_transport', 'compressed').successful
+        camera.diagnostics.clear()
+        camera.wait_for_diagnosis(WARN, 'waiting for image on /robot/image/compressed')
+
+
 def test_an_override_is_found_without_being_declared(graph):
     node = rclpy.create_node('holder', context=graph.context, parameter_overrides=[
         Parameter('given', value=3)])
