@@ -6,12 +6,15 @@ from neo_ros.geometry.camera_pose import quaternion_from_rotation
 from neo_ros.node.message_types import make_message
 from neo_ros.node.parameters import NodeParameters
 import numpy as np
+from rclpy.clock import JumpThreshold
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.time import Time
 
 # Transforms of maps are dated ahead, or whoever asks for "now" would wait for the next image.
 AHEAD = Duration(seconds=0.5)
+# Time that runs back by more has begun anew: a bag that is played again, a simulation's reset.
+ANEW = Duration(seconds=1)
 
 
 def moved_covariance(covariance: np.ndarray, offset: np.ndarray) -> np.ndarray:
@@ -37,6 +40,11 @@ class RobotFrames:
         self._buffer = tf2_ros.Buffer()
         self._listener = tf2_ros.TransformListener(self._buffer, node)
         self._broadcaster = tf2_ros.TransformBroadcaster(node) if values.publish_tf else None
+        self._stamp: Time | None = None
+        # The buffer refuses what is 10 s older than its newest. Fixed transforms survive.
+        self._jumps = node.get_clock().create_jump_callback(
+            JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-ANEW.nanoseconds)),
+            post_callback=lambda _: self._buffer.clear())
 
     @property
     def sends(self) -> bool:
@@ -47,10 +55,11 @@ class RobotFrames:
         """Return T_base_camera (4, 4), the newest one; None while nobody has sent it."""
         return self._lookup(self._values.base_frame, camera_frame, Time())
 
-    def base_pose(self, camera_frame: str, pose: CameraPose, covariance: np.ndarray
+    def base_pose(self, header: Any, pose: CameraPose, covariance: np.ndarray
                   ) -> tuple[CameraPose, np.ndarray] | None:
         """Return the pose of the base and its covariance, from the camera's; None: no tf."""
-        T_base_camera = self.camera_in_base(camera_frame)
+        self._watch(Time.from_msg(header.stamp))
+        T_base_camera = self.camera_in_base(header.frame_id)
         if T_base_camera is None:
             return None
         T = pose.T_world_cam @ np.linalg.inv(T_base_camera)
@@ -78,9 +87,16 @@ class RobotFrames:
 
     def destroy(self) -> None:
         """Stop listening and sending."""
+        self._jumps.unregister()
         self._listener.unregister()
         if self._broadcaster is not None:
             self._node.destroy_publisher(self._broadcaster.pub_tf)
+
+    def _watch(self, stamp: Time) -> None:
+        """Begin anew with the images: without simulated time only their stamps tell."""
+        if self._stamp is not None and self._stamp - stamp > ANEW:
+            self._buffer.clear()
+        self._stamp = stamp
 
     def _lookup(self, target: str, source: str, stamp: Time) -> np.ndarray | None:
         try:

@@ -99,7 +99,7 @@ class WidePublishers:
         guide = frame.guide
         if guide is None or self._frames is None:
             return
-        found = self._frames.base_pose(header.frame_id, guide.pose, guide.covariance)
+        found = self._frames.base_pose(header, guide.pose, guide.covariance)
         if found is None:
             return
         if wanted.base_pose:

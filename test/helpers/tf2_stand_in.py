@@ -16,9 +16,14 @@ class TransformException(Exception):
 
 
 class Buffer:
-    """Transforms that a test says: T_target_source (4, 4) by (target, source)."""
+    """
+    Transforms that a test says: T_target_source (4, 4) by (target, source).
+
+    known: the fixed ones; moving: by their stamps, too, nanoseconds.
+    """
 
     known: dict[tuple[str, str], np.ndarray] = {}
+    moving: dict[tuple[str, str], dict[int, np.ndarray]] = {}
 
     def __init__(self, cache_time: Duration | None = None, node: Node | None = None) -> None:
         self.asked: list[tuple[str, str, int]] = []
@@ -27,14 +32,20 @@ class Buffer:
                          timeout: Duration = Duration()) -> TransformStamped:
         """Give a transform; raise for one that nobody said."""
         self.asked.append((target_frame, source_frame, time.nanoseconds))
-        if (target_frame, source_frame) not in self.known:
+        moving = self.moving.get((target_frame, source_frame), {})
+        stamp_ns = time.nanoseconds or max(moving, default=0)
+        T = self.known.get((target_frame, source_frame), moving.get(stamp_ns))
+        if T is None:
             raise TransformException(f'no {source_frame} in {target_frame}')
-        T = self.known[target_frame, source_frame]
         message = TransformStamped()
         at, turn = message.transform.translation, message.transform.rotation
         at.x, at.y, at.z = T[:3, 3].tolist()
         turn.x, turn.y, turn.z, turn.w = quaternion_from_rotation(T[:3, :3]).tolist()
         return message
+
+    def clear(self) -> None:
+        """Forget all but the fixed ones."""
+        self.moving.clear()
 
 
 class TransformListener:
@@ -73,5 +84,6 @@ def install(monkeypatch) -> None:
         setattr(module, thing.__name__, thing)
     monkeypatch.setitem(sys.modules, 'tf2_ros', module)
     monkeypatch.setattr(Buffer, 'known', {})
+    monkeypatch.setattr(Buffer, 'moving', {})
     monkeypatch.setattr(TransformListener, 'listening', 0)
     monkeypatch.setattr(TransformBroadcaster, 'sent', [])

@@ -11,6 +11,8 @@ from neo_ros.messages.hints import read_pose
 import numpy as np
 import pytest
 from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.time import Time
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image
 import tf2_stand_in
 from tf2_stand_in import Buffer, TransformBroadcaster, TransformListener
@@ -26,10 +28,10 @@ def tf2(monkeypatch):
     tf2_stand_in.install(monkeypatch)
 
 
-def send(publisher, pose):
+def send(publisher, pose, stamp_s=STAMP_S):
     fields = image_fields(view(pose, EXPANSION.source)[0])
     message = Image(**(fields | {'data': array('B', bytes(fields['data']))}))
-    message.header.frame_id, message.header.stamp.sec = 'camera_optical', STAMP_S
+    message.header.frame_id, message.header.stamp.sec = 'camera_optical', stamp_s
     publisher.publish(message)
 
 
@@ -84,3 +86,37 @@ def test_tf_hears_where_odom_is_in_the_map_though_nobody_subscribes(tmp_path, gr
             assert transition() == TransitionCallbackReturn.SUCCESS
         assert TransformListener.listening == 0
         graph.spin_until(lambda: not graph.node.count_publishers('/tf'))
+
+
+def test_what_tf_said_later_is_forgotten_when_the_images_begin_anew(tmp_path, graph, tf2):
+    Buffer.known['base_link', 'camera_optical'] = T_BASE_CAMERA
+    Buffer.moving['odom', 'base_link'] = {}
+    images = graph.node.create_publisher(Image, '/robot/image', 10)
+    poses = graph.collect(PoseWithCovarianceStamped, '/robot/wide/base_pose')
+    with node_beside(graph, write_box_model(tmp_path), '-p', 'base_frame:=base_link'):
+        graph.spin_until(images.get_subscription_count)
+        graph.spin_for(0.3)
+        for stamp_s, kept in ((STAMP_S, True), (STAMP_S - 60, False), (STAMP_S, False)):
+            send(images, planar(2.1, 1.6, 40), stamp_s)
+            graph.spin_until(lambda: poses and poses[-1].header.stamp.sec == stamp_s)
+            assert bool(Buffer.moving) == kept
+
+
+def test_what_tf_said_later_is_forgotten_when_simulated_time_runs_back(tmp_path, graph, tf2):
+    clock = graph.node.create_publisher(Clock, '/clock', 10)
+    with node_beside(graph, write_box_model(tmp_path), '-p', 'base_frame:=base_link',
+                     '-p', 'use_sim_time:=true') as node:
+        def wait_until(seconds):
+            clock.publish(Clock(clock=Time(seconds=seconds).to_msg()))
+            graph.spin_for(0.05)
+            return node.get_clock().now().nanoseconds == seconds * 10**9
+
+        for seconds, kept in ((100, True), (101, True), (5, False)):
+            Buffer.moving['odom', 'base_link'] = {}
+            graph.spin_until(lambda: wait_until(seconds))
+            assert bool(Buffer.moving) == kept
+        Buffer.moving['odom', 'base_link'] = {}
+        for transition in (node.trigger_deactivate, node.trigger_cleanup):
+            assert transition() == TransitionCallbackReturn.SUCCESS
+        graph.spin_until(lambda: wait_until(1))
+        assert Buffer.moving
