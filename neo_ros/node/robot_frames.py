@@ -13,6 +13,7 @@ from rclpy.time import Time
 
 # Transforms of maps are dated ahead, or whoever asks for "now" would wait for the next image.
 AHEAD = Duration(seconds=0.5)
+NEWEST = Time()  # To tf2.
 # Time that runs back by more has begun anew: a bag that is played again, a simulation's reset.
 ANEW = Duration(seconds=1)
 
@@ -51,15 +52,16 @@ class RobotFrames:
         """Whether transforms are sent, to whoever listens to tf."""
         return self._broadcaster is not None
 
-    def camera_in_base(self, camera_frame: str) -> np.ndarray | None:
-        """Return T_base_camera (4, 4), the newest one; None while nobody has sent it."""
-        return self._lookup(self._values.base_frame, camera_frame, Time())
+    def camera_in_base(self, camera_frame: str, stamp: Time = NEWEST) -> np.ndarray | None:
+        """Return T_base_camera (4, 4) at a time, else the newest one; None: nobody has sent it."""
+        return self._lookup(self._values.base_frame, camera_frame, stamp, NEWEST)
 
     def base_pose(self, header: Any, pose: CameraPose, covariance: np.ndarray
                   ) -> tuple[CameraPose, np.ndarray] | None:
         """Return the pose of the base and its covariance, from the camera's; None: no tf."""
-        self._watch(Time.from_msg(header.stamp))
-        T_base_camera = self.camera_in_base(header.frame_id)
+        stamp = Time.from_msg(header.stamp)
+        self._watch(stamp)
+        T_base_camera = self.camera_in_base(header.frame_id, stamp)
         if T_base_camera is None:
             return None
         T = pose.T_world_cam @ np.linalg.inv(T_base_camera)
@@ -98,12 +100,14 @@ class RobotFrames:
             self._buffer.clear()
         self._stamp = stamp
 
-    def _lookup(self, target: str, source: str, stamp: Time) -> np.ndarray | None:
-        try:
-            found = self._buffer.lookup_transform(target, source, stamp).transform
-        except self._tf2.TransformException:
-            return None
-        at, turn = found.translation, found.rotation
-        return CameraPose.from_quaternion(
-            np.array([at.x, at.y, at.z]),
-            np.array([turn.x, turn.y, turn.z, turn.w])).T_world_cam
+    def _lookup(self, target: str, source: str, *stamps: Time) -> np.ndarray | None:
+        for stamp in stamps:
+            try:
+                found = self._buffer.lookup_transform(target, source, stamp).transform
+            except self._tf2.TransformException:
+                continue
+            at, turn = found.translation, found.rotation
+            return CameraPose.from_quaternion(
+                np.array([at.x, at.y, at.z]),
+                np.array([turn.x, turn.y, turn.z, turn.w])).T_world_cam
+        return None
