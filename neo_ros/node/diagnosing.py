@@ -29,6 +29,7 @@ class NodeState:
     enabled: bool
     subscribed: bool
     model: LoadedModel | None
+    transform: str
 
 
 class Diagnosing:
@@ -65,7 +66,7 @@ class Diagnosing:
         health = Health(
             state=now.state, fault=now.fault, loading=now.loading, enabled=now.enabled,
             topic=self._inputs.topic, publishers=self._inputs.publishers,
-            missing=self._inputs.missing, conflict=self._inputs.conflict,
+            missing=self._inputs.missing, conflict=self._inputs.conflict, transform=now.transform,
             twin=twin if self._twin_seen >= TWIN_SEEN else '', camera=self._inputs.frame_id,
             subscribed=now.subscribed, memory=now.model is not None and now.model.memory,
             unlike_scene=self._scene_watch.update(counts.out_of_scene), counts=counts)

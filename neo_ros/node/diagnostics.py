@@ -57,8 +57,8 @@ class Health:
 
     state: lifecycle state. fault: why the last transition failed, or empty. topic: the image
     topic's full name, publishers: how many it has. missing: what keeps images away, in
-    words. conflict: which publisher does not fit, twin: who publishes what this node does; in
-    words, or empty. camera: the images' frame_id, or empty.
+    words. conflict: which publisher does not fit, transform: which one tf has not, twin: who
+    publishes what this node does; in words, or empty. camera: the images' frame_id, or empty.
     subscribed: whether anybody reads an output. unlike_scene: the verdict of the SceneWatch.
     memory: the model has a scene memory. loading: a model is being loaded; the old one goes on.
     """
@@ -71,6 +71,7 @@ class Health:
     publishers: int
     missing: str
     conflict: str
+    transform: str
     twin: str
     camera: str
     subscribed: bool
@@ -82,7 +83,8 @@ class Health:
 def judge(health: Health) -> tuple[bytes, str]:
     """Return the level and the one line that tells an operator what to do."""
     level, message = _judge_frames(health)
-    notes = [note for note in (health.conflict, health.twin) if note]
+    transform = health.transform if health.subscribed else ''
+    notes = [note for note in (health.conflict, transform, health.twin) if note]
     if health.subscribed and health.counts.camera_note.startswith(NO_CAMERA_INFO):
         notes.append(health.counts.camera_note)
     if notes:

@@ -196,7 +196,7 @@ class ExtrapolatorNode(LifecycleNode):
 
     def _on_image(self, message: Any, camera_info: Any | None) -> None:
         if self._pose_inputs is not None:
-            self._pose_inputs.camera_frame = message.header.frame_id
+            self._pose_inputs.camera_frame = message.header.frame_id.lstrip('/')
         if self._worker is not None:
             self._worker.submit(Frame(message, camera_info, time.perf_counter()))
 
@@ -301,4 +301,5 @@ class ExtrapolatorNode(LifecycleNode):
 
     def _look(self) -> NodeState:
         return NodeState(self.state_label, self.fault, self._loader.busy, self._enabled,
-                         self._has_audience(), self._model)
+                         self._has_audience(), self._model,
+                         self._frames.missing if self._frames is not None else '')

@@ -73,7 +73,9 @@ class PoseInputs:
                                     CameraPose.nearest(pose.T_world_cam @ T_camera))
 
     def _camera_in_base(self) -> np.ndarray | None:
-        T = self._frames.camera_in_base(self.camera_frame) if self._frames else None
+        T = None
+        if self._frames is not None and self.camera_frame:
+            T = self._frames.camera_in_base(self.camera_frame)
         if T is None:
             self._tell('transform', f'no transform from {self._base_frame} to '
                        f'{self.camera_frame or "the camera, which has sent no image yet"}: '

@@ -1,4 +1,5 @@
 """The robot's frames: its base's pose from the camera's, and the transform for tf."""
+from time import monotonic
 from typing import Any
 
 from neo_ros.geometry import CameraPose
@@ -16,6 +17,8 @@ AHEAD = Duration(seconds=0.5)
 NEWEST = Time()  # To tf2.
 # Time that runs back by more has begun anew: a bag that is played again, a simulation's reset.
 ANEW = Duration(seconds=1)
+# Odometry may come a little later than the image: a transform that is missing for longer is told.
+MISSED_S = 5.0
 
 
 def moved_covariance(covariance: np.ndarray, offset: np.ndarray) -> np.ndarray:
@@ -42,6 +45,7 @@ class RobotFrames:
         self._listener = tf2_ros.TransformListener(self._buffer, node)
         self._broadcaster = tf2_ros.TransformBroadcaster(node) if values.publish_tf else None
         self._stamp: Time | None = None
+        self._missed: dict[str, tuple[float, str]] = {}  # By target: since when, and the words.
         # The buffer refuses what is 10 s older than its newest. Fixed transforms survive.
         self._jumps = node.get_clock().create_jump_callback(
             JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-ANEW.nanoseconds)),
@@ -52,6 +56,13 @@ class RobotFrames:
         """Whether transforms are sent, to whoever listens to tf."""
         return self._broadcaster is not None
 
+    @property
+    def missing(self) -> str:
+        """Which transforms have been missing for long, in words; '' = none."""
+        now = monotonic()
+        return '; '.join(words for since, words in list(self._missed.values())
+                         if now - since > MISSED_S)
+
     def camera_in_base(self, camera_frame: str, stamp: Time = NEWEST) -> np.ndarray | None:
         """Return T_base_camera (4, 4) at a time, else the newest one; None: nobody has sent it."""
         return self._lookup(self._values.base_frame, camera_frame, stamp, NEWEST)
@@ -61,7 +72,7 @@ class RobotFrames:
         """Return the pose of the base and its covariance, from the camera's; None: no tf."""
         stamp = Time.from_msg(header.stamp)
         self._watch(stamp)
-        T_base_camera = self.camera_in_base(header.frame_id, stamp)
+        T_base_camera = self.camera_in_base(header.frame_id.lstrip('/'), stamp)
         if T_base_camera is None:
             return None
         T = pose.T_world_cam @ np.linalg.inv(T_base_camera)
@@ -104,10 +115,16 @@ class RobotFrames:
         for stamp in stamps:
             try:
                 found = self._buffer.lookup_transform(target, source, stamp).transform
-            except self._tf2.TransformException:
+            except self._tf2.TransformException as error:
+                words = f'no transform from {target} to {source}: {error}'
                 continue
+            self._missed.pop(target, None)
             at, turn = found.translation, found.rotation
             return CameraPose.from_quaternion(
                 np.array([at.x, at.y, at.z]),
                 np.array([turn.x, turn.y, turn.z, turn.w])).T_world_cam
+        since, _ = self._missed.get(target, (monotonic(), ''))
+        self._missed[target] = since, words
+        if self.missing and self._node.context.ok():
+            self._node.get_logger().warning(self.missing, throttle_duration_sec=MISSED_S)
         return None

@@ -29,7 +29,7 @@ def snapshot(**changes):
 def health(counts=None, **changes):
     fields: dict[str, Any] = {'state': 'active', 'fault': '', 'loading': False, 'enabled': True,
                               'topic': '/camera/image', 'publishers': 1, 'conflict': '',
-                              'missing': 'waiting for image', 'twin': '',
+                              'missing': 'waiting for image', 'twin': '', 'transform': '',
                               'camera': 'eye', 'subscribed': True,
                               'unlike_scene': False, 'memory': False}
     return Health(**(fields | changes), counts=counts or snapshot())
@@ -54,6 +54,8 @@ REJECTING = snapshot(recent_rejected=3, last_rejection='size: too big')
      'widening 29.8 images per second; /x is best effort'),
     (health(snapshot(recent_rejected=3, recent_published=0, last_rejection='size'),
             conflict='/x is best effort'), ERROR, 'rejected: size; /x is best effort'),
+    (health(transform='no odom'), WARN, 'widening 29.8 images per second; no odom'),
+    (health(transform='no odom', subscribed=False), OK, 'nobody subscribes'),
     (health(twin='another node'), WARN, 'widening 29.8 images per second; another node'),
     (health(snapshot(recent_received=0), subscribed=False), OK, 'nobody subscribes'),
     (health(REJECTING), WARN, 'some images are rejected: size: too big'),

@@ -2,8 +2,9 @@
 from array import array
 
 from box_room import apart, EXPANSION, planar, view, write_box_model
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseWithCovarianceStamped
-from live_node import node_beside
+from live_node import Camera, node_beside
 from neo_ros.geometry import CameraPose
 from neo_ros.geometry.camera_pose import T_BODY_OPTICAL
 from neo_ros.messages import image_fields
@@ -28,10 +29,10 @@ def tf2(monkeypatch):
     tf2_stand_in.install(monkeypatch)
 
 
-def send(publisher, pose, stamp_s=STAMP_S):
+def send(publisher, pose, stamp_s=STAMP_S, frame='camera_optical'):
     fields = image_fields(view(pose, EXPANSION.source)[0])
     message = Image(**(fields | {'data': array('B', bytes(fields['data']))}))
-    message.header.frame_id, message.header.stamp.sec = 'camera_optical', stamp_s
+    message.header.frame_id, message.header.stamp.sec = frame, stamp_s
     publisher.publish(message)
 
 
@@ -87,6 +88,24 @@ def test_tf_hears_where_odom_is_in_the_map_though_nobody_subscribes(tmp_path, gr
             assert transition() == TransitionCallbackReturn.SUCCESS
         assert TransformListener.listening == 0
         graph.spin_until(lambda: not graph.node.count_publishers('/tf'))
+
+
+def test_a_transform_that_is_missing_is_told(tmp_path, graph, tf2, monkeypatch):
+    monkeypatch.setattr('neo_ros.node.robot_frames.MISSED_S', 0.5)
+    camera = Camera(graph)
+    with node_beside(graph, write_box_model(tmp_path), '-p', 'base_frame:=base_link',
+                     '-p', 'publish_tf:=true'):
+        camera.wait_for_node()
+        graph.node.create_timer(0.2, lambda: send(
+            camera.images, planar(2.1, 1.6, 40), frame='/camera_optical'))
+        camera.wait_for_diagnosis(
+            DiagnosticStatus.WARN, '; no transform from base_link to camera_optical: ')
+        Buffer.known['base_link', 'camera_optical'] = T_BASE_CAMERA
+        camera.wait_for_diagnosis(DiagnosticStatus.WARN, 'second; no transform from odom to base')
+        Buffer.known['odom', 'base_link'] = np.eye(4)
+        camera.diagnostics.clear()
+        camera.wait_for_diagnosis(DiagnosticStatus.WARN, 'second; no camera_info')
+        assert TransformBroadcaster.sent
 
 
 def test_a_camera_that_turns_on_the_robot_is_where_it_was_at_the_images_time(
