@@ -219,13 +219,19 @@ class ExtrapolatorNode(LifecycleNode):
 
     def _use_scene(self) -> None:
         """Let the model's memory hear priors and odometry, and show its map."""
-        assert self._model and self._outputs and self._pose_inputs and self._map
-        self._map.use(self._model, self._outputs.scene_frame)
+        assert self._model and self._outputs and self._pose_inputs
+        self._use_frame()
         self._model.processor.hints = self._pose_inputs.hints
         if self._model.arbitrary_scale:
             self.get_logger().warning(
                 'nobody knows the scale of this scene: poses, depth and points are not in metres; '
                 f'their frame is {self._outputs.scene_frame}')
+
+    def _use_frame(self) -> None:
+        """Let map and priors be in the frame of the poses."""
+        assert self._model and self._outputs and self._pose_inputs and self._map
+        self._map.use(self._model, self._outputs.scene_frame)
+        self._pose_inputs.scene_frame = self._outputs.scene_frame
 
     def _on_reload_model(self, request: Trigger.Request, response: Trigger.Response
                          ) -> Trigger.Response:
@@ -266,7 +272,7 @@ class ExtrapolatorNode(LifecycleNode):
             assert self._model
             self._outputs.use(values, self._model.arbitrary_scale)
             if self._map is not None:
-                self._map.use(self._model, self._outputs.scene_frame)
+                self._use_frame()
         if self._worker is not None:
             self._worker.max_fps = values.max_fps
             if any(parameter.name in INPUT_PARAMETERS for parameter in parameters):

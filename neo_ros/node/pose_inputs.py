@@ -22,16 +22,15 @@ class PoseInputs:
     """
     Subscribes to PRIOR and ODOMETRY and turns them into `hints` of the camera's optical frame.
 
-    camera_frame: the frame of the images, '' before the first; base_frame: what the messages are
-    of, where `frames` tells how the camera sits on it.
+    scene_frame: what priors are in; camera_frame: of the images, '' before the first; both may
+    change. base_frame: what the messages are of, where `frames` tells how the camera sits on it.
     """
 
     def __init__(self, node: Node, scene_frame: str, base_frame: str,
                  frames: RobotFrames | None) -> None:
         self.hints = PoseHints()
-        self.camera_frame = ''
-        self._node, self._frames = node, frames
-        self._scene_frame, self._base_frame = scene_frame, base_frame
+        self.scene_frame, self.camera_frame = scene_frame, ''
+        self._node, self._frames, self._base_frame = node, frames, base_frame
         self._told: dict[str, float] = {}
         self._subscriptions = [
             node.create_subscription(PRIOR.kind, PRIOR.name, self._on_prior, QoSProfile(depth=1)),
@@ -45,8 +44,8 @@ class PoseInputs:
 
     def _on_prior(self, message: PoseWithCovarianceStamped) -> None:
         frame = message.header.frame_id.lstrip('/')
-        if frame not in ('', self._scene_frame):
-            self._tell('prior', f'{PRIOR.name}: expected a pose in {self._scene_frame} '
+        if frame not in ('', self.scene_frame):
+            self._tell('prior', f'{PRIOR.name}: expected a pose in {self.scene_frame} '
                        f'(scene_frame), got {frame}: dropped')
             return
         T_camera = T_BODY_OPTICAL if not self._base_frame else self._camera_in_base()

@@ -91,6 +91,22 @@ def test_prior_odometry_and_relocalize_reach_the_memory(tmp_path, graph):
     assert 'searched' in status[-1].status[0].message
 
 
+def test_a_prior_is_of_the_scene_frame_that_holds_now(tmp_path, graph, model):
+    priors = graph.node.create_publisher(PoseWithCovarianceStamped, f'{NODE}/prior', 1)
+    prior = PoseWithCovarianceStamped()
+    prior.pose.pose.orientation.w = 1.0
+    other = write_box_model(tmp_path, arbitrary_scale=True)  # Its frame is called scene.
+    with node_beside(graph, model) as node:
+        graph.spin_until(priors.get_subscription_count)
+        graph.spin_for(0.3)
+        for name, value, frame in (('scene_frame', 'flat', 'flat'), ('scene_frame', '', 'map'),
+                                   ('model', str(other), 'scene')):
+            assert node.set_parameters([Parameter(name, value=value)])[0].successful
+            prior.header.frame_id = frame
+            priors.publish(prior)
+            graph.spin_until(node._pose_inputs.hints.take_prior)
+
+
 def test_a_prior_for_one_model_is_not_given_to_the_next(tmp_path, graph, model):
     other = write_box_model(tmp_path)
     with node_beside(graph, model) as node:
