@@ -41,11 +41,17 @@ class PoseHints:
             self._prior = pose, monotonic()
 
     def add_odometry(self, header: Any, pose: CameraPose) -> None:
-        """Keep a pose that odometry has measured; time that runs back forgets all before."""
+        """
+        Keep a pose that odometry has measured; time that runs back forgets all before.
+
+        Of several with one stamp the last one counts.
+        """
         stamp_ns = stamp_of(header)
         with self._lock:
-            if self._odometry and stamp_ns <= self._odometry[-1][0]:
+            if self._odometry and stamp_ns < self._odometry[-1][0]:
                 self._odometry.clear()
+            elif self._odometry and stamp_ns == self._odometry[-1][0]:
+                self._odometry.pop()
             self._odometry.append((stamp_ns, pose))
 
     def take_prior(self) -> CameraPose | None:

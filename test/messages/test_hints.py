@@ -54,6 +54,16 @@ def test_a_hole_is_not_bridged_and_time_that_runs_back_forgets(hints):
     assert hints.motion(300 * 10**6, 400 * 10**6) is None
 
 
+def test_of_odometry_that_repeats_its_stamps_the_last_counts():
+    hints = PoseHints()
+    for milliseconds in range(0, 1000, 50):
+        for pose in (at(0), at(milliseconds)):
+            hints.add_odometry(header(milliseconds), pose)
+    motion = hints.motion(120 * 10**6, 910 * 10**6)
+    assert motion is not None
+    assert np.allclose(motion, at(120).inverse() @ at(910).T_world_cam, atol=1e-3)
+
+
 def test_a_prior_is_used_once(hints):
     hints.set_prior(at(0))
     assert hints.take_prior() is not None and hints.take_prior() is None
