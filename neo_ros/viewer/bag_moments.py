@@ -65,8 +65,8 @@ class Companion:
             except BagError:
                 continue
             self._kept.append((message.stamp_ns, stamp_of(content.header), content))
-            while not self._exact and len(self._kept) > 2 or (
-                    self._kept[0][0] < log_ns - LONGEST_NS):
+            while self._kept and (not self._exact and len(self._kept) > 2
+                                  or self._kept[0][0] < log_ns - LONGEST_NS):
                 self._kept.popleft()
         shown = [content for at_ns, stamp, content in self._kept if (
             stamp == stamp_ns if self._exact else at_ns <= log_ns)]

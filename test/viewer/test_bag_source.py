@@ -6,11 +6,14 @@ import sys
 from typing import Any
 
 from bag_files import walk_frames, write_walk_bag
+from camera_bags import CameraBag
 from neo_ros.bags import BagReader, BagWriter, replay
 from neo_ros.errors import BagError, ConfigError
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.messages import read_image
+from neo_ros.messages.stamps import NS_PER_S
 from neo_ros.runtime import FovExtrapolator
+from neo_ros.viewer.bag_moments import Companion
 from neo_ros.viewer.bag_source import BagSource, LATE_S
 from neo_ros.viewer.hub import Wanted
 import numpy as np
@@ -63,6 +66,22 @@ def test_a_camera_is_widened_as_the_replay_does(walk_bag, wide_bag, model):
         assert np.array_equal(one.confidence, other.confidence)
     for picture, (_, truth, _) in zip(widened.pictures, walk_frames(EXPANSION, FRAMES)):
         assert np.array_equal(EXPANSION.crop(picture.image), EXPANSION.crop(truth))
+
+
+def test_truth_that_comes_before_its_picture_is_found_wherever_the_bag_is(tmp_path):
+    first_ns, step_ns = 1_700_000_000 * NS_PER_S, NS_PER_S // 10
+    with CameraBag(tmp_path / 'truth') as bag:
+        for number in range(40):
+            stamp_ns = first_ns + number * step_ns
+            bag.log_ns = stamp_ns - 150_000_000
+            bag.image('/truth', stamp_ns, np.full((24, 32, 3), number, np.uint8))
+    with BagReader(tmp_path / 'truth') as reader:
+        companion = Companion(reader, '/truth', exact=True)
+        for number in range(0, 40, 10):
+            # Nearly a second on, what is read next is older than what is kept.
+            log_ns = first_ns + number * (step_ns - 10)
+            found = companion.at(log_ns, first_ns + number * step_ns)
+            assert found is not None and np.unique(found) == number
 
 
 def test_timing_by_the_clock_and_once_more(wide_bag, model):
