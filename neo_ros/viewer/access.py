@@ -44,7 +44,7 @@ class Access:
 
     def __init__(self, settings: ViewerSettings, clock: Clock) -> None:
         self._token = settings.token
-        self._public_origin = settings.public_origin.rstrip('/')
+        self._public_origin = settings.public_origin
         public = _authority(settings.public_origin)
         self._public_host = public[0] if public else None
         self._secure = (settings.cert is not None

@@ -51,7 +51,8 @@ class ViewerSettings:
             value = getattr(self, name)
             if not low <= value <= high:
                 raise ConfigError(f'{name}: expected {low} to {high}, got {value}')
-        self._check_origin()
+        if self.public_origin:
+            object.__setattr__(self, 'public_origin', _as_browsers_say(self.public_origin))
         if not self.token and (self.public_origin or not self.on_loopback):
             object.__setattr__(self, 'token', secrets.token_urlsafe(18))
             object.__setattr__(self, 'fresh_token', True)
@@ -60,18 +61,6 @@ class ViewerSettings:
                               f'{len(self.token)}')
         if (self.cert is None) != (self.key is None):
             raise ConfigError('cert, key: expected both or none, got one')
-
-    def _check_origin(self) -> None:
-        if not self.public_origin:
-            return
-        try:
-            url = URL(self.public_origin)
-            good = url.host and url.scheme in ('http', 'https') and url.origin() == url
-        except ValueError:
-            good = False
-        if not good:
-            raise ConfigError('public_origin: expected scheme and host such as '
-                              f'https://robot.example, got {self.public_origin!r}')
 
     @property
     def on_loopback(self) -> bool:
@@ -93,6 +82,20 @@ class ViewerSettings:
             raise ConfigError(f'cert, key: expected PEM files that belong together, got '
                               f'{self.cert} and {self.key}: {error}') from error
         return context
+
+
+def _as_browsers_say(public_origin: str) -> str:
+    """Return an origin in small letters and without its scheme's own port; raises ConfigError."""
+    try:
+        url = URL(public_origin)
+        good = url.host and url.scheme in ('http', 'https') and url.origin() == url
+    except ValueError:
+        good = False
+    if not good:
+        raise ConfigError('public_origin: expected scheme and host such as '
+                          f'https://robot.example, got {public_origin!r}')
+    # The yarl of Ubuntu 24.04 keeps the port.
+    return str(url.origin().with_port(None) if url.is_default_port() else url.origin())
 
 
 def read_token(file: Path | None) -> str:

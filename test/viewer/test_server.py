@@ -157,11 +157,14 @@ def test_wrong_tokens_are_few_whoever_tries_them():
         run(test)
 
 
-@pytest.mark.parametrize('host', ['robot.example', '127.0.0.1:8600'],
-                         ids=['host kept', 'host of the proxy'])
-def test_behind_a_proxy_that_speaks_tls(host):
+@pytest.mark.parametrize('host, public_origin', [
+    ('robot.example', 'https://robot.example'), ('127.0.0.1:8600', 'https://robot.example'),
+    ('robot.example', 'https://Robot.Example/'), ('127.0.0.1:8600', 'https://robot.example:443'),
+    ('robot.example', 'HTTPS://robot.example')],
+    ids=['host kept', 'host of the proxy', 'capitals', 'port', 'scheme'])
+def test_behind_a_proxy_that_speaks_tls(host, public_origin):
     async def test():
-        settings = {'token': TOKEN, 'public_origin': 'https://robot.example'}
+        settings = {'token': TOKEN, 'public_origin': public_origin}
         async with running(**settings) as (client, hub):
             headers = {'Host': host, 'Origin': 'https://robot.example'}
             answer = await client.post('/login', data={'token': TOKEN}, headers=headers,
