@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 from neo_ros.errors import ImageRejected, ModelError
 from neo_ros.geometry import CameraPose, ViewExpansion
-from neo_ros.machine.regular_file import read_model_bytes
+from neo_ros.machine.regular_file import open_model_file
+from neo_ros.memory.memory_file import MOST_BYTES
 from neo_ros.runtime.confidence import confidence_of
 from neo_ros.runtime.model_card import MemoryFile, ModelCard
 from neo_ros.runtime.model_file import open_model
@@ -177,8 +178,9 @@ def memory_path(model: Path | str, memory: MemoryFile) -> Path:
 def _checksum(path: Path) -> str:
     """Return the SHA-256 of a file's bytes; '' where it cannot be read."""
     try:
-        return hashlib.sha256(read_model_bytes(path, 'memory')).hexdigest()
-    except ModelError:
+        with open_model_file(path, 'memory', MOST_BYTES) as file:
+            return hashlib.file_digest(file, 'sha256').hexdigest()
+    except (ModelError, OSError):
         return ''
 
 

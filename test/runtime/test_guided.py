@@ -1,8 +1,10 @@
 """A model with a scene memory beside it: guided where the scene is known, and safe elsewhere."""
+import hashlib
 from pathlib import Path
 
 from box_room import box_walk, EXPANSION, view, write_box_model
 from neo_ros.errors import ModelError
+from neo_ros.machine.regular_file import open_model_file
 from neo_ros.runtime import FovExtrapolator
 from neo_ros.runtime.fov_extrapolator import memory_path
 from neo_ros.runtime.model_card import MemoryFile
@@ -94,6 +96,14 @@ def test_a_model_and_a_memory_that_were_renamed_find_each_other(model: Path, tmp
     (tmp_path / 'kitchen.memory').write_bytes(content[:-1] + b'x')
     with pytest.raises(ModelError, match='box.memory.*sha256'):
         FovExtrapolator.load(kitchen)
+
+
+def test_a_renamed_memory_may_be_larger_than_any_model(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(open_model_file, '__defaults__', (100,))  # Bytes of a model.
+    large, content = tmp_path / 'renamed.memory', bytes(200)
+    large.write_bytes(content)
+    card = MemoryFile(file='room.memory', sha256=hashlib.sha256(content).hexdigest())
+    assert memory_path(tmp_path / 'room.onnx', card) == large
 
 
 @pytest.mark.parametrize('name', ['../x.memory', '/etc/passwd', 'a/b', '', '.', '..'],
