@@ -61,7 +61,7 @@ def asked_of_all(model: Path, card: ModelCard, options: ReplayOptions) -> dict[s
     if card.memory is not None:
         memory = memory_path(model, card.memory)
         learnt = [_digest(path) for path in (journal_path(memory), lights_path(memory))
-                  if path.is_file()]
+                  if path.is_file() and path.stat().st_size]  # An empty one says nothing.
     return json.loads(json.dumps({
         'model': _digest(model), 'learnt': learnt, 'options': asdict(options),
         'neo_ros': __version__}))

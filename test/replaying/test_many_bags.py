@@ -10,10 +10,12 @@ from neo_ros.bags import BagReader, write_demo_bag
 from neo_ros.cli.main import app
 from neo_ros.errors import BagError, ConfigError
 from neo_ros.geometry import Intrinsics, ViewExpansion
+from neo_ros.memory.journal import journal_path
 from neo_ros.replaying import bag_jobs
 from neo_ros.replaying.bag_replayer import BagReplayer, ReplayOptions
 from neo_ros.replaying.many_bags import replay_bags
 from neo_ros.replaying.summary import ReplayedBag, summary_of, summary_table
+from neo_ros.runtime.model_file import open_model
 import pytest
 from tiny_model import write_tiny_model
 from typer.testing import CliRunner, Result
@@ -83,6 +85,17 @@ def test_a_bag_leaves_no_trace_in_the_next_one(tmp_path: Path) -> None:
         # One core, as in a worker of a cluster.
         BagReplayer(model, threads=1).replay(bag, tmp_path / 'alone' / bag.name, options)
         assert files(tmp_path / 'out' / bag.name) == files(tmp_path / 'alone' / bag.name)
+
+
+def test_an_empty_journal_beside_the_memory_says_nothing(tmp_path: Path) -> None:
+    model = box_room.write_box_model(tmp_path)
+    card, options = open_model(model)[1], ReplayOptions()
+    before = bag_jobs.asked_of_all(model, card, options)
+    journal = journal_path(tmp_path / 'box.memory')
+    journal.touch()  # As a disk that was full leaves it.
+    assert bag_jobs.asked_of_all(model, card, options) == before
+    journal.write_bytes(b'something')
+    assert bag_jobs.asked_of_all(model, card, options) != before
 
 
 def test_one_bag_is_the_folder_itself(tmp_path: Path, bags: list[Path]) -> None:
