@@ -84,6 +84,8 @@ class RosSource:
             self._forget_mask()  # The next node may widen another camera.
         showing = wanted.image and kind is not None
         self._keep(topics.image, kind, showing, self._on_image)
+        if not showing:
+            self._pending = self._confidence = None  # Old, when somebody watches again.
         self._keep(topics.mask, Image, showing and self._hub.clock.now() >= self._next_mask,
                    self._on_mask)
         self._keep(topics.confidence, Image, showing and wanted.confidence

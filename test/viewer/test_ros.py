@@ -166,3 +166,35 @@ def test_settings_that_cannot_be(graph, parameter, words):
     text = process.communicate(timeout=WAIT_S)[0]
     assert words in text and 'Traceback' not in text
     assert process.returncode == 1
+
+
+def test_no_picture_from_before_a_pause_is_shown_after_it(graph):
+    _, url = start_viewer(graph)
+    publishers = {name: graph.node.create_publisher(Image, f'/robot/wide/{name}', 1)
+                  for name in ('image', 'confidence')}
+
+    def send(shade, *names):
+        fields = image_fields(np.full((48, 64, 3), shade, np.uint8))
+        fields['data'] = array('B', fields['data'].tobytes())
+        message = stamped(graph, Image(**fields))
+        for name in names:
+            publishers[name].publish(message)
+
+    def heard(count):
+        return [publisher.get_subscription_count() for publisher in publishers.values()] == [
+            count, count]
+
+    with Watcher(graph, url) as watcher:
+        watcher.send({'confidence': True})
+        watcher.until(lambda: heard(1))
+        graph.spin_for(0.3)
+        send(10, 'image')  # It waits for its confidence.
+        graph.spin_for(0.5)
+        assert not watcher.pictures
+        watcher.send({'paused': True})
+        watcher.until(lambda: heard(0))
+        watcher.send({'paused': False})
+        watcher.until(lambda: heard(1))
+        watcher.until(lambda: watcher.pictures, lambda: send(200, *publishers))
+        shown = cv2.imdecode(np.frombuffer(watcher.pictures[0][1], np.uint8), cv2.IMREAD_COLOR)
+        assert shown is not None and shown.min() > 150
