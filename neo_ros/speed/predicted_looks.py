@@ -20,11 +20,11 @@ from neo_ros.machine.result_rows import ResultRows
 from neo_ros.memory.look_around import Direction, LookAround, SeenImage
 from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.messages import read_image
+from neo_ros.messages.hints import read_pose
 from neo_ros.messages.stamps import NS_PER_S
 from neo_ros.runtime import read_model_card
 from neo_ros.runtime.fov_extrapolator import memory_path
 from neo_ros.viewer.whereabouts import Place, Whereabouts
-from neo_ros.viewer.wide_topics import read_pose
 import numpy as np
 
 DELAYS_S = (0.3, 0.5, 1.0, 2.0)
@@ -85,7 +85,7 @@ def read_walk(bag: Path, images_of: str = TRUTH_TOPIC
             if message.topic.name == images_of:
                 images[message.stamp_ns] = read_image(content)
             else:
-                poses[message.stamp_ns] = read_pose(content)
+                poses[message.stamp_ns] = read_pose(content.pose.pose)
     return [(stamp / NS_PER_S, pose, images[stamp]) for stamp, pose in sorted(poses.items())]
 
 

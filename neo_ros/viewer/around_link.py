@@ -8,7 +8,7 @@ from aiohttp import web
 import cv2
 from neo_ros.messages import encode_jpeg
 from neo_ros.viewer.clock import Clock
-from neo_ros.viewer.hearing import hear
+from neo_ros.viewer.hearing import finite, hear
 from neo_ros.viewer.pictures import pack
 from neo_ros.viewer.surroundings import MOST_LOOKING, Surroundings
 from neo_ros.viewer.whereabouts import Place, Whereabouts
@@ -175,17 +175,10 @@ def _direction(asked: dict[str, Any]) -> 'Direction':
     from neo_ros.memory.look_around import Direction
 
     width, height = (int(_within(asked[name], SIDES)) for name in ('width', 'height'))
-    return Direction(math.remainder(_finite(asked['yaw']), 2 * math.pi),
+    return Direction(math.remainder(finite(asked['yaw']), 2 * math.pi),
                      _within(asked['pitch'], (-STEEPEST, STEEPEST)),
                      _within(asked['hfov'], FIELDS), width, height)
 
 
 def _within(value: Any, limits: tuple[float, float]) -> float:
-    return min(max(_finite(value), limits[0]), limits[1])
-
-
-def _finite(value: Any) -> float:
-    number = float(value)
-    if not math.isfinite(number):
-        raise ValueError(f'expected a finite number, got {value}')
-    return number
+    return min(max(finite(value), limits[0]), limits[1])

@@ -7,6 +7,7 @@ from typing import Any
 from neo_ros.bags import BagTopic
 from neo_ros.bags.reading import BagMessage
 from neo_ros.messages import camera_info_of, FrameProcessor, SceneWatch
+from neo_ros.messages.hints import read_pose
 from neo_ros.messages.scene_outputs import status_lines
 from neo_ros.messages.stamps import NS_PER_S, stamp_of
 from neo_ros.viewer.hub import Hub
@@ -14,7 +15,7 @@ from neo_ros.viewer.pictures import SourcePicture, SourceState
 from neo_ros.viewer.timeline import Timeline, values_of
 from neo_ros.viewer.whereabouts import Place, PoseJoiner
 from neo_ros.viewer.wide_topics import (
-    NodeDiagnosis, read_grey, read_picture, read_pixels, read_pose, seen_share, WideTopics)
+    NodeDiagnosis, read_grey, read_picture, read_pixels, seen_share, WideTopics)
 import numpy as np
 
 # The scores for the scene are a mean over so long, as the node's.
@@ -79,7 +80,7 @@ class BagPictures:
         elif name == self.topics.confidence:
             self._confidence = content
         elif name == self.topics.pose:
-            self._joiner.add_pose(stamp_of(content.header), read_pose(content))
+            self._joiner.add_pose(stamp_of(content.header), read_pose(content.pose.pose))
         else:
             self.stamp_ns = stamp_of(content.header)
             image, confidence = (

@@ -2,6 +2,7 @@
 import asyncio
 from collections.abc import Awaitable, Callable
 import json
+import math
 from typing import Any
 
 from aiohttp import web, WSMsgType
@@ -41,3 +42,11 @@ async def hear(socket: web.WebSocketResponse, clock: Clock,
             return
         # What has come already is read without a pause: let the others have their turn.
         await asyncio.sleep(0)
+
+
+def finite(value: Any) -> float:
+    """Return a number that a viewer said; ValueError, TypeError or OverflowError for none."""
+    number = float(value)
+    if not math.isfinite(number):
+        raise ValueError(f'expected a finite number, got {value}')
+    return number

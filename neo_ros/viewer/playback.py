@@ -1,10 +1,10 @@
 """How a bag is played: where, how fast, and whether at all; viewers command, the source obeys."""
 from collections.abc import Collection
-import math
 import threading
 from typing import Any, NamedTuple
 
 from neo_ros.messages.stamps import NS_PER_S
+from neo_ros.viewer.hearing import finite
 from neo_ros.viewer.timeline import Timeline
 
 SLOWEST, FASTEST = 0.001, 100.0
@@ -55,13 +55,13 @@ class Playback:
         """
         with self._busy:
             if 'rate' in asked:
-                self.rate = min(max(_finite(asked['rate']), SLOWEST), FASTEST)
+                self.rate = min(max(finite(asked['rate']), SLOWEST), FASTEST)
             if 'camera' in asked and asked['camera'] in self._cameras:
                 self.camera = asked['camera']
                 self._jump = self._jump or Jump(None)
             if 'seek' in asked:
                 first, last = self.span_ns
-                at = first + round(_finite(asked['seek']) * NS_PER_S)
+                at = first + round(finite(asked['seek']) * NS_PER_S)
                 self._go(Jump(min(max(at, first), last)))
             if 'step' in asked:
                 self._step(int(asked['step']))
@@ -106,10 +106,3 @@ class Playback:
         with self._busy:
             if self._jump is None:
                 self.playing, self.ended = False, True
-
-
-def _finite(value: Any) -> float:
-    number = float(value)
-    if not math.isfinite(number):
-        raise ValueError(f'expected a finite number, got {value}')
-    return number

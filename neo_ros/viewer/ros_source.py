@@ -8,12 +8,13 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from neo_ros.errors import GeometryError, ImageRejected
+from neo_ros.messages.hints import read_pose
 from neo_ros.messages.stamps import NS_PER_S, stamp_of
 from neo_ros.viewer.hub import Hub
 from neo_ros.viewer.pictures import SourcePicture, SourceState
 from neo_ros.viewer.whereabouts import PoseJoiner
 from neo_ros.viewer.wide_topics import (
-    NodeDiagnosis, read_grey, read_picture, read_pixels, read_pose, seen_share, WideTopics)
+    NodeDiagnosis, read_grey, read_picture, read_pixels, seen_share, WideTopics)
 import numpy as np
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -136,7 +137,7 @@ class RosSource:
 
     def _on_pose(self, message: PoseWithCovarianceStamped) -> None:
         try:
-            self._joiner.add_pose(stamp_of(message.header), read_pose(message))
+            self._joiner.add_pose(stamp_of(message.header), read_pose(message.pose.pose))
         except GeometryError as error:
             self._complaint = f'cannot read {self._topics.pose}: {error}'
 

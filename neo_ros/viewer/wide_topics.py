@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from neo_ros.errors import ImageRejected
-from neo_ros.geometry import CameraPose
 from neo_ros.messages import read_compressed_image, read_image
 from neo_ros.messages.scene_outputs import WIDENING
 from neo_ros.pictures.header import compressed_image_size
@@ -76,18 +75,6 @@ def read_pixels(message: Any) -> np.ndarray | None:
         return (read_image if hasattr(message, 'encoding') else read_compressed_image)(message)
     except ImageRejected:
         return None
-
-
-def read_pose(message: Any) -> CameraPose:
-    """
-    Return the pose of a PoseWithCovarianceStamped.
-
-    Raises GeometryError for numbers that are none.
-    """
-    pose = message.pose.pose
-    return CameraPose.from_quaternion(
-        np.array([pose.position.x, pose.position.y, pose.position.z]),
-        np.array([getattr(pose.orientation, axis) for axis in 'xyzw']))
 
 
 def read_grey(message: Any) -> np.ndarray:
