@@ -122,9 +122,11 @@ def _digest(settings: dict[str, Any]) -> str:
         found = settings.get(part) or {}
         if name in found and found[name] == default:
             settings = {**settings, part: {key: found[key] for key in found if key != name}}
-    if settings.get('field', {}).get('exposure', True) is None:
-        # What counted as false, by default, when it could not be left open.
-        settings = {**settings, 'field': {**settings['field'], 'exposure': False}}
+    exposure = settings.get('field', {}).get('exposure', True)
+    if not exposure:
+        # Left open it counts as false, the default when it could not be left open.
+        settings = {**settings, 'field': {
+            **settings['field'], 'exposure': False if exposure is None else 'never'}}
     text = json.dumps(settings, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 

@@ -36,6 +36,7 @@ from neo_ros.training.checks import check_training
 from neo_ros.training.folder import claim, drop_made_of_a_field, take_field
 from neo_ros.training.memory import memory_step, name_memory
 from neo_ros.training.photo_depth import photos_with_depth
+from neo_ros.training.pose_map import COUNTS_FILE
 from neo_ros.training.report import Scoring, write_training_report
 from neo_ros.training.run import TrainingRun
 from neo_ros.training.tiles import fit_tiles, tile_jobs, TILES, tiles_of
@@ -198,7 +199,11 @@ def fit_outpainter_step(run: TrainingRun, field: RadianceField,
     log = (TrainingLog(run.out / 'tensorboard')
            if experiment.outpaint.tensorboard and rank == 0 else None)
 
+    learnt = False
+
     def learn() -> None:
+        nonlocal learnt
+        learnt = True
         trainer.train_step(stream.batch(trainer.step, trainer.batch_size))
         if log is not None:
             log.note(trainer)
@@ -206,7 +211,7 @@ def fit_outpainter_step(run: TrainingRun, field: RadianceField,
     train_with_checkpoints(
         run, trainer, run.out / 'outpainter.ckpt', 'outpainter', lambda: trainer.done,
         learn, trainer.note, writes=rank == 0)
-    if rank == 0:
+    if rank == 0 and (learnt or not (run.out / COUNTS_FILE).exists()):
         note_poses(run, stream, trainer.step)
     if log is not None:
         log.close()

@@ -72,6 +72,10 @@ def test_the_old_name_of_a_setting_is_read_and_hashes_are_those_of_before(
     settings['field']['exposure'] = False
     text = json.dumps(settings, sort_keys=True)
     assert old.config_hash == hashlib.sha256(text.encode()).hexdigest()[:12]
+    # Forbidden it is another field.
+    never = replace(old, field=replace(old.field, exposure=False))
+    assert never.config_hash != old.config_hash
+    assert never.field_hash(mapped=False) != old.field_hash(mapped=False)
     with pytest.raises(ConfigError, match='network.memory is the old name of network.hidden.*'
                        'got both; leave network.memory out'):
         read(tmp_path, 'network: {memory: 96, hidden: 96}')

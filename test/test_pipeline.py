@@ -11,22 +11,26 @@ import subprocess
 import sys
 from typing import Any
 
+import cv2
 import neo_ros
 from neo_ros import pipeline
 from neo_ros.baking.keyframes import MemoryConfig
 from neo_ros.errors import ConfigError, ModelError, NeoError, SceneError
+from neo_ros.evaluation.evaluate import TruthFrames
 from neo_ros.experiment import Experiment, ViewConfig
 from neo_ros.field.config import FIT_NEAR
+from neo_ros.field.device import read_field
 from neo_ros.field.voxel_field import VoxelField
 from neo_ros.memory import scene_memory
 from neo_ros.outpaint.network import NetworkConfig
+from neo_ros.pictures.usable import write_usable
 from neo_ros.pipeline import train
 from neo_ros.runtime import FovExtrapolator
 from neo_ros.scenes.pose_sampling import SamplingConfig
 from neo_ros.scenes.scene import read_scene
 from neo_ros.training import checkpoint, views as training_views
 from neo_ros.training.checkpoint import read_checkpoint
-from neo_ros.training.report import _exposed
+from neo_ros.training.report import _exposed, _oracle, Scoring
 from neo_ros.training.run import TrainingRun
 import numpy as np
 import pytest
@@ -317,5 +321,30 @@ def test_renderings_are_compared_at_the_exposure_of_the_photo() -> None:
     rendered = np.full((4, 6, 3), 0.25)
     rendered[:, 3:] = 0.5
     dark = np.full((4, 3, 3), 32, np.uint8)  # of the left half
-    np.testing.assert_array_equal(_exposed(rendered, rendered[:, :3], dark)[0, :, 0],
+    usable = np.ones((4, 3), bool)
+    np.testing.assert_array_equal(_exposed(rendered, rendered[:, :3], dark, usable)[0, :, 0],
                                   [32] * 3 + [64] * 3)
+    dark[:3], usable[:3] = 255, False  # The robot itself is in most of it.
+    np.testing.assert_array_equal(_exposed(rendered, rendered[:, :3], dark, usable)[0, :, 0],
+                                  [32] * 3 + [64] * 3)
+
+
+def test_upper_bounds_leave_out_what_masks_do(tiny_run: TrainingRun, tmp_path: Path) -> None:
+    field, test = read_field(tiny_run.out / 'field.npz', 'cpu'), tiny_run.scene.test
+    assert test is not None
+    size = (test.intrinsics.height, test.intrinsics.width)
+    usable = np.ones(size, bool)
+    usable[:, :size[1] // 3] = False  # The robot's own arm, bright.
+    write_usable(tmp_path / 'mask.png', usable)
+    paths = []
+    for index in range(len(test)):
+        image = test.read_image(index)
+        image[~usable] = 255
+        paths.append(tmp_path / f'{index}.png')
+        cv2.imwrite(str(paths[-1]), image[..., ::-1])
+    arm = replace(test, image_paths=tuple(paths))
+    masked = replace(arm, mask_paths=(tmp_path / 'mask.png',) * len(test))
+    plain, wrong, right = (_oracle(field, Scoring(TruthFrames(images, tiny_run.expansion), []))
+                           for images in (test, arm, masked))
+    for one, other, bound in zip(plain, wrong, right):
+        assert other < bound - 2 and abs(bound - one) < 2

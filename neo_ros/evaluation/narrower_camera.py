@@ -31,9 +31,13 @@ class NarrowerCamera:
         scale = min(source.cx / target.cx, (source.width - source.cx) / (target.width - target.cx),
                     source.cy / target.cy,
                     (source.height - source.cy) / (target.height - target.cy))
-        width, height, left, top, wide, high = (
+        # Rounded one by one, so that they sum up.
+        width, height, left, right, top, bottom = (
             round(scale * pixels) for pixels in (
-                source.width, source.height, model.left, model.top, target.width, target.height))
+                source.width, source.height, model.left, model.right, model.top, model.bottom))
+        wide = min(left + width + right, source.width)
+        high = min(top + height + bottom, source.height)
+        width, height = min(width, wide - left), min(height, high - top)
         if min(width, height) < MIN_WINDOW:
             raise ImageRejected('size', f'the model takes {source.width}x{source.height} pixels: '
                                 'too few to cut a narrower camera out of them')

@@ -231,7 +231,7 @@ def scatter_gradients(rays_d, samples, field, threads, gradient, touched):
     for owner in prange(threads):
         basis = np.empty(terms, np.float32)
         slopes = np.empty(3 * terms, np.float32)
-        for r in range(count.shape[0]):
+        for r in range(len(rays_d)):  # There is room for more.
             sh_basis(rays_d[r, 0], rays_d[r, 1], rays_d[r, 2], basis)
             for i in range(count[r]):
                 fx, fy, fz = frac[r, i, 0], frac[r, i, 1], frac[r, i, 2]

@@ -12,14 +12,13 @@ from pathlib import Path
 import re
 
 from neo_ros.errors import ConfigError, SceneError
-from neo_ros.field.config import FieldConfig, fit_near
+from neo_ros.field.config import FieldConfig, FIT_NEAR
 from neo_ros.field.mesh_field import MeshField
 from neo_ros.field.mesh_file import ColouredMesh, ENDINGS, read_mesh
 from neo_ros.field.rendering import render_rays, world_rays
 from neo_ros.field.splat_field import splat_field
 from neo_ros.field.splat_file import is_splat_file, read_splats, Splats
 from neo_ros.field.voxel_field import VoxelField
-from neo_ros.geometry import Intrinsics
 from neo_ros.machine.evenly import evenly
 from neo_ros.scenes.posed_images import PosedImages
 import numpy as np
@@ -96,14 +95,14 @@ def field_of_geometry(given: GivenGeometry, world: np.ndarray, photos: PosedImag
     geometry = _read(given.path)
     _check_place(given, geometry, world, photos, rules)
     geometry = geometry.transformed(world @ turn)
-    near = fit_near(config.near)
+    near = FIT_NEAR if config.near is None else config.near
     if isinstance(geometry, Splats):
         # All of it counts as seen: it is made of what photos saw.
         return splat_field(geometry, *_inner_box(geometry, photos, config.margin), config.shell,
                            near)
     field = MeshField(geometry, near)
     scale = min(1.0, rules.marked_across / photos.intrinsics.width)
-    field.mark_seen(_rays(photos, photos.intrinsics.scaled(scale)))
+    field.mark_seen(_rays(photos, scale))
     return field
 
 
@@ -114,11 +113,13 @@ def _read(path: Path) -> Geometry:
     return read_splats(path) if is_splat_file(path) else read_mesh(path)
 
 
-def _rays(photos: PosedImages, camera: Intrinsics
-          ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    for pose in photos.poses:
+def _rays(photos: PosedImages, scale: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield the rays of each photo's pixels that show the scene."""
+    camera = photos.intrinsics.scaled(scale)
+    for index, pose in enumerate(photos.poses):
         origin, directions = world_rays(camera, pose)
-        directions = directions.reshape(-1, 3)
+        usable = photos.read_usable(index, scale)
+        directions = directions.reshape(-1, 3) if usable is None else directions[usable]
         yield np.broadcast_to(origin, directions.shape).copy(), directions
 
 
@@ -187,11 +188,11 @@ def _likeness(field: VoxelField | MeshField, photos: PosedImages, index: int, tu
     size, back = np.cbrt(np.linalg.det(turn)), np.linalg.inv(turn)
     shown = render_rays(field, (back @ photos.poses[index].position).astype(np.float32),
                         (directions @ back.T * size).astype(np.float32))
-    hit = shown.opacity > 0.5
+    photo, usable = photos.read_shown(index, camera.width / photos.intrinsics.width)
+    hit = (shown.opacity > 0.5) & usable
     if hit.sum() < 10:
         return 0.0
-    photo = photos.read_image(index, camera.width / photos.intrinsics.width)
     a, b = shown.image[hit], photo[hit] / 255
     a, b = a - a.mean(0), b - b.mean(0)
     spread = np.sqrt((a ** 2).sum() * (b ** 2).sum())
-    return float((a * b).sum() / max(spread, 1e-9) * min(1, 2 * hit.mean()))
+    return float((a * b).sum() / max(spread, 1e-9) * min(1, 2 * hit.sum() / usable.sum()))

@@ -111,16 +111,19 @@ def _held_out_strips(run: TrainingRun, field: RadianceField,
     camera = photos.intrinsics.scaled(scale)
     scores, strips = [], []
     for index, pose in enumerate(photos.poses):
-        photo = photos.read_image(index, scale)
+        photo, usable = photos.read_shown(index, scale)
+        if not usable.any():
+            continue
         rendered = render_view(field, camera, pose).image
-        rendered = _exposed(rendered, rendered, photo)
-        scores.append(psnr(photo, rendered))
+        rendered = _exposed(rendered, rendered, photo, usable)
+        scores.append(psnr(photo[usable], rendered[usable]))
         if index < STRIPS:
             strips.append(Strip(
                 f'{photos.image_paths[index].name}: {scores[-1]:.2f} dB',
                 [('field', rendered), ('photo', photo),
                  (error_label(), error_map(photo, rendered))]))
-    figures['field_psnr'] = float(np.mean(scores))
+    if scores:
+        figures['field_psnr'] = float(np.mean(scores))
     return [Text('Photos that the field was not shown.', 'The field against photos'), *strips]
 
 
@@ -141,7 +144,7 @@ def _compare_inputs(run: TrainingRun, field: RadianceField, figures: dict[str, f
         ring = expansion.extrapolated_mask & (view[..., 3] > 127)
         photo = np.ascontiguousarray(expansion.crop(view[..., :3]))
         rendered = render_view(field, expansion.source, pose).image
-        rendered = _exposed(rendered, rendered, photo)
+        rendered = _exposed(rendered, rendered, photo, expansion.crop(view[..., 3]) > 127)
         if ring.any():
             scores.append([psnr(view[ring][:, :3], network.expand(image).wide_image[ring])
                            for image in (photo, rendered)])
@@ -157,12 +160,16 @@ def _oracle(field: RadianceField, scoring: Scoring) -> tuple[float, float]:
     for index in range(0, len(frames), ORACLE_EVERY):
         photo, truth = frames.read(index)
         rendered = render_view(field, expansion.target, frames.images.poses[index]).image
-        rendered = _exposed(rendered, expansion.crop(rendered), photo)
-        whole_scores.append(psnr(truth, rendered))
-        ring_scores.append(psnr(truth[ring], rendered[ring]))
+        usable = frames.read_usable(index)
+        if usable is None:
+            usable = np.ones(ring.shape, bool)
+        rendered = _exposed(rendered, expansion.crop(rendered), photo, expansion.crop(usable))
+        whole_scores.append(psnr(truth[usable], rendered[usable]))
+        ring_scores.append(psnr(truth[ring & usable], rendered[ring & usable]))
     return float(np.mean(whole_scores)), float(np.mean(ring_scores))
 
 
-def _exposed(rendered: np.ndarray, shown: np.ndarray, photo: np.ndarray) -> np.ndarray:
+def _exposed(rendered: np.ndarray, shown: np.ndarray, photo: np.ndarray, usable: np.ndarray
+             ) -> np.ndarray:
     """Bring a rendering (0 to 1) to the exposure of a photo (uint8) of its part `shown`: uint8."""
-    return to_uint8(rendered * exposure_gain(255 * shown, photo))
+    return to_uint8(rendered * exposure_gain(255 * shown[usable], photo[usable]))

@@ -11,7 +11,7 @@ from neo_ros.outpaint.panorama_cache import PanoramaCache
 from neo_ros.outpaint.real_centres import RealCentres
 from neo_ros.scenes.pose_sampling import PoseSampler
 from neo_ros.scenes.posed_images import PosedImages
-from neo_ros.training.pose_map import COUNTS_FILE, draw_poses, write_poses
+from neo_ros.training.pose_map import draw_poses, write_poses
 from neo_ros.training.run import TrainingRun
 import numpy as np
 
@@ -114,8 +114,6 @@ def make_sampler(run: TrainingRun, field: RadianceField | None) -> PoseSampler:
 def note_poses(run: TrainingRun, stream: PairStream, steps: int) -> None:
     """Leave the counts and the map of the poses of `steps` batches in the output folder."""
     pool = stream.pool
-    if (run.out / COUNTS_FILE).exists() and not pool.panoramas:
-        return  # A training that had ended was only read again.
     stream.render_for(steps - 1)
     positions = np.stack([panorama.position for panorama in pool.panoramas])
     write_poses(run.out, pool.summary(), draw_poses(

@@ -25,8 +25,11 @@ def _picture(width: int = 128, height: int = 96) -> np.ndarray:
     return cv2.resize(noise, (width, height), interpolation=cv2.INTER_CUBIC)
 
 
-@pytest.mark.parametrize('model', [SQUARE, HORIZONTAL, SKEWED],
-                         ids=['square', 'horizontal', 'skewed'])
+@pytest.mark.parametrize('model', [
+    SQUARE, HORIZONTAL, SKEWED,
+    ViewExpansion(Intrinsics.from_hfov(640, 480, 1.2), 160, 0, 0, 0),
+    ViewExpansion(Intrinsics.from_hfov(256, 256, 1.2), 0, 0, 64, 0),
+], ids=['square', 'horizontal', 'skewed', 'left alone', 'up alone'])
 def test_the_narrower_camera_is_the_models_view_at_another_scale(model: ViewExpansion) -> None:
     camera = NarrowerCamera(model)
     small, ratio = camera.expansion, camera.focal_ratio

@@ -222,6 +222,23 @@ def test_the_number_of_threads_does_not_change_a_bit(
         set_num_threads(before)
 
 
+def test_room_for_rays_that_are_none_adds_nothing(
+        images: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(FieldTrainer, 'rays_across', 2)  # Four rays a pixel.
+    grids = []
+    for rays in (256, 259):
+        fit = trained(images, 0, **{**PLAIN, 'rays_per_step': rays})
+        cell, frac, d_density, d_rgb, count = fit.slopes
+        for part in (cell, frac):
+            part[:] = 0
+        for part in (d_density, d_rgb, count):
+            part[:] = 1
+        for _ in range(3):
+            fit.train_step()
+        grids.append(fit.field.grid.copy())
+    np.testing.assert_array_equal(*grids)
+
+
 # A field that loses the pull of faint samples leaves white walls empty for good.
 @pytest.mark.parametrize('low, high', [(0.0, 1.0), (0.8, 1.0)], ids=['colourful', 'white'])
 def test_a_fit_shows_the_room_from_new_places(

@@ -1,4 +1,5 @@
 """A mesh or splats in the place of a fitted field: what is shown, and whether it belongs there."""
+from dataclasses import replace
 from pathlib import Path
 
 from box_room import cast, HEIGHT, HIGH, planar, view
@@ -13,6 +14,7 @@ from neo_ros.field.splat_file import basis, read_splats, Splats
 from neo_ros.field.voxel_field import VoxelField
 from neo_ros.geometry import Intrinsics
 from neo_ros.machine.progress import no_stage_progress
+from neo_ros.pictures.usable import write_usable
 from neo_ros.pipeline import fit_field_step
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.scene import Scene
@@ -209,6 +211,29 @@ def test_files_that_show_nothing_are_refused(photos: PosedImages, tmp_path: Path
                           ('room.splat', 'save it as one'), ('none.ply', 'cannot read')):
         with pytest.raises(SceneError, match=message):
             field_of_geometry(GivenGeometry(tmp_path / name), UPRIGHT, photos, FieldConfig())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('wanted, near', [(None, 0.1), (0.3, 0.3), (0.02, 0.02)])
+def test_views_of_it_begin_where_the_settings_say(
+        photos: PosedImages, tmp_path: Path, wanted: float | None, near: float) -> None:
+    given = GivenGeometry(write_splats(tmp_path / 'splats.ply'))
+    field = field_of_geometry(given, UPRIGHT, photos, FieldConfig(near=wanted))
+    assert field.near == pytest.approx(near)
+
+
+@pytest.mark.slow
+def test_what_masks_leave_out_saw_nothing(photos: PosedImages, tmp_path: Path) -> None:
+    file = write_mesh(tmp_path / 'room.ply')
+    camera = photos.intrinsics
+    usable = np.zeros((camera.height, camera.width), bool)
+    usable[:, :camera.width // 2] = True
+    write_usable(tmp_path / 'mask.png', usable)
+    one = photos.subset([0])
+    masked = replace(one, mask_paths=(tmp_path / 'mask.png',))
+    seen = [field_of_geometry(GivenGeometry(file), UPRIGHT, some, FieldConfig()).seen.sum()
+            for some in (one, masked)]
+    assert 0 < seen[1] < 0.8 * seen[0]
 
 
 @pytest.mark.slow
