@@ -124,5 +124,6 @@ class NeoModel:
         return {'guided': float(self._last.guided)} if self.guided else {}
 
     def reset(self) -> None:
-        """Forget the frames before."""
+        """Forget the frames before, and their light."""
         self._extrapolator.reset()
+        self._extrapolator.forget_light()

@@ -122,5 +122,6 @@ class BagReplayer:
         if self._scored is None:
             self._scored = FovExtrapolator.load(self.model, self._threads)
         self._scored.reset()
+        self._scored.forget_light()
         expand = self._scored.expand
         return BagScores(expansion, lambda image: expand(image).wide_image), None

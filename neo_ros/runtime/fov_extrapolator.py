@@ -51,7 +51,7 @@ class FovExtrapolator:
     The trained network of one scene, and its memory if there is one, on camera images.
 
     Deterministic: the same image gives the same bits, with a memory the same sequence of images
-    since the last `reset`. One instance serves one camera and one thread.
+    since the last `reset` and `forget_light`. One instance serves one camera and one thread.
     """
 
     def __init__(self, session: onnxruntime.InferenceSession, card: ModelCard,
