@@ -86,7 +86,8 @@ class GuidedView:
             _write(keep, self._guide.light.known())
 
     def guide(self, image: np.ndarray, prior: CameraPose | None = None,
-              motion: np.ndarray | None = None, pace: float = 1.0) -> Guide | None:
+              motion: np.ndarray | None = None, pace: float = 1.0, stamp_ns: int | None = None
+              ) -> Guide | None:
         """Find the camera and draw what is around it; None while it is lost."""
         keep, light = self._keep_lights, self._guide.light
         self._images += light.other
@@ -97,7 +98,7 @@ class GuidedView:
             self._writing = threading.Thread(target=_write, args=(keep, known), name='lights',
                                              daemon=True)
             self._writing.start()
-        return self._guide.guide(image, prior, motion, pace)
+        return self._guide.guide(image, prior, motion, pace, stamp_ns)
 
     @property
     def ambiguous(self) -> bool:

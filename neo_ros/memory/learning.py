@@ -96,6 +96,7 @@ class Learner:
         self._shots: list[Shot] = []
         self._depths: dict[Shot, np.ndarray] = {}
         self._new = 0
+        self._ahead: int | None = None  # Nanoseconds that the clock here is ahead of the images'.
         self._begin_visit(memory.changes or Changes(()))
         self._pending: Future[Learnt] | None = None
 
@@ -105,16 +106,17 @@ class Learner:
         self._begun = self._batch  # The first one of this visit.
 
     def see(self, image: np.ndarray, shown: np.ndarray, depth: np.ndarray, pose: CameraPose,
-            gain: np.ndarray, agreement: float) -> None:
+            gain: np.ndarray, agreement: float, stamp_ns: int | None = None) -> None:
         """
         Take in an image uint8 RGB (h, w, 3) and its wide view of the memory.
 
         shown float32 RGB (H, W, 3), in the image's exposure, which is the memory's times gain
-        (3,); depth float32 (H, W) metres, 0 = unknown. Nothing of it is kept.
+        (3,); depth float32 (H, W) metres, 0 = unknown. Nothing of it is kept. stamp_ns: when it
+        was taken, which counts where images are learnt from at once; None: now.
         """
         self._take_up()
         limits = self.thresholds
-        now = time.time_ns()
+        now = self._time_of(stamp_ns)
         if agreement < limits.least_agreement or (
                 self._shots and not pose.is_apart(
                     self._shots[-1].pose, limits.metres, limits.radians)):
@@ -128,6 +130,19 @@ class Learner:
         self._new += 1
         if self._new >= limits.batch:
             self._begin()
+
+    def _time_of(self, stamp_ns: int | None) -> int:
+        """
+        Return when an image was taken, by this machine's clock.
+
+        Cameras have clocks of their own. A replay, which may be fast or slow, counts from its
+        first image on as the camera did.
+        """
+        if self._beside or stamp_ns is None:
+            return time.time_ns()
+        if self._ahead is None:
+            self._ahead = time.time_ns() - stamp_ns
+        return stamp_ns + self._ahead
 
     def finish(self) -> None:
         """Look at what is left, wait for it, and let others write the journal."""

@@ -74,7 +74,8 @@ class SceneGuide:
         self._led = 0  # Images for which landmarks alone still say where the camera is.
 
     def guide(self, image: np.ndarray, prior: CameraPose | None = None,
-              motion: np.ndarray | None = None, pace: float = 1.0) -> Guide | None:
+              motion: np.ndarray | None = None, pace: float = 1.0, stamp_ns: int | None = None
+              ) -> Guide | None:
         """
         Find the pose of an image, uint8 RGB (h, w, 3), and draw the wide view.
 
@@ -84,9 +85,11 @@ class SceneGuide:
         pose in the axes of the image before, as odometry measures it; pace: without it, how many
         times as long as the time before the last image was the one before this image. They only
         say where to look first: without the image's agreement they are dropped.
+
+        stamp_ns: when the image was taken, to learn from it; None: now.
         """
         with self.loops():
-            return self._guide(self._camera_image(image), prior, motion, pace)
+            return self._guide(self._camera_image(image), prior, motion, pace, stamp_ns)
 
     def _camera_image(self, pixels: np.ndarray) -> CameraImage:
         return CameraImage(pixels, self.aligner.photo(pixels), self._find_features)
@@ -96,7 +99,7 @@ class SceneGuide:
         return self._locator.features(pixels)
 
     def _guide(self, image: CameraImage, prior: CameraPose | None, motion: np.ndarray | None,
-               pace: float) -> Guide | None:
+               pace: float, stamp_ns: int | None) -> Guide | None:
         # Whatever goes wrong with this image, the next one starts anew.
         before, self._last = self._last, None
         last = before.pose if before is not None else None
@@ -142,7 +145,8 @@ class SceneGuide:
         changes = self._memory.changes
         # Another light would be learnt as a change.
         if self.learner is not None and self.light.as_in_photos:
-            self.learner.see(image.pixels, view.image, solid, best.pose, gain, best.agreement)
+            self.learner.see(image.pixels, view.image, solid, best.pose, gain, best.agreement,
+                             stamp_ns)
             if self._memory.changes is not None and self._memory.changes is not changes:
                 self._recent.distrust(self._memory.changes)
         return Guide(view.image, known, view.stretched, best.pose, best.agreement, seen_before,

@@ -98,8 +98,9 @@ class Extrapolator(Protocol):
         """What knows the scene; None where the model's card holds no reference."""
 
     def expand(self, image: np.ndarray, prior: CameraPose | None = None,
-               motion: np.ndarray | None = None, pace: float = 1.0) -> View:
-        """Widen one camera image, uint8 RGB (h, w, 3); the hints say where it may be from."""
+               motion: np.ndarray | None = None, pace: float = 1.0,
+               stamp_ns: int | None = None) -> View:
+        """Widen one camera image, uint8 RGB (h, w, 3); hints: where and when it may be from."""
 
     def reset(self) -> None:
         """Forget where the camera was."""
@@ -215,7 +216,8 @@ class FrameProcessor:
             return {}
         before, now = self._stamp_ns, stamp_of(header)
         self._stamp_ns = now
-        found: dict[str, Any] = {'pace': self._pace(now - before if before is not None else 0)}
+        found: dict[str, Any] = {
+            'pace': self._pace(now - before if before is not None else 0), 'stamp_ns': now}
         if self.hints is not None:
             found |= {'prior': self.hints.take_prior(), 'motion': (
                 None if before is None else self.hints.motion(before, now))}

@@ -109,11 +109,13 @@ class FovExtrapolator:
         return self.card.expansion
 
     def expand(self, image: np.ndarray, prior: CameraPose | None = None,
-               motion: np.ndarray | None = None, pace: float = 1.0) -> WideView:
+               motion: np.ndarray | None = None, pace: float = 1.0,
+               stamp_ns: int | None = None) -> WideView:
         """
         Widen one camera image, uint8 RGB (h, w, 3).
 
-        prior, motion, pace: hints where the camera may be, see `SceneGuide.guide`.
+        prior, motion, pace, stamp_ns: hints where the camera may be, and when it saw this, see
+        `SceneGuide.guide`.
         Raises ImageRejected('size') for another shape or dtype than the model's.
         """
         source = self.expansion.source
@@ -123,7 +125,7 @@ class FovExtrapolator:
                 'size', f'image: the model takes uint8 {expected} (height, width, RGB), got '
                 f'{image.dtype} {image.shape}; resize or train a model for this camera')
         guided = self._guided_view
-        guide = guided.guide(image, prior, motion, pace) if guided is not None else None
+        guide = guided.guide(image, prior, motion, pace, stamp_ns) if guided else None
         if guided is None or guide is None:
             return WideView(*self._run_network(image),
                             ambiguous=guided is not None and guided.ambiguous)

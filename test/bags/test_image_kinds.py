@@ -40,7 +40,7 @@ class Remembering(QuickExtrapolator):
     def __init__(self) -> None:
         self.images: list[np.ndarray] = []
 
-    def expand(self, image: np.ndarray, prior=None, motion=None, pace=1.0) -> Any:
+    def expand(self, image: np.ndarray, **hints) -> Any:
         self.images.append(image.copy())
         return super().expand(image)
 

@@ -357,3 +357,20 @@ def test_images_that_waited_for_a_turn_are_no_witnesses_even_if_more_came_than_a
     learner._pending.set_result(Learnt(learner._changes, {}, others=False, turned=True))
     learner._take_up()
     assert learner._shots == [] and learner._new == 0
+
+
+@pytest.mark.parametrize('beside, pause_s, kept', [
+    (False, 60, 6), (False, 3600, 1), (True, 3600, 6)])
+def test_a_replay_counts_time_as_the_camera_did_and_a_robot_by_its_own_clock(
+        beside: bool, pause_s: int, kept: int, tmp_path: Path) -> None:
+    memory = box_memory()
+    learner, renderer = learner_of(memory, tmp_path / 'a.journal', beside), MemoryRenderer(memory)
+    for number, pose in enumerate(DRIVE[:6]):
+        shown = renderer.render(pose, EXPANSION.target)
+        stamp_ns = (number + pause_s * (number == 5)) * 10 ** 9
+        learner.see(with_board(pose, SOURCE)[0], shown.image, shown.depth, pose,
+                    np.ones(3, np.float32), 0.9, stamp_ns)
+    # After ten minutes it is another visit.
+    assert len(learner._shots) == kept
+    assert 0 <= time.time_ns() - learner._shots[-1].stamp_ns + 10 ** 9 * (
+        0 if beside else pause_s + 5) < 60 * 10 ** 9

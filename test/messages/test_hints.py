@@ -132,5 +132,6 @@ def test_the_extrapolator_hears_them(hints):
         processor.process(image_message(noise_image(SOURCE, 0), header(milliseconds)), None)
     processor.reset()
     processor.process(image_message(noise_image(SOURCE, 0), header(300)), None)
-    assert [set(given) for given in heard] == [{'prior'}, {'motion'}, set(), set()]
+    assert [set(given) - {'stamp_ns'} for given in heard] == [{'prior'}, {'motion'}, set(), set()]
+    assert [given['stamp_ns'] / 1e6 for given in heard] == [100, 200, 5000, 300]
     assert np.allclose(heard[1]['motion'], at(100).inverse() @ at(200).T_world_cam)
