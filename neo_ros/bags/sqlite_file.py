@@ -11,11 +11,13 @@ from urllib.parse import quote
 from neo_ros.bags.damage import Damage
 from neo_ros.errors import BagError
 
-_LAST_NS = (1 << 63) - 1
+# The largest number of sqlite.
+_LAST = (1 << 63) - 1
 # Rows behind a damaged page are looked for one by one. Where it is known how many there are, the
 # damage may be a page that many others hang on.
 _MAX_MISSES, _MAX_KNOWN_MISSES = 10_000, 1_000_000
 _HEADER_BYTES = 100
+_TOPIC_COLUMNS = {'id': int, 'name': str, 'type': str, 'serialization_format': str}
 Row = tuple[int, int, int, bytes]  # id, topic id, log time in ns, CDR
 
 
@@ -36,16 +38,17 @@ class SqliteFile:
         self._database = _open(path)
         try:
             # topic id -> column name -> value, and type -> (encoding, definition)
-            self.topics = {row['id']: row for row in self._table('topics')}
-            self.definitions = {row['topic_type']: row for row in self._table(
+            self.topics = {row['id']: row for row in self._table('topics') if all(
+                isinstance(row.get(name), kind) for name, kind in _TOPIC_COLUMNS.items())}
+            self.definitions = {row.get('topic_type'): row for row in self._table(
                 'message_definitions', must=False)}
             self.counts: Counter[int] = Counter()
             try:
-                for topic, count in self._rows(
-                        'SELECT topic_id, COUNT(*) FROM messages GROUP BY topic_id'):
-                    self.counts[topic] = count
+                counts = Counter(dict(self._rows(
+                    'SELECT topic_id, COUNT(*) FROM messages GROUP BY topic_id')))
                 if expected is None:
-                    self._expected = self.counts.total()
+                    self._expected = counts.total()
+                self.counts = self._known(counts)
             except sqlite3.Error:
                 self._recount()
         except sqlite3.Error as error:
@@ -60,7 +63,8 @@ class SqliteFile:
     def span_ns(self) -> tuple[int, int] | None:
         """First and last log time; None where that cannot be read."""
         try:
-            (first, last), = self._rows('SELECT MIN(timestamp), MAX(timestamp) FROM messages')
+            (first, last), = self._rows('SELECT MIN(timestamp), MAX(timestamp) FROM messages '
+                                        "WHERE typeof(timestamp) = 'integer'")
         except sqlite3.Error:
             stamps = [row[2] for row in self._rows_by_number(set())]
             return (min(stamps), max(stamps)) if stamps else None
@@ -79,7 +83,7 @@ class SqliteFile:
         return Damage(self.path.name, found, lost, place)
 
     def messages(self, topics: Collection[int], start_ns: int = 0,
-                 stop_ns: int = _LAST_NS) -> Iterator[tuple[int, int, bytes]]:
+                 stop_ns: int = _LAST) -> Iterator[tuple[int, int, bytes]]:
         """Yield (topic id, log time in ns, CDR) of these topics in [start_ns, stop_ns)."""
         marks = ','.join('?' * len(topics))
         seen: set[int] = set()
@@ -88,9 +92,14 @@ class SqliteFile:
             for row in self._database.execute(
                     'SELECT id, topic_id, timestamp, CAST(data AS BLOB) FROM messages '
                     f'WHERE +topic_id IN ({marks}) AND timestamp >= ? AND timestamp < ? '
-                    'ORDER BY timestamp, id', (*topics, start_ns, min(stop_ns, _LAST_NS))):
+                    'ORDER BY timestamp, id', (*topics, start_ns, min(stop_ns, _LAST))):
+                if row[0] in seen or not _is_whole(row):
+                    raise sqlite3.DatabaseError('the index by time is damaged')
                 seen.add(row[0])
                 yield row[1], row[2], row[3]
+            if start_ns <= 0 and stop_ns >= _LAST and (
+                    len(seen) < sum(self.counts[topic] for topic in topics)):
+                raise sqlite3.DatabaseError('the index by time leaves rows out')
         except sqlite3.Error:
             for number, topic, stamp_ns, data in self._rows_by_number(seen):
                 if topic in topics and start_ns <= stamp_ns < stop_ns:
@@ -102,14 +111,19 @@ class SqliteFile:
         highest = self._highest()
         if self._expected is None:
             self._expected = highest
-        self.counts = Counter(row[1] for row in self._rows_by_number(set()))
+        self.counts = self._known(Counter(row[1] for row in self._rows_by_number(set())))
+
+    def _known(self, counts: Counter[int]) -> Counter[int]:
+        """Return the counts without those of topics that are lost."""
+        return Counter({topic: count for topic, count in counts.items() if topic in self.topics})
 
     def _rows_by_number(self, seen: set[int]) -> Iterator[Row]:
-        """Yield all rows that can be read, but those that were seen."""
+        """Yield all rows that can be read, each once, but those that were seen."""
         number, misses = 1, 0
         highest = self._highest()
         most = _MAX_MISSES if highest is None else _MAX_KNOWN_MISSES
-        while misses < most and (highest is None or number <= highest):
+        last = _LAST if highest is None else highest
+        while misses < most and number <= last:
             # Behind damage one number at a time, until there is a row again.
             where = 'id = ?' if misses else 'id >= ? ORDER BY id'
             try:
@@ -118,13 +132,16 @@ class SqliteFile:
                     f'WHERE {where}', (number,))
                 if not misses:
                     for row in rows:
+                        # A damaged page may hold any numbers, also those of rows before it.
+                        if not number <= row[0] <= last:
+                            continue
                         number = row[0] + 1
-                        if row[0] not in seen:
+                        if row[0] not in seen and _is_whole(row):
                             yield row
                     return
                 row = rows.fetchone()
                 number, misses = number + 1, 0 if row else misses + 1
-                if row and row[0] not in seen:
+                if row and row[0] not in seen and _is_whole(row):
                     yield row
             except sqlite3.Error:
                 if not misses:
@@ -134,7 +151,8 @@ class SqliteFile:
     def _highest(self) -> int | None:
         """Return the number of the last row; None where it cannot be read."""
         try:
-            return self._rows('SELECT MAX(id) FROM messages')[0][0] or 0
+            # The last row itself may be damaged; there are as many numbers as rows at least.
+            return max(self._rows('SELECT MAX(id) FROM messages')[0][0] or 0, self._expected or 0)
         except sqlite3.Error:
             return self._expected
 
@@ -149,6 +167,11 @@ class SqliteFile:
             if must:
                 raise
             return []  # Bags before Iron have no definitions.
+
+
+def _is_whole(row: tuple[Any, ...]) -> bool:
+    """Whether the values are those of a message; damage makes NULL or a text of a number."""
+    return isinstance(row[1], int) and isinstance(row[2], int) and isinstance(row[3], bytes)
 
 
 def _open(path: Path) -> sqlite3.Connection:
