@@ -253,6 +253,7 @@ def _topics_of(file: McapFile | SqliteFile, folder: BagFolder) -> dict[int, BagT
                                   folder.topics.get(row['name'], {}))
                 for key, row in file.topics.items()}
     topics: dict[int, BagTopic] = {}
+    counts = file.counts  # A sum over all chunks, which may be many.
     for found in file.channels.values():
         schema = file.schemas.get(found.schema_id)
         # Channels without a schema have the id 0; what is lost by damage tells no type.
@@ -261,7 +262,7 @@ def _topics_of(file: McapFile | SqliteFile, folder: BagFolder) -> dict[int, BagT
         channel = Channel('', '', b'', found.metadata) if schema is None else Channel(
             schema.name, schema.encoding, schema.data, found.metadata)
         topics[found.id] = topic_of_channel(
-            found.topic, found.message_encoding, channel, file.counts[found.id],
+            found.topic, found.message_encoding, channel, counts[found.id],
             folder.topics.get(found.topic, {}))
     return topics
 

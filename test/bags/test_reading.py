@@ -1,11 +1,14 @@
 """Bags come back as they were written, in every form that a bag has; the rest is refused."""
+from collections import Counter
 from pathlib import Path
 import shutil
+from typing import Any
 
 from bag_files import (
     START_NS, STORE, STRING, string_cdr, texts, write_sqlite_bag, write_text_bag)
 from neo_ros.bags import BagReader, BagTopic, BagWriter
 from neo_ros.bags.bag_folder import read_bag_folder
+from neo_ros.bags.mcap_file import McapFile
 from neo_ros.bags.qos import LATCHED
 from neo_ros.errors import BagError
 import pytest
@@ -82,6 +85,27 @@ def test_only_the_wanted_topics_come(tmp_path: Path) -> None:
         assert [m.read().data for m in bag.messages(['/c', '/a'])] == ['/a', '/c']
         assert list(bag.messages([])) == []
         assert list(bag.messages(['/d'])) == []
+
+
+def test_messages_are_counted_as_often_whatever_the_topics(tmp_path: Path, monkeypatch) -> None:
+    counted, times = [], []
+    counts: Any = vars(McapFile)['counts']
+
+    def count(file: McapFile) -> Counter[int]:
+        counted.append(file)
+        return counts.fget(file)
+
+    monkeypatch.setattr(McapFile, 'counts', property(count))
+    for topics in (1, 30):
+        with BagWriter(tmp_path / str(topics)) as writer:
+            for number in range(topics):
+                topic = writer.add_topic(f'/text_{number}', STRING)
+                writer.write_cdr(topic, START_NS, string_cdr('a'))
+        counted.clear()
+        with BagReader(tmp_path / str(topics)) as bag:
+            assert [topic.count for topic in bag.topics] == [1] * topics
+        times.append(len(counted))
+    assert times[0] == times[1]
 
 
 def test_a_type_that_jazzy_does_not_know_is_decoded_with_its_own_definition(
