@@ -57,6 +57,9 @@ class ReplayOutputs:
         for name, message in self._messages.of(header, frame, self._names):
             self._write(name, stamp_ns, message)
         self._published += 1
+        # Bags with a clock that was set back begin anew: nothing before would ever grow old.
+        if self._frames and stamp_ns < self._frames[-1][0]:
+            self._frames.clear()
         # What the memory keeps for a frame is large: only its verdicts are held on to.
         self._frames.append((stamp_ns, replace(frame, image=None, confidence=None, guide=None)))
         while self._frames and stamp_ns - self._frames[0][0] > WINDOW_NS:

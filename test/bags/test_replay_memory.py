@@ -1,10 +1,15 @@
 """A replayed bag holds what the node would have known."""
+from collections import Counter
+from types import SimpleNamespace
+from typing import Any
+
 from bag_files import write_walk_bag
 from box_room import box_walk, EXPANSION, view, write_box_model
 from neo_ros.bags import BagReader, BagWriter, replay
+from neo_ros.bags.replay_outputs import ReplayOutputs
 from neo_ros.errors import BagError
-from neo_ros.messages import image_fields
-from neo_ros.messages.memory_messages import MEMORY_OUTPUTS
+from neo_ros.messages import image_fields, WideFrame
+from neo_ros.messages.memory_messages import MEMORY_OUTPUTS, MemorySettings
 from neo_ros.runtime import FovExtrapolator
 from neo_ros.viewer.wide_topics import NodeDiagnosis
 import numpy as np
@@ -95,6 +100,22 @@ def test_a_network_alone_has_a_status_and_no_pose(tmp_path):
     found = contents(tmp_path / 'out')
     assert len(found['/camera/wide/status']) == 3
     assert not {f'/camera/wide/{name}' for name in MEMORY_OUTPUTS if name != 'status'} & set(found)
+
+
+def test_the_diagnosis_begins_anew_where_the_clock_was_set_back():
+    said = []
+
+    def write(topic: str, stamp_ns: int, message: Any) -> None:
+        values = {entry.key: entry.value for entry in message.status[0].values}
+        said.append((stamp_ns // 10**9, values['guided by the scene memory']))
+
+    outputs = ReplayOutputs(lambda kind, **fields: SimpleNamespace(**fields), (),
+                            MemorySettings('map', 'test'), write, True)
+    mask = np.zeros((2, 2), np.uint8)
+    for second, guided in ((100, True), (101, True), (1, False), (2, False), (8, True)):
+        outputs.add(second * 10**9, None, WideFrame(
+            None, None, mask, {}, None, guided, '', {}, TINY_EXPANSION.target), Counter())
+    assert said == [(100, '100%'), (101, '100%'), (1, '0%'), (2, '0%'), (8, '100%')]
 
 
 def test_an_unknown_output_is_refused_by_name(tmp_path, bag, extrapolator):
