@@ -4,7 +4,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from neo_ros.bags.foxglove import VIDEO
-from neo_ros.bags.reading import BagReader
+from neo_ros.bags.reading import BagReader, PACKET
 from neo_ros.bags.topic import BagTopic, CDR, describe_topics, describe_unread
 from neo_ros.errors import BagError, ImageRejected
 from neo_ros.geometry import Intrinsics
@@ -15,7 +15,6 @@ from neo_ros.messages.depth_image import COMPRESSED_DEPTH, depth_encoding
 from neo_ros.messages.image_reader import ImageReader
 
 IMAGE, COMPRESSED = 'sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage'
-PACKET = 'ffmpeg_image_transport_msgs/msg/FFMPEGPacket'
 IMAGE_TYPES = (IMAGE, COMPRESSED, VIDEO, PACKET)
 CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
 

@@ -25,6 +25,13 @@ import zstandard
 FOREVER_NS = 1 << 64
 # The record in which rosbag2 keeps a copy of metadata.yaml.
 ROSBAG2_METADATA = 'rosbag2'
+PACKET = 'ffmpeg_image_transport_msgs/msg/FFMPEGPacket'
+# Jazzy does not know the types of videos, and sqlite3 bags from before Iron define nothing.
+_VIDEO_FIELDS = {
+    VIDEO: 'builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\nstring format\n',
+    PACKET: ('std_msgs/Header header\nint32 width\nint32 height\nstring encoding\n'
+             'uint64 pts\nuint8 flags\nbool is_bigendian\nuint8[] data\n'),
+}
 
 
 @dataclass(frozen=True)
@@ -55,6 +62,8 @@ class BagMessage:
             raise BagError(f'{describe_topics([topic])}: {topic.unread}')
         try:
             return self.decoder.read(topic, self.cdr)
+        except BagError:
+            raise
         except Exception as error:  # The decoders raise whatever numpy or struct do.
             raise BagError(
                 f'{topic.name}: the message at {self.stamp_ns} ns is no {topic.recorded_type}: '
@@ -72,10 +81,14 @@ class _Decoder:
         if topic.encoding != CDR:
             return self._read_foxglove(topic, data)
         if topic.msgtype not in self._typestore.types:
-            idl = topic.msgdef.format is MessageDefinitionFormat.IDL
+            kind, fields = topic.msgdef.format, topic.msgdef.data
+            if not fields:  # A copy of such a bag has an empty definition.
+                fields = _VIDEO_FIELDS.get(topic.msgtype, '')
+            if not fields and kind is MessageDefinitionFormat.NONE:
+                raise BagError(f'{topic.name}: the bag holds no definition of {topic.msgtype}')
             self._typestore.register(
-                get_types_from_idl(topic.msgdef.data) if idl
-                else get_types_from_msg(topic.msgdef.data, topic.msgtype))
+                get_types_from_idl(fields) if kind is MessageDefinitionFormat.IDL
+                else get_types_from_msg(fields, topic.msgtype))
         message = self._typestore.deserialize_cdr(data, topic.msgtype)
         return with_header(message) if topic.msgtype == VIDEO else message
 

@@ -1,10 +1,11 @@
 """Bags with images of every kind are imported, replayed and described alike."""
 from collections import Counter
 from pathlib import Path
+import sqlite3
 from types import SimpleNamespace
 from typing import Any
 
-from camera_bags import CameraBag, COMPRESSED, IMAGE
+from camera_bags import as_sqlite, CameraBag, COMPRESSED, IMAGE
 from camera_messages import header_without_a_clock
 import cv2
 from encoded_images import ALL, encoded_message, flat_quarters, seen_as, YUV
@@ -156,6 +157,20 @@ def test_video_is_decoded_from_its_first_key_frame_on(
             assert np.abs(image.astype(int) - expected).mean() < 12
     info = next(topic for topic in read_bag_info(path).topics if topic.name.endswith('video'))
     assert info.roles == ['image']
+
+
+@pytest.mark.parametrize('kind', [VIDEO, PACKET])
+def test_video_is_read_from_bags_that_define_nothing(tmp_path: Path, kind: str) -> None:
+    pytest.importorskip('av')
+    bag = write_drive(tmp_path / 'bag', f'{TOPIC}/video', as_video(kind, video_packets(FRAMES)))
+    database, = as_sqlite(bag, tmp_path / 'humble').glob('*.db3')
+    recorder = sqlite3.connect(database)
+    recorder.execute('DROP TABLE message_definitions')
+    recorder.close()
+    for number, path in enumerate((database.parent, tmp_path / '0')):  # And from a copy of it.
+        images, _ = imported(path)
+        assert len(images) == COUNT
+        replay(path, Remembering(), tmp_path / f'{number}')  # type: ignore[arg-type]
 
 
 def test_what_cannot_be_decoded_is_no_camera(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 from collections import Counter
 from pathlib import Path
 import shutil
+import sqlite3
 from typing import Any
 
 from bag_files import (
@@ -121,6 +122,19 @@ def test_a_type_that_jazzy_does_not_know_is_decoded_with_its_own_definition(
         message, = bag.messages()
         assert message.cdr == cdr
         assert (message.read().volts, message.read().name) == (12.5, 'ab')
+
+
+def test_a_type_that_nobody_defines_is_named(tmp_path: Path) -> None:
+    database = write_sqlite_bag(tmp_path / 'bag', 1) / 'bag.db3'
+    recorder = sqlite3.connect(database)
+    recorder.execute("UPDATE topics SET type = 'my_robot_msgs/msg/Battery'")
+    recorder.commit()
+    recorder.close()
+    with BagReader(database) as bag:
+        message, = bag.messages()
+        with pytest.raises(BagError, match='^/text: the bag holds no definition of '
+                           'my_robot_msgs/msg/Battery$'):
+            message.read()
 
 
 def test_bytes_that_are_no_message_are_an_error_only_when_read(tmp_path: Path) -> None:
