@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from neo_ros.bags.reading import BagReader
-from neo_ros.bags.tf_tree import frame_name, PoseSource, PoseTrack, read_transform, TransformTree
+from neo_ros.bags.tf_tree import frame_name, PoseSource, PoseTrack, read_pose, TransformTree
 from neo_ros.bags.topic import BagTopic, CDR, describe_topics, describe_unread
 from neo_ros.errors import BagError
 from neo_ros.machine.names import listed
@@ -99,12 +99,12 @@ class RecordedPoses:
             self._read_path(name, self._paths.pop(name))
 
     def _take(self, name: str, header: Any, pose: Any) -> None:
-        T = (read_transform(pose.translation, pose.rotation) if hasattr(pose, 'translation')
-             else read_transform(pose.position, pose.orientation))
-        if T is None:
+        found = (read_pose(pose.translation, pose.rotation) if hasattr(pose, 'translation')
+                 else read_pose(pose.position, pose.orientation))
+        if found is None:
             self.invalid += 1
         else:
-            self.tracks.setdefault(name, PoseTrack()).add(stamp_of(header), T)
+            self.tracks.setdefault(name, PoseTrack()).add(stamp_of(header), found)
 
     def _take_path(self, name: str, message: Any) -> None:
         """Keep a path: one that begins as early as the last one replaces it, else it adds."""

@@ -1,12 +1,14 @@
 """Poses over time: tracks that are interpolated, and the tree of frames that /tf describes."""
+from array import array
 from bisect import bisect_left
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+import math
 from typing import Any
 
-from neo_ros.errors import GeometryError
 from neo_ros.geometry import CameraPose
-from neo_ros.geometry.camera_pose import rotation_angle, transform_from_quaternion
+from neo_ros.geometry.camera_pose import (
+    is_quaternion, rotation_angle, transform_from_quaternion)
 from neo_ros.messages.stamps import NS_PER_S, stamp_of
 import numpy as np
 
@@ -15,25 +17,47 @@ MAX_GAP_NS = NS_PER_S // 2
 STILL_M, STILL_RAD = 0.02, 0.02
 # An image may be stamped a little before the first pose or after the last one.
 MAX_BEYOND_NS = NS_PER_S // 50
+_LAST_NS = (1 << 63) - 1
 
 
-@dataclass
 class PoseTrack:
-    """The transforms (4, 4) of one frame in another over time; they may come in any order."""
+    """The poses of one frame in another over time; they may come in any order."""
 
-    poses: dict[int, np.ndarray] = field(default_factory=dict)
-    _stamps: list[int] = field(default_factory=list, repr=False)
+    def __init__(self) -> None:
+        # Long bags hold millions: 64 bytes each, and matrices only of those that are asked for.
+        self._stamps, self._numbers = array('q'), array('d')
+        self._first_ns = 0
+        self._sorted = True
+        self._moves: bool | None = None
 
-    def add(self, stamp_ns: int, T: np.ndarray) -> None:
-        """Add one pose; a later one of the same stamp replaces it."""
-        self.poses[stamp_ns] = T
-        self._stamps = []
+    def __len__(self) -> int:
+        self._sort()
+        return len(self._stamps)
+
+    def add(self, stamp_ns: int, pose: Sequence[float]) -> None:
+        """Add x, y, z and the quaternion x, y, z, w; a later pose of a stamp replaces it."""
+        # Damaged stamps may be any numbers.
+        stamp_ns = max(-_LAST_NS, min(stamp_ns, _LAST_NS))
+        if not self._stamps:
+            self._first_ns = stamp_ns
+        elif stamp_ns <= self._stamps[-1]:
+            self._sorted = False
+        self._numbers.extend(pose)
+        self._stamps.append(stamp_ns)
+        self._moves = None
+
+    @property
+    def first(self) -> np.ndarray:
+        """The transform (4, 4) that came first."""
+        return self._transform(self._place(self._first_ns))
 
     @property
     def moves(self) -> bool:
         """Whether the frame was ever elsewhere than at first; many mounts are told repeatedly."""
-        poses = list(self.poses.values())
-        return any(not _still(poses[0], T) for T in poses)
+        if self._moves is None:
+            self._moves = len(self) > 0 and any(
+                not _still(self.first, self._transform(place)) for place in self._not_near())
+        return self._moves
 
     def at(self, stamp_ns: int) -> np.ndarray | None:
         """
@@ -42,16 +66,18 @@ class PoseTrack:
         Linear in the position and on the sphere in the rotation, between poses at most half a
         second apart or of a body that stood still.
         """
-        if not self.poses:
+        if not self._stamps:
             return None
         place = self._place(stamp_ns)
         if place in (0, len(self._stamps)):
-            nearest = self._stamps[min(place, len(self._stamps) - 1)]
-            return self.poses[nearest] if abs(nearest - stamp_ns) <= MAX_BEYOND_NS else None
+            nearest = min(place, len(self._stamps) - 1)
+            near = abs(self._stamps[nearest] - stamp_ns) <= MAX_BEYOND_NS
+            return self._transform(nearest) if near else None
         before, after = self._stamps[place - 1], self._stamps[place]
+        T1 = self._transform(place)
         if after == stamp_ns:
-            return self.poses[after]
-        T0, T1 = self.poses[before], self.poses[after]
+            return T1
+        T0 = self._transform(place - 1)
         if after - before > MAX_GAP_NS and not _still(T0, T1):
             return None
         fraction = (stamp_ns - before) / (after - before)
@@ -60,7 +86,7 @@ class PoseTrack:
     def neighbours(self, stamp_ns: int) -> list[int]:
         """Return the stamps of the poses right before a time and at or after it, if there."""
         place = self._place(stamp_ns)
-        return self._stamps[max(place - 1, 0):place + 1]
+        return list(self._stamps[max(place - 1, 0):place + 1])
 
     def gap_ns(self, stamp_ns: int) -> int:
         """Return how far the poses around a time are apart if that is too far, else 0."""
@@ -70,9 +96,34 @@ class PoseTrack:
         return self._stamps[place] - self._stamps[place - 1]
 
     def _place(self, stamp_ns: int) -> int:
-        if not self._stamps:
-            self._stamps = sorted(self.poses)
+        self._sort()
         return bisect_left(self._stamps, stamp_ns)
+
+    def _transform(self, place: int) -> np.ndarray:
+        return _transform(self._numbers[7 * place:7 * place + 7])
+
+    def _sort(self) -> None:
+        if self._sorted:
+            return
+        stamps = np.array(self._stamps)
+        order = np.argsort(stamps, kind='stable')
+        # The last one of each stamp.
+        order = order[np.append(np.diff(stamps[order]) != 0, True)]
+        self._numbers = array('d', np.array(self._numbers).reshape(-1, 7)[order].tobytes())
+        self._stamps = array('q', stamps[order].tobytes())
+        self._sorted = True
+
+    def _not_near(self) -> Sequence[int]:
+        """Return the places of the poses that are not so near the first one that it is sure."""
+        poses = np.array(self._numbers).reshape(-1, 7)
+        first = poses[self._place(self._first_ns)]
+        with np.errstate(all='ignore'):  # What is too large for this is not near.
+            quaternions = poses[:, 3:] / np.linalg.norm(poses[:, 3:], axis=1, keepdims=True)
+            cosines = np.abs(quaternions @ (first[3:] / np.linalg.norm(first[3:])))
+            moved = np.linalg.norm(poses[:, :3] - first[:3], axis=1)
+        # The cosine is that of half the turn.
+        near = (moved < STILL_M / 2) & (cosines > math.cos(STILL_RAD / 4))
+        return np.flatnonzero(~near).tolist()
 
 
 # What a transform is called, and what it is: one that changes or one that stays.
@@ -104,13 +155,13 @@ class TransformTree:
             child = frame_name(entry.child_frame_id)
             if self.parents.setdefault(child, parent) != parent:
                 self.rivals[child] = parent
-            T = read_transform(entry.transform.translation, entry.transform.rotation)
-            if T is None:
+            pose = read_pose(entry.transform.translation, entry.transform.rotation)
+            if pose is None:
                 self.invalid += 1
             elif is_static:
-                self.static[child] = T
+                self.static[child] = _transform(pose)
             else:
-                self.moving.setdefault(child, PoseTrack()).add(stamp_of(entry.header), T)
+                self.moving.setdefault(child, PoseTrack()).add(stamp_of(entry.header), pose)
                 self.held |= {child} if held else set()
 
     def mount(self, frame: str, parent: str, T_parent_frame: np.ndarray) -> None:
@@ -154,7 +205,7 @@ class TransformTree:
         if track is None:
             return self.static.get(frame, PoseTrack())
         still = frame in self.held and not track.moves
-        return next(iter(track.poses.values())) if still else track
+        return track.first if still else track
 
 
 @dataclass(frozen=True)
@@ -186,21 +237,20 @@ class PoseSource:
             f'; at most {MAX_GAP_NS / NS_PER_S:g} s are interpolated' if found else '')
 
 
-def read_transform(position: Any, orientation: Any) -> np.ndarray | None:
-    """Return the (4, 4) of ROS vectors with x, y, z and x, y, z, w; None if it is no pose."""
-    xyz = np.array([position.x, position.y, position.z])
-    if not np.isfinite(xyz).all():
-        return None
-    try:
-        return transform_from_quaternion(xyz, np.array(
-            [orientation.x, orientation.y, orientation.z, orientation.w]))
-    except GeometryError:
-        return None
+def read_pose(position: Any, orientation: Any) -> Sequence[float] | None:
+    """Return ROS vectors as x, y, z and the quaternion x, y, z, w; None if they are no pose."""
+    pose = (position.x, position.y, position.z,
+            orientation.x, orientation.y, orientation.z, orientation.w)
+    return pose if all(map(math.isfinite, pose[:3])) and is_quaternion(pose[3:]) else None
 
 
 def frame_name(frame_id: str) -> str:
     """Return a frame id without the leading slash of ROS 1."""
     return frame_id.lstrip('/')
+
+
+def _transform(pose: Sequence[float]) -> np.ndarray:
+    return transform_from_quaternion(np.array(pose[:3]), np.array(pose[3:]))
 
 
 def _still(T0: np.ndarray, T1: np.ndarray) -> bool:

@@ -62,11 +62,11 @@ def read_track(path: Path, unit_ns: int, scalar_first: bool) -> tuple[PoseTrack,
             continue
         quaternion = np.roll(numbers[3:], -1) if scalar_first else numbers[3:]
         try:
-            T = transform_from_quaternion(numbers[:3], quaternion)
+            transform_from_quaternion(numbers[:3], quaternion)
         except GeometryError as error:
             raise SceneError(f'{where}: {error}') from error
-        track.add(nanoseconds(words[0], where, unit_ns), T)
-    if not track.poses:
+        track.add(nanoseconds(words[0], where, unit_ns), (*numbers[:3], *quaternion))
+    if not track:
         raise SceneError(f'{path}: expected poses, got {lost} lines and none is finite')
     return track, lost
 
@@ -81,7 +81,7 @@ def pose_at(track: PoseTrack, stamp_ns: int) -> np.ndarray | None:
     if T is not None:
         return T
     nearest = min(track.neighbours(stamp_ns), key=lambda stamp: abs(stamp - stamp_ns))
-    return track.poses[nearest] if abs(nearest - stamp_ns) <= NEAREST_NS else None
+    return track.at(nearest) if abs(nearest - stamp_ns) <= NEAREST_NS else None
 
 
 def nearest_within(entries: Sequence[tuple[int, Stamped]], stamp_ns: int) -> Stamped | None:

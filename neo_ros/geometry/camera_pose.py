@@ -1,4 +1,5 @@
 """Camera poses: `T_world_cam`, x_world = T_world_cam @ x_cam, metres, OpenCV camera axes."""
+from collections.abc import Iterable
 from dataclasses import dataclass
 import math
 
@@ -129,6 +130,12 @@ class CameraPose:
         return CameraPose(T)
 
 
+def is_quaternion(numbers: Iterable[float]) -> bool:
+    """Whether four numbers can be normalised to a rotation."""
+    # Without a warning for numbers that are too large; what is no number is never in between.
+    return 1e-6 <= math.hypot(*numbers) < math.inf
+
+
 def transform_from_quaternion(translation: np.ndarray, quaternion_xyzw: np.ndarray) -> np.ndarray:
     """
     Build a (4, 4) transform from (3,) metres and a quaternion (x, y, z, w).
@@ -136,10 +143,9 @@ def transform_from_quaternion(translation: np.ndarray, quaternion_xyzw: np.ndarr
     Raises GeometryError for quaternions that are not four finite numbers, or of length zero.
     """
     q = np.asarray(quaternion_xyzw, np.float64)
-    norm = math.hypot(*q.ravel())  # Without a warning for numbers that are too large.
-    if q.shape != (4,) or not np.isfinite(norm) or norm < 1e-6:
+    if q.shape != (4,) or not is_quaternion(q):
         raise GeometryError(f'quaternion: expected a unit (x, y, z, w), got {q.tolist()}')
-    x, y, z, w = q / norm
+    x, y, z, w = q / math.hypot(*q)
     T = np.eye(4)
     T[:3, :3] = [[1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
                  [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],

@@ -476,7 +476,7 @@ def test_tracks_are_interpolated_where_they_are_known(stamp: int,
     track = PoseTrack()
     # Metres along x at milliseconds; it stands still from 2 s to 4 s.
     for milliseconds, x in ((100, 1.0), (0, 0.0), (2000, 5.0), (4000, 5.0)):
-        track.add(milliseconds * 1_000_000, CameraPose.from_planar(x, 0, 0, 0).T_world_cam)
+        track.add(milliseconds * 1_000_000, (x, 0, 0, 0, 0, 0, 1))
     found = track.at(stamp * 1_000_000)
     assert (found is None) == (expected is None)
     if found is not None and expected is not None:
