@@ -41,7 +41,7 @@ class Remembering(QuickExtrapolator):
     def __init__(self) -> None:
         self.images: list[np.ndarray] = []
 
-    def expand(self, image: np.ndarray, **hints) -> Any:
+    def expand(self, image: np.ndarray, prior=None, motion=None, pace=1.0, stamp_ns=None) -> Any:
         self.images.append(image.copy())
         return super().expand(image)
 

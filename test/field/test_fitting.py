@@ -236,7 +236,7 @@ def test_room_for_rays_that_are_none_adds_nothing(
         for _ in range(3):
             fit.train_step()
         grids.append(fit.field.grid.copy())
-    np.testing.assert_array_equal(*grids)
+    np.testing.assert_array_equal(grids[0], grids[1])
 
 
 # A field that loses the pull of faint samples leaves white walls empty for good.

@@ -137,10 +137,11 @@ class QuickExtrapolator:
     def reset(self) -> None:
         """Have nothing to forget."""
 
-    def expand(self, image: np.ndarray, **hints) -> WideView:
+    def expand(self, image: np.ndarray, prior=None, motion=None, pace=1.0,
+               stamp_ns=None) -> WideView:
         """Check what comes in; return black."""
         assert image.shape == (SOURCE.height, SOURCE.width, 3) and image.dtype == np.uint8
-        assert 0.25 <= hints.get('pace', 1.0) <= 4
+        assert 0.25 <= pace <= 4
         shape = (TARGET.height, TARGET.width)
         return WideView(np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.uint8))
 

@@ -51,7 +51,7 @@ def test_network_rests_when_nobody_wants_its_outputs():
         def reset(self):
             pass
 
-        def expand(self, image, **hints):
+        def expand(self, image, prior=None, motion=None, pace=1.0, stamp_ns=None):
             raise AssertionError('the network ran')
 
     processor = FrameProcessor(Resting())
@@ -97,7 +97,7 @@ class Watched:
     def reset(self):
         pass
 
-    def expand(self, image, **hints):
+    def expand(self, image, prior=None, motion=None, pace=1.0, stamp_ns=None):
         target = TINY_EXPANSION.target
         confidence = np.full((target.height, target.width), 128, np.uint8)
         confidence[TINY_EXPANSION.observed] = 255

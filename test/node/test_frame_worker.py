@@ -31,7 +31,7 @@ class GatedExtrapolator:
     def reset(self):
         self.resets += 1
 
-    def expand(self, image, **hints):
+    def expand(self, image, prior=None, motion=None, pace=1.0, stamp_ns=None):
         self.entered.release()
         assert self.gate.acquire(timeout=WAIT_S)
         if image[0, 0, 0] == 13:
