@@ -5,6 +5,7 @@ import math
 from typing import NamedTuple
 
 import cv2
+from neo_ros.errors import ModelError
 from neo_ros.memory.floor_kernels import stack_points
 from neo_ros.memory.keyframe import Keyframe
 from neo_ros.memory.scene_memory import SceneMemory
@@ -83,7 +84,8 @@ def draw_floor_plan(memory: SceneMemory, arbitrary_scale: bool = False,
     """
     Look at the scene from above, without its ceiling: of each place the highest colour.
 
-    With an arbitrary scale the height is a share of the room's. Needs a second for a flat.
+    With an arbitrary scale the height is a share of the room's. Needs a second for a flat. Raises
+    ModelError where the memory shows no floor: the camera saw only what is above it.
     """
     limits = thresholds
     scans = [Scan.of(keyframe) for keyframe in memory.each()]
@@ -104,6 +106,8 @@ def draw_floor_plan(memory: SceneMemory, arbitrary_scale: bool = False,
                      1 / step, sums)
     image, z = _closed(*_seen_from_above(sums, floor, step, limits), limits.around)
     rows, columns = (np.flatnonzero(image[..., 3].any(axis)) for axis in (1, 0))
+    if not len(rows):
+        raise _no_floor()
     bottom, left = int(rows[0]), int(columns[0])
     shown = (slice(bottom, rows[-1] + 1), slice(left, columns[-1] + 1))
     return FloorPlan(image[shown][::-1].copy(), z[shown][::-1].copy(), resolution,
@@ -122,15 +126,20 @@ def encode_plan(plan: FloorPlan, quality: int = 80) -> bytes:
 def _floor_and_top(scans: Sequence[Scan], rise: np.ndarray, arbitrary_scale: bool,
                    limits: PlanThresholds) -> tuple[float, float]:
     """Return z of the floor, and up to where things are drawn; rise (h, w): z of unit rays."""
-    lowest, highest = [], []
-    for scan in scans[::max(len(scans) // 32, 1)]:
+    lowest, highest, some = [], [], scans[::max(len(scans) // 32, 1)]
+    for scan in some:
         rows = max(int(limits.edge_rows * len(rise)), 1)
-        z = np.where(scan.depth > 0, scan.position[2] + rise * scan.depth, np.nan)
-        lowest.append(z[-rows:].ravel())
-        highest.append(z[:rows].ravel())
-    floor, ceiling = (float(np.nanquantile(np.concatenate(heights), quantile))
-                      for heights, quantile in ((lowest, limits.edge_quantile),
-                                                (highest, 1 - limits.edge_quantile)))
+        z, known = scan.position[2] + rise * scan.depth, scan.depth > 0
+        lowest.append(z[-rows:][known[-rows:]])
+        highest.append(z[:rows][known[:rows]])
+    seen = np.concatenate(lowest), np.concatenate(highest)
+    if not min(map(len, seen)):
+        raise _no_floor()
+    floor, ceiling = (float(np.quantile(heights, quantile)) for heights, quantile in zip(
+        seen, (limits.edge_quantile, 1 - limits.edge_quantile)))
+    # Above the camera it is a ceiling.
+    if floor >= min(ceiling, max(float(scan.position[2]) for scan in some)):
+        raise _no_floor()
     share = limits.height_share * (ceiling - floor)
     return floor, floor + (share if arbitrary_scale else min(share, limits.most_height))
 
@@ -146,8 +155,17 @@ def _extent(scans: Sequence[Scan], rays: np.ndarray, floor: float, top: float,
         drawn = (points[:, 2] > floor - 0.1 * (top - floor)) & (points[:, 2] < top)
         places.append(points[drawn, :2])
     found = np.concatenate(places)
+    if not len(found):
+        raise _no_floor()
     low, high = np.quantile(found, (limits.outside, 1 - limits.outside), axis=0)
+    if not (low < high).all():
+        raise _no_floor()
     return low, high, len(found) * SAMPLED ** 2
+
+
+def _no_floor() -> ModelError:
+    return ModelError('the memory shows no floor: the camera saw only what is above it; train '
+                      'with photos that show the floor')
 
 
 def _seen_from_above(sums: np.ndarray, floor: float, step: float, limits: PlanThresholds

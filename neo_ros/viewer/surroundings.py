@@ -6,7 +6,7 @@ import threading
 from typing import Any, TYPE_CHECKING
 
 import cv2
-from neo_ros.errors import SceneError
+from neo_ros.errors import ModelError, SceneError
 from neo_ros.runtime.fov_extrapolator import memory_path
 from neo_ros.runtime.model_card import read_model_card
 from neo_ros.scenes.floor_map import read_map_server
@@ -65,24 +65,31 @@ class Surroundings:
         self.looks = look_around.LookAround(self._memory, self._card.expansion)
 
     def plan(self) -> PlanPicture | None:
-        """Draw the plan, which takes a second, or return the one that was drawn."""
+        """Draw the plan, which takes a second, or return it; where there is none `why` says it."""
         with self._busy:
-            if self._plan is None and self.looks is not None:
-                from neo_ros.memory.floor_plan import draw_floor_plan, encode_plan
-
-                drawn = draw_floor_plan(self._memory, self._card.arbitrary_scale)
-                height, width = drawn.image.shape[:2]
-                expansion = self._card.expansion
-                self._plan = PlanPicture(encode_plan(drawn), {
-                    'width': width, 'height': height, 'resolution': drawn.resolution,
-                    'origin': drawn.origin, 'metric': not self._card.arbitrary_scale,
-                    'camera': _sides(expansion.source), 'wide': _sides(expansion.target),
-                    'outlines': outlines(self._floor) if self._floor is not None else []})
+            if self._plan is None and not self.why:
+                try:
+                    self._plan = self._draw_plan()
+                except ModelError as error:
+                    self.why = f'There is no map, and one cannot look around: {error}'
             return self._plan
+
+    def _draw_plan(self) -> PlanPicture:
+        from neo_ros.memory.floor_plan import draw_floor_plan, encode_plan
+
+        drawn = draw_floor_plan(self._memory, self._card.arbitrary_scale)
+        height, width = drawn.image.shape[:2]
+        expansion = self._card.expansion
+        return PlanPicture(encode_plan(drawn), {
+            'width': width, 'height': height, 'resolution': drawn.resolution,
+            'origin': drawn.origin, 'metric': not self._card.arbitrary_scale,
+            'camera': _sides(expansion.source), 'wide': _sides(expansion.target),
+            'outlines': outlines(self._floor) if self._floor is not None else []})
 
     def warm_up(self) -> None:
         """Draw the plan and a look: at first use what is compiled takes seconds."""
-        if self.plan() is not None and self.looks is not None:
+        self.plan()
+        if self.looks is not None:
             from neo_ros.memory import look_around
 
             position, source = self._memory.positions[0], self.looks.expansion.source

@@ -111,3 +111,15 @@ def write_box_model(folder: Path, **card_overrides: Any) -> Path:
     sha256 = _written_memory().write(folder / 'box.memory')
     return write_tiny_model(folder / 'box.onnx', EXPANSION, **card_overrides,
                             memory=MemoryFile(file='box.memory', sha256=sha256))
+
+
+def write_model_without_floor(folder: Path) -> Path:
+    """Write a small model whose memory shows the upper half of the box room, from one place."""
+    frame = keyframe(np.array([2.2, 1.2, HEIGHT]))
+    above = frame.depth.copy()
+    above[len(above) // 2:] = 0
+    sha256 = SceneMemory.from_keyframes(
+        [Keyframe(frame.position, above, frame.texture)], BAND, _written_memory().glances
+        ).write(folder / 'above.memory')
+    return write_tiny_model(folder / 'above.onnx', EXPANSION,
+                            memory=MemoryFile(file='above.memory', sha256=sha256))

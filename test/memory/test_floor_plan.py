@@ -3,8 +3,11 @@ import time
 
 from box_room import BAND, box_memory, HIGH, keyframe
 import cv2
+from neo_ros.benchmark.small_room import cast
+from neo_ros.errors import ModelError
 from neo_ros.flat.demo_flat import build_demo_flat
 from neo_ros.flat.raycast import cast_rays
+from neo_ros.geometry import Band
 from neo_ros.machine.files import share_dir
 from neo_ros.memory.floor_plan import draw_floor_plan, encode_plan, FloorPlan
 from neo_ros.memory.keyframe import Keyframe
@@ -65,6 +68,33 @@ def test_what_no_keyframe_shows_is_transparent() -> None:
     plan = draw_floor_plan(memory)
     assert plan.origin[1] == pytest.approx(0, abs=0.11)
     assert plan.pixel(0, 2.0)[1] == pytest.approx(0, abs=2), 'it ends where the half does'
+
+
+def without_floor(case: str) -> SceneMemory:
+    """Remember the box room as a camera does that never saw its floor."""
+    position = np.array([2.5, 2.0, 1.4])
+    frame, band = keyframe(position), BAND
+    depth = frame.depth.copy()
+    if case == 'no lower rows':
+        depth[len(depth) // 2:] = 0
+    elif case == 'nothing':
+        depth[:] = 0
+    elif case == 'two points':
+        depth[:] = 0
+        depth[[0, -4], [0, 4]] = 1.5
+    else:  # A camera that looks up.
+        band = Band(1.4, 1.2)
+        _, far = cast(position, band.rays(*depth.shape))
+        depth = far.astype(np.float32)
+    return SceneMemory.from_keyframes(
+        [Keyframe(position, depth, frame.texture)], band,
+        Glances(np.zeros((1, 4, 4), np.uint8), np.eye(4)[None]))
+
+
+@pytest.mark.parametrize('case', ['no lower rows', 'nothing', 'two points', 'ceiling'])
+def test_without_a_floor_there_is_no_plan(case: str) -> None:
+    with pytest.raises(ModelError, match='the memory shows no floor'):
+        draw_floor_plan(without_floor(case))
 
 
 def test_a_scene_of_any_scale_has_the_same_plan() -> None:

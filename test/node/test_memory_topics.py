@@ -1,7 +1,9 @@
 """What the memory knows, on a real graph: pose, depth, points, status, panorama; priors."""
 from array import array
+from unittest.mock import Mock
 
-from box_room import apart, box_walk, EXPANSION, planar, view, write_box_model
+from box_room import (
+    apart, box_walk, EXPANSION, planar, view, write_box_model, write_model_without_floor)
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from live_node import Camera, NODE, node_beside, set_parameter
@@ -11,7 +13,9 @@ from neo_ros.geometry.camera_pose import quaternion_from_rotation, T_BODY_OPTICA
 from neo_ros.messages import image_fields
 from neo_ros.messages.hints import read_pose
 from neo_ros.node.extrapolator_node import ExtrapolatorNode
+from neo_ros.node.map_publisher import MapPublisher
 from neo_ros.node.robot_frames import moved_covariance
+from neo_ros.runtime import read_model_card
 import numpy as np
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.parameter import Parameter
@@ -190,3 +194,11 @@ def test_the_map_is_latched_and_comes_once_somebody_listens(tmp_path, graph):
     # A new frame is a new map.
     assert set_parameter(graph, 'scene_frame', 'map').successful
     graph.spin_until(lambda: maps[-1].header.frame_id == 'map')
+
+
+def test_a_memory_that_shows_no_floor_is_told(tmp_path):
+    path, told = write_model_without_floor(tmp_path), Mock()
+    model = Mock(description={'path': str(path)}, card=read_model_card(path))
+    MapPublisher(Mock(), told)._draw(model, 'map')
+    message, = told.call_args.args
+    assert message.startswith('no map: the memory shows no floor')

@@ -9,7 +9,7 @@ from typing import Any
 
 from aiohttp import ClientWebSocketResponse, WSMsgType
 from aiohttp.test_utils import TestClient, TestServer
-from box_room import EXPANSION, planar, view, write_box_model
+from box_room import EXPANSION, planar, view, write_box_model, write_model_without_floor
 import cv2
 from hand_clock import HandClock
 from neo_ros.errors import ModelError, SceneError
@@ -117,6 +117,26 @@ def test_without_a_memory_the_page_is_told_why(tmp_path: Path, memory: bool) -> 
                 await socket.send_json({'ask': {'x': 0.5, 'y': 0.5, 'id': 3}})
                 answer, *_ = await receive(socket, 'distance')
                 assert answer == {'type': 'distance', 'id': 3}
+    run(test)
+
+
+def test_a_memory_without_a_floor_has_no_map_but_the_viewer_goes_on(tmp_path: Path) -> None:
+    model = write_model_without_floor(tmp_path)
+
+    async def test() -> None:
+        async with serving(model) as (client, hub):
+            for _ in range(2):
+                why = (await (await client.get('/map')).json())['why']
+                assert 'There is no map' in why and 'shows no floor' in why
+                assert (await client.get('/map.webp')).status == 404
+            async with joined(client) as socket:
+                put(hub)
+                await receive(socket, 'place')
+                put(hub)
+                await socket.send_json({'look': LOOK})
+                put(hub)
+                _, image, _ = await receive(socket, 'look')
+                assert image.shape == (120, 160, 3)
     run(test)
 
 
