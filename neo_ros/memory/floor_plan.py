@@ -7,12 +7,14 @@ from typing import NamedTuple
 import cv2
 from neo_ros.errors import ModelError
 from neo_ros.memory.floor_kernels import stack_points
-from neo_ros.memory.keyframe import Keyframe
 from neo_ros.memory.scene_memory import SceneMemory
 import numpy as np
 
 # One of so many rows and columns of the keyframes tells how far the scene reaches.
 SAMPLED = 4
+EVERY = (slice(None, None, SAMPLED), slice(None, None, SAMPLED))
+# The focal length of a view for which textures are made as small as they can be.
+COARSEST = 0.0
 
 
 @dataclass(frozen=True)
@@ -64,19 +66,16 @@ class FloorPlan:
                 self.image.shape[0] - (y - self.origin[1]) / self.resolution)
 
 
-class Scan(NamedTuple):
-    """Points of a keyframe: position (3,), depth float32 (h, w), colours uint8 (h, w, 3)."""
+class FirstLook(NamedTuple):
+    """
+    What tells how far a scene reaches: z of points below and above of some keyframes, metres.
 
-    position: np.ndarray
-    depth: np.ndarray
-    colours: np.ndarray
+    keyframes: of each its position (3,) and depth float32 (h / SAMPLED, w / SAMPLED).
+    """
 
-    @classmethod
-    def of(cls, keyframe: Keyframe) -> 'Scan':
-        """Take a keyframe's depth and one colour for each of its values."""
-        size = keyframe.depth.shape[::-1]
-        return cls(keyframe.position, keyframe.depth,
-                   cv2.resize(keyframe.texture, size, interpolation=cv2.INTER_AREA))
+    lowest: list[np.ndarray]
+    highest: list[np.ndarray]
+    keyframes: list[tuple[np.ndarray, np.ndarray]]
 
 
 def draw_floor_plan(memory: SceneMemory, arbitrary_scale: bool = False,
@@ -88,10 +87,11 @@ def draw_floor_plan(memory: SceneMemory, arbitrary_scale: bool = False,
     ModelError where the memory shows no floor: the camera saw only what is above it.
     """
     limits = thresholds
-    scans = [Scan.of(keyframe) for keyframe in memory.each()]
-    rays = memory.band.rays(*scans[0].depth.shape)
-    floor, top = _floor_and_top(scans, rays[..., 2], arbitrary_scale, limits)
-    low, high, points = _extent(scans, rays, floor, top, limits)
+    rays = memory.band.rays(*next(memory.each(COARSEST)).depth.shape)
+    # All are decoded twice, one after the other: those of a building take a GB.
+    seen = _look_first(memory, rays[..., 2], limits)
+    floor, top = _floor_and_top(seen, arbitrary_scale, limits)
+    low, high, points = _extent(seen.keyframes, rays, floor, top, limits)
     resolution = _round_up(max(
         float((high - low).max()) / limits.most_cells,
         math.sqrt(float(np.prod(high - low)) * limits.points_a_cell / points)))
@@ -101,9 +101,11 @@ def draw_floor_plan(memory: SceneMemory, arbitrary_scale: bool = False,
     step = (top - floor) / limits.layers
     corner = np.array([*(first * resolution), floor - step / 2])
     sums = np.zeros((limits.layers, height, width, 4), np.float32)
-    for scan in scans:
-        stack_points(rays, scan.depth, scan.colours, scan.position, corner, 1 / resolution,
-                     1 / step, sums)
+    for keyframe in memory.each(COARSEST):
+        depth = keyframe.depth
+        colours = cv2.resize(keyframe.texture, depth.shape[::-1], interpolation=cv2.INTER_AREA)
+        stack_points(rays, depth, colours, keyframe.position, corner, 1 / resolution, 1 / step,
+                     sums)
     image, z = _closed(*_seen_from_above(sums, floor, step, limits), limits.around)
     rows, columns = (np.flatnonzero(image[..., 3].any(axis)) for axis in (1, 0))
     if not len(rows):
@@ -123,41 +125,49 @@ def encode_plan(plan: FloorPlan, quality: int = 80) -> bytes:
     return coded.tobytes()
 
 
-def _floor_and_top(scans: Sequence[Scan], rise: np.ndarray, arbitrary_scale: bool,
-                   limits: PlanThresholds) -> tuple[float, float]:
-    """Return z of the floor, and up to where things are drawn; rise (h, w): z of unit rays."""
-    lowest, highest, some = [], [], scans[::max(len(scans) // 32, 1)]
-    for scan in some:
-        rows = max(int(limits.edge_rows * len(rise)), 1)
-        z, known = scan.position[2] + rise * scan.depth, scan.depth > 0
-        lowest.append(z[-rows:][known[-rows:]])
-        highest.append(z[:rows][known[:rows]])
-    seen = np.concatenate(lowest), np.concatenate(highest)
-    if not min(map(len, seen)):
+def _look_first(memory: SceneMemory, rise: np.ndarray, limits: PlanThresholds) -> FirstLook:
+    """Keep what `_floor_and_top` and `_extent` need; rise (h, w): z of unit rays."""
+    seen = FirstLook([], [], [])
+    some = max(len(memory.positions) // 32, 1)
+    rows = max(int(limits.edge_rows * len(rise)), 1)
+    for index, keyframe in enumerate(memory.each(COARSEST)):
+        depth, position = keyframe.depth, keyframe.position
+        seen.keyframes.append((position, depth[EVERY].copy()))
+        if index % some == 0:
+            z, known = position[2] + rise * depth, depth > 0
+            seen.lowest.append(z[-rows:][known[-rows:]])
+            seen.highest.append(z[:rows][known[:rows]])
+    return seen
+
+
+def _floor_and_top(seen: FirstLook, arbitrary_scale: bool, limits: PlanThresholds
+                   ) -> tuple[float, float]:
+    """Return z of the floor, and up to where things are drawn."""
+    edges = np.concatenate(seen.lowest), np.concatenate(seen.highest)
+    if not min(map(len, edges)):
         raise _no_floor()
     floor, ceiling = (float(np.quantile(heights, quantile)) for heights, quantile in zip(
-        seen, (limits.edge_quantile, 1 - limits.edge_quantile)))
+        edges, (limits.edge_quantile, 1 - limits.edge_quantile)))
     # Above the camera it is a ceiling.
-    if floor >= min(ceiling, max(float(scan.position[2]) for scan in some)):
+    if floor >= min(ceiling, max(float(position[2]) for position, _ in seen.keyframes)):
         raise _no_floor()
     share = limits.height_share * (ceiling - floor)
     return floor, floor + (share if arbitrary_scale else min(share, limits.most_height))
 
 
-def _extent(scans: Sequence[Scan], rays: np.ndarray, floor: float, top: float,
-            limits: PlanThresholds) -> tuple[np.ndarray, np.ndarray, int]:
+def _extent(keyframes: Sequence[tuple[np.ndarray, np.ndarray]], rays: np.ndarray, floor: float,
+            top: float, limits: PlanThresholds) -> tuple[np.ndarray, np.ndarray, int]:
     """Return smallest and largest x, y of what is drawn, (2,) metres, and how many points are."""
-    every = (slice(None, None, SAMPLED), slice(None, None, SAMPLED))
     places = []
-    for scan in scans:
-        depth = scan.depth[every]
-        points = (rays[every] * depth[..., None] + scan.position)[depth > 0]
+    for position, depth in keyframes:
+        points = (rays[EVERY] * depth[..., None] + position)[depth > 0]
         drawn = (points[:, 2] > floor - 0.1 * (top - floor)) & (points[:, 2] < top)
         places.append(points[drawn, :2])
     found = np.concatenate(places)
     if not len(found):
         raise _no_floor()
-    low, high = np.quantile(found, (limits.outside, 1 - limits.outside), axis=0)
+    low, high = np.quantile(found, (limits.outside, 1 - limits.outside), axis=0,
+                            overwrite_input=True)
     if not (low < high).all():
         raise _no_floor()
     return low, high, len(found) * SAMPLED ** 2

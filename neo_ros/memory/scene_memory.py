@@ -114,10 +114,11 @@ class SceneMemory:
             raise _damaged(index)
         return cv2.cvtColor(texture, cv2.COLOR_BGR2RGB, texture), coded
 
-    def each(self) -> Iterator[Keyframe]:
-        """Yield all keyframes, decoded now and not kept; any thread may do so."""
+    def each(self, focal: float = math.inf) -> Iterator[Keyframe]:
+        """Yield all keyframes as `keyframe` does, but do not keep them; any thread may do so."""
+        reduced = self._reduction(focal)
         for index in range(len(self.positions)):
-            yield self._decode(index, 1, self.changes)
+            yield self._decode(index, reduced, self.changes)
 
     def _reduction(self, focal: float) -> int:
         if not math.isfinite(focal):

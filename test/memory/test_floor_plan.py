@@ -1,5 +1,7 @@
 """The scene from above, against the box room and the demo flat, whose geometry is known."""
 import time
+import tracemalloc
+from unittest.mock import Mock
 
 from box_room import BAND, box_memory, HIGH, keyframe
 import cv2
@@ -9,7 +11,9 @@ from neo_ros.flat.demo_flat import build_demo_flat
 from neo_ros.flat.raycast import cast_rays
 from neo_ros.geometry import Band
 from neo_ros.machine.files import share_dir
-from neo_ros.memory.floor_plan import draw_floor_plan, encode_plan, FloorPlan
+from neo_ros.memory import scene_memory
+from neo_ros.memory.floor_plan import (
+    draw_floor_plan, encode_plan, FloorPlan, PlanThresholds)
 from neo_ros.memory.keyframe import Keyframe
 from neo_ros.memory.scene_memory import Glances, SceneMemory
 from neo_ros.runtime.fov_extrapolator import memory_path
@@ -95,6 +99,26 @@ def without_floor(case: str) -> SceneMemory:
 def test_without_a_floor_there_is_no_plan(case: str) -> None:
     with pytest.raises(ModelError, match='the memory shows no floor'):
         draw_floor_plan(without_floor(case))
+
+
+def test_keyframes_are_decoded_small_and_one_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    frame, count = keyframe(np.array([2.5, 2.0, 1.4])), 150
+    memory = SceneMemory.from_keyframes(
+        [frame] * count, BAND, Glances(np.zeros((1, 4, 4), np.uint8), np.eye(4)[None]))
+    decode = Mock(side_effect=scene_memory.decode_image)
+    monkeypatch.setattr(scene_memory, 'decode_image', decode)
+    coarse = PlanThresholds(most_cells=40)
+    draw_floor_plan(memory, thresholds=coarse)
+    # The texture is twice as fine as the depth.
+    textures = {call.args[1] for call in decode.call_args_list} - {cv2.IMREAD_UNCHANGED}
+    assert textures == {cv2.IMREAD_REDUCED_COLOR_2}
+    tracemalloc.start()
+    try:
+        draw_floor_plan(memory, thresholds=coarse)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < count * 5 * frame.depth.size, 'their depths and colours have 7 bytes each'
 
 
 def test_a_scene_of_any_scale_has_the_same_plan() -> None:
