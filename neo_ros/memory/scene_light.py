@@ -72,10 +72,10 @@ class SceneLight:
         low = positions.min(0) - thresholds.reach
         extent = positions.max(0) + thresholds.reach - low
         self._low = low.astype(np.float32)
-        least = float(np.cbrt(extent.prod() / thresholds.most_cells))
-        self._sizes = [np.float32(max(cell, least)) for cell in thresholds.cells]
-        self.empty: Cells = [np.zeros((*np.maximum(np.ceil(extent / cell).astype(int) + 1, 2), 4),
-                                      np.float32) for cell in self._sizes]
+        self._sizes = [_cell_that_fits(extent, cell, thresholds.most_cells)
+                       for cell in thresholds.cells]
+        self.empty: Cells = [np.zeros((*_counts(extent, cell), 4), np.float32)
+                             for cell in self._sizes]
         self._source, self._rays = _small_camera(expansion.source, thresholds.width)
         self._observed = expansion.observed
         self.begin([])
@@ -198,6 +198,20 @@ class SceneLight:
                           finer)
             light = finer
         return light
+
+
+def _counts(extent: np.ndarray, cell: np.float32) -> np.ndarray:
+    """Return how many cells (3,) hold an extent (3,), metres."""
+    return np.maximum(np.ceil(extent / cell).astype(int) + 1, 2)
+
+
+def _cell_that_fits(extent: np.ndarray, cell: float, most: int) -> np.float32:
+    """Return the edge of so many cells at most, metres: `cell`, or what is needed beyond it."""
+    size = np.float32(max(cell, float(np.cbrt(extent.prod() / most))))
+    # At the borders there are more than the volume tells: of a long corridor many times more.
+    while _counts(extent, size).prod() > most:
+        size *= np.float32(1.02)
+    return size
 
 
 def _trimmed_deviation(light: np.ndarray, trust: np.ndarray, counted: float) -> float:

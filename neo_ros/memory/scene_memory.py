@@ -19,6 +19,7 @@ from neo_ros.memory.keyframe import (
     compress, decode_image, depth_of, FINER, Keyframe, on_own_pages, Packed, REDUCED)
 from neo_ros.memory.landmarks import Landmarks, MOST_LANDMARKS
 from neo_ros.memory.memory_file import ANY, MemoryFields, MOST_BYTES, open_memory_file
+from neo_ros.memory.patch import MOST_METRES
 from neo_ros.memory.twins import NO_TWINS, Twins
 from neo_ros.pictures.header import compressed_image_size, PNG_START
 import numpy as np
@@ -231,6 +232,9 @@ class SceneMemory:
     def _from_fields(cls, fields: MemoryFields) -> 'SceneMemory':
         """Check everything that the compiled loops trust; raises ValueError."""
         positions = fields.read('positions', np.float64, (ANY, 3))
+        if np.abs(positions).max() > MOST_METRES:
+            raise ValueError(f'positions: expected keyframes within {MOST_METRES:g} m of the '
+                             f'origin, got one at {np.abs(positions).max():g}')
         top, bottom, low, width = fields.read('band', np.float64, (4,)).tolist()
         if not (-math.pi / 2 <= bottom < top <= math.pi / 2 and 0 < width <= 2 * math.pi):
             raise ValueError('band: expected a part of the sphere, got elevations '

@@ -213,3 +213,14 @@ def test_in_another_light_nothing_is_learnt(slope: float, learns: bool) -> None:
         light.relight(wide, away, pose, EXPANSION.target)
         light.see(np.array(EXPANSION.crop(lit(pose, slope))), wide, away, pose)
         assert light.as_in_photos == learns
+
+
+@pytest.mark.parametrize('apart', [
+    (0.0, 0.0, 0.0), (80.0, 80.0, 6.0), (2e6, 0.0, 0.0), (2e6, 2e6, 0.0)], ids=str)
+def test_the_cells_of_a_scene_of_any_shape_are_few(apart: tuple[float, float, float]) -> None:
+    light = SceneLight(np.array([(0.0, 0.0, 0.0), apart]), EXPANSION)
+    limits = light.thresholds
+    for cells, size, least in zip(light.empty, light._sizes, limits.cells):
+        assert cells[..., 0].size <= limits.most_cells
+        assert (size * (np.array(cells.shape[:3]) - 1) > np.array(apart) + limits.reach).all()
+        assert size == least or cells[..., 0].size > limits.most_cells / 2

@@ -199,6 +199,7 @@ def test_a_newer_schema_and_other_archives_are_refused(tmp_path: Path) -> None:
     ('band', lambda value: value[[1, 0, 2, 3]], 'band: expected a part of the sphere'),
     ('band', lambda value: value * np.nan, 'band: expected finite'),
     ('positions', lambda value: value * np.inf, 'positions: expected finite'),
+    ('positions', lambda value: value - 2e6, r'within 1e\+06 m of the origin, got one at 2e\+06'),
     ('positions', lambda value: value[:, :2], r'positions: expected float64 \(any, 3\)'),
     ('positions', lambda value: value[1:], 'texture_sizes: expected'),
     ('texture_sizes', lambda value: value + 1, 'texture_sizes: expected sizes that add up'),
