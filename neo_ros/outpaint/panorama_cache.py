@@ -1,5 +1,7 @@
 """Panoramas in files: for machines whose memory is small, and trainings that are broken off."""
+from contextlib import suppress
 from dataclasses import dataclass
+import errno
 import json
 from pathlib import Path
 
@@ -11,6 +13,7 @@ import numpy as np
 
 # Bytes before the image in its file.
 HEADER = 128
+TOO_MANY = (errno.EMFILE, errno.ENFILE)
 
 
 @dataclass(frozen=True)
@@ -26,11 +29,13 @@ class PanoramaCache:
     A folder of panoramas that holds at most `limit` bytes.
 
     Files appear whole or not at all, so a killed training loses the one that it was writing. They
-    are read as the system pages them in. What an earlier training left above the limit is deleted.
+    are read as the system pages them in, and each stays open: the process may then have as many
+    files open as the system lets it. What an earlier training left above the limit is deleted.
     """
 
     def __init__(self, folder: Path, limit: float) -> None:
         self.folder, self.limit = folder, limit
+        _allow_open_files()
         folder.mkdir(parents=True, exist_ok=True)
         for partial in folder.glob('*.partial'):
             partial.unlink()
@@ -41,7 +46,11 @@ class PanoramaCache:
                 path.unlink()
 
     def read(self, index: int, band: Band, size: tuple[int, int]) -> DrawnPanorama | None:
-        """Return panorama `index`, None where it is not there, damaged or of another (H, W)."""
+        """
+        Return panorama `index`, None where it is not there, damaged or of another (H, W).
+
+        Raises NeoError where no more files can be open.
+        """
         try:
             notes = json.loads(self._path(index, 'json').read_text())
             image = np.load(self._path(index, 'npy'), mmap_mode='r')
@@ -51,7 +60,9 @@ class PanoramaCache:
                 Panorama(np.array(notes['position']), image, band, notes['opacity'],
                          notes['blocked']),
                 [(reason, np.array(position)) for reason, position in notes['refused']])
-        except (OSError, ValueError, EOFError, KeyError, TypeError):
+        except (OSError, ValueError, EOFError, KeyError, TypeError) as error:
+            if isinstance(error, OSError) and error.errno in TOO_MANY:
+                raise self._cannot_keep(error) from error
             return None
 
     def write(self, index: int, drawn: DrawnPanorama) -> DrawnPanorama:
@@ -77,14 +88,28 @@ class PanoramaCache:
             with whole_file(notes_file) as partial:
                 partial.write_text(notes)
         except OSError as error:
-            raise NeoError(
-                f'{self.folder}: cannot keep panoramas: {error.strerror}; make room and start '
-                'the training again, or lower --cache-gb') from error
+            raise self._cannot_keep(error) from error
         self.used = others + _size(*files)
         return self.read(index, panorama.band, panorama.image.shape[:2]) or drawn
 
+    def _cannot_keep(self, error: OSError) -> NeoError:
+        remedy = ('raise the limit of open files (ulimit -Hn)' if error.errno in TOO_MANY
+                  else 'make room')
+        return NeoError(f'{self.folder}: cannot keep panoramas: {error.strerror}; {remedy} and '
+                        'start the training again, or lower --cache-gb')
+
     def _path(self, index: int, suffix: str) -> Path:
         return self.folder / f'{index:06d}.{suffix}'
+
+
+def _allow_open_files() -> None:
+    """Let the process have as many files open as it may; systems begin with 1024."""
+    # Windows has no such limits; macOS may refuse what it calls its own.
+    with suppress(ImportError, OSError, ValueError):
+        import resource
+
+        _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
 
 
 def _size(*files: Path) -> int:

@@ -1,5 +1,7 @@
 import math
 from pathlib import Path
+import subprocess
+import sys
 from unittest.mock import Mock
 
 import cv2
@@ -144,6 +146,38 @@ def test_a_cache_counts_headers_and_notes_and_each_file_once(
         pool(field, cache=cache).fill(3)
         assert cache.used == on_disk(tmp_path) <= limit
         assert len(list(tmp_path.glob('*.npy'))) == kept
+
+
+MANY = """
+import resource, sys
+from pathlib import Path
+from neo_ros.errors import NeoError
+from neo_ros.field.panorama import Panorama
+from neo_ros.geometry import Band
+from neo_ros.outpaint.panorama_cache import DrawnPanorama, PanoramaCache
+import numpy as np
+
+resource.setrlimit(resource.RLIMIT_NOFILE, (64, int(sys.argv[2])))
+cache, band = PanoramaCache(Path(sys.argv[1]), 1e9), Band(0.5, -0.5)
+drawn = DrawnPanorama(Panorama(np.zeros(3), np.zeros((4, 8, 4), np.uint8), band), [])
+try:
+    kept = [cache.write(index, drawn) for index in range(100)]
+    assert all(isinstance(one.panorama.image, np.memmap) for one in kept)
+    kept += [cache.read(index, band, (4, 8)) for index in range(100)]
+    assert None not in kept
+except NeoError as error:
+    print(error)
+"""
+
+
+@pytest.mark.parametrize('most, told', [(400, ''), (64, 'Too many open files; raise the limit')],
+                         ids=['soft limit', 'hard limit'])
+def test_a_cache_holds_more_panoramas_than_files_may_be_open(
+        tmp_path: Path, most: int, told: str) -> None:
+    done = subprocess.run([sys.executable, '-c', MANY, str(tmp_path), str(most)],
+                          capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert told in done.stdout and bool(told) == bool(done.stdout)
 
 
 def test_a_cache_of_other_views_is_made_anew(field: VoxelField, tmp_path: Path) -> None:
