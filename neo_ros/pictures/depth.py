@@ -73,4 +73,5 @@ def nearest(numbers: np.ndarray, width: int, height: int) -> np.ndarray:
     """Return the nearest of the pixels (h, w) at (height, width): no number is a new one."""
     if numbers.shape == (height, width):
         return numbers
-    return cv2.resize(numbers, (width, height), interpolation=cv2.INTER_NEAREST)
+    # INTER_NEAREST takes the upper left one of those that a pixel covers.
+    return cv2.resize(numbers, (width, height), interpolation=cv2.INTER_NEAREST_EXACT)

@@ -23,6 +23,18 @@ def test_a_map_comes_back_as_it_was_written(tmp_path: Path) -> None:
     assert small.shape == (3, 4) and np.isin(small, depth).all()
 
 
+@pytest.mark.parametrize('width, height', [(160, 120), (213, 160)], ids=str)
+def test_a_slanted_surface_stays_where_it_is(tmp_path: Path, width: int, height: int) -> None:
+    rows, columns = np.mgrid[:480, :640]
+    for name, place, times in (('x', columns, width / 640), ('y', rows, height / 480)):
+        path = tmp_path / f'{name}.png'
+        write_depth(path, (1000 + 20 * place).astype(np.uint16))
+        found = (read_depth(path, width, height) - 1000.0) / 20 + 0.5
+        middles = (np.mgrid[:height, :width][int(name == 'x')] + 0.5) / times
+        # A middle between two pixels, of which either one is the nearest, is off by half of one.
+        assert abs((found - middles).mean()) < 0.51
+
+
 @pytest.mark.parametrize('image', [
     np.zeros((4, 4, 3), np.uint8), np.zeros((4, 4), np.uint8), None], ids=['colour', '8 bit', ''])
 def test_what_is_no_depth_map_is_refused(image: np.ndarray | None, tmp_path: Path) -> None:
