@@ -10,19 +10,16 @@ import math
 from neo_ros.field.grid_points import dilated, numbered
 from neo_ros.field.splat_file import GREY, Splats
 from neo_ros.field.splat_kernels import add_splats, REACH
-from neo_ros.field.voxel_field import AIR_KEPT, VoxelField
+from neo_ros.field.voxel_field import AIR_KEPT, BAND_0, DARKEST, VoxelField
 from numba import get_num_threads
 import numpy as np
 
 # Grid points, most of them in air: not kept.
 VOXELS = 12_000_000
 WIDENED = 0.5       # deviation, voxels
-BAND_0 = 0.28209479
 MOST_OPAQUE = 0.99  # an opacity of 1 would be endless density
 # Thickness of a voxel, at most: walls of many splats would be met by their outermost ones.
 THICKEST = 6.0
-# A colour of 0 or 1 has no finite coefficient.
-DARKEST = 0.01
 
 
 def splat_field(splats: Splats, centre: np.ndarray, half_extent: np.ndarray, shell: float,

@@ -7,13 +7,14 @@ Mega-NeRF (Turki et al., CVPR 2022) cuts space likewise, and shows a part the ra
 """
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 import math
 from pathlib import Path
 
 from neo_ros.field.config import FieldConfig
 from neo_ros.field.enlarging import seen_at
 from neo_ros.field.grid_points import dilated, numbered
-from neo_ros.field.voxel_field import AIR_KEPT, VoxelField
+from neo_ros.field.voxel_field import AIR_KEPT, multiply_colours, VoxelField
 from neo_ros.geometry import Intrinsics
 from neo_ros.scenes.storeys import storey_borders
 import numpy as np
@@ -118,12 +119,36 @@ def photos_of(tile: Tile, T_world_cam: np.ndarray, camera: Intrinsics,
     return chosen, np.stack(pixels)
 
 
-def joined(tiles: Sequence[Tile], paths: Sequence[Path]) -> VoxelField:
+def brightness(gains: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray | None:
+    """
+    Return factors of the colours of tiles, (T, 3), that make one as bright as the other.
+
+    gains: of each tile its photos, int (P,), and the logarithms of their gains (P, 3). Their mean
+    is the tile's own; photos that two tiles share tell by how much these differ. Returns None
+    where none do.
+    """
+    pairs, apart = [], []
+    for one, other in combinations(range(len(gains)), 2):
+        _, here, there = np.intersect1d(gains[one][0], gains[other][0], return_indices=True)
+        if len(here):
+            row = np.zeros(len(gains))
+            row[one], row[other] = 1, -1
+            # Many photos tell more than a few.
+            pairs.append(row * math.sqrt(len(here)))
+            apart.append(math.sqrt(len(here)) * np.median(
+                gains[one][1][here] - gains[other][1][there], axis=0))
+    if not np.any(apart):
+        return None
+    return np.exp(np.linalg.lstsq(np.stack(pairs), np.stack(apart), rcond=None)[0])
+
+
+def joined(tiles: Sequence[Tile], paths: Sequence[Path], factors: np.ndarray | None = None
+           ) -> VoxelField:
     """
     Return the field of all tiles, from the files of theirs; each is read when it is its turn.
 
     The fields must be on one lattice, see `VoxelField.on_lattice`. What lies outside of all boxes
-    is as the tile has it in whose part of the world it is.
+    is as the tile has it in whose part of the world it is. factors (T, 3): of its colours.
     """
     result = _common_grid(tiles, paths)
     owner = np.zeros(result.shape, np.int16)
@@ -142,8 +167,10 @@ def joined(tiles: Sequence[Tile], paths: Sequence[Path]) -> VoxelField:
     result.grid = np.zeros((int(kept.sum()), result.grid.shape[1]), np.float32)
     for number, path in enumerate(paths):
         mine = (owner == number) & kept
-        result.grid[result.row_of[mine.ravel()]] = VoxelField.load(path).with_air().values_at(
-            result, mine, result.grid.shape[1])
+        values = VoxelField.load(path).with_air().values_at(result, mine, result.grid.shape[1])
+        if factors is not None:
+            multiply_colours(values, factors[number])
+        result.grid[result.row_of[mine.ravel()]] = values
     result.seen = seen.ravel().view(np.uint8)
     result.update_occupancy()
     return result

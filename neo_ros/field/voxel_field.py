@@ -22,6 +22,10 @@ import torch
 OCCUPIED_ALPHA = 3e-2
 # Cells of air around matter whose points a sparse field keeps: surfaces move while it is fitted.
 AIR_KEPT = 1
+# The first spherical harmonic, the same in all directions.
+BAND_0 = 0.28209479
+# A colour of 0 or 1 has no finite coefficient.
+DARKEST = 0.01
 
 
 @dataclass
@@ -287,3 +291,14 @@ class VoxelField:
                              'field again') from error
         result.update_occupancy()
         return result
+
+
+def multiply_colours(grid: np.ndarray, factor: np.ndarray) -> None:
+    """
+    Multiply the colours of rows of a grid (V, 1 + 3K) by a factor (3,), in place.
+
+    That is exact for the mean over all directions, and from DARKEST below white on.
+    """
+    mean = grid[:, 1::grid.shape[1] // 3]
+    colour = np.clip(factor / (1 + np.exp(-BAND_0 * mean)), DARKEST, 1 - DARKEST)
+    mean[:] = np.log(colour / (1 - colour)) / BAND_0

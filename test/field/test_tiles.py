@@ -6,8 +6,9 @@ from neo_ros.field.config import FieldConfig
 from neo_ros.field.extent import FineBox
 from neo_ros.field.fitting import FieldTrainer
 from neo_ros.field.rendering import render_rays, render_view, to_uint8
-from neo_ros.field.tiles import cut_floor, joined, photos_of, Tile, tile_edge, TileRules
-from neo_ros.field.voxel_field import VoxelField
+from neo_ros.field.tiles import (
+    brightness, cut_floor, joined, photos_of, Tile, tile_edge, TileRules)
+from neo_ros.field.voxel_field import multiply_colours, VoxelField
 from neo_ros.geometry import CameraPose, Intrinsics
 import numpy as np
 from plain_field import room_field, standing
@@ -124,6 +125,55 @@ def test_joined_tiles_are_one_field(tmp_path: Path) -> None:
         assert np.abs(shown.image - true.image).max() < 0.02
         assert np.abs(shown.depth - true.depth).max() < 0.02
         assert np.abs(shown.coverage - true.coverage).mean() < 0.02
+
+
+def test_photos_that_tiles_share_tell_how_bright_each_is() -> None:
+    random = np.random.default_rng(0)
+    true = random.normal(0, 0.3, (30, 3))  # Logarithms of the gains of all photos.
+    parts = [np.arange(0, 12), np.arange(8, 21), np.arange(19, 28), np.arange(28, 30)]
+    gains = [(part, true[part] - true[part].mean(0)) for part in parts]
+    gains[0][1][9] += 1  # One is wrong.
+    factors = brightness(gains)
+    assert factors is not None
+    # As bright as each other: what a tile calls a photo's gain, less its factor, is one number.
+    for one, other in ((0, 1), (1, 2)):
+        np.testing.assert_allclose(
+            np.log(factors[one]) + true[parts[one]].mean(0),
+            np.log(factors[other]) + true[parts[other]].mean(0), atol=1e-9)
+    np.testing.assert_allclose(factors[3], 1)  # It shares none.
+    assert brightness([(part, np.zeros((len(part), 3))) for part in parts]) is None
+    assert brightness(gains[:1]) is None
+
+
+def test_a_tile_that_was_fitted_too_dark_is_joined_as_bright_as_the_others(
+        tmp_path: Path) -> None:
+    border = 1.93
+    tiles = [Tile((-math.inf,) * 3, (border, math.inf, math.inf)),
+             Tile((border, -math.inf, -math.inf), (math.inf,) * 3)]
+    paths = [tmp_path / '0.npz', tmp_path / '1.npz']
+    walls(np.array([-2.4, -1.4, -0.4]), np.array([border + 0.5, 1.4, 2.4])).save(paths[0])
+    dark = walls(np.array([border - 0.5, -1.4, -0.4]), np.array([6.4, 1.4, 2.4]))
+    multiply_colours(dark.grid, np.full(3, 0.6))
+    dark.save(paths[1])
+    found = joined(tiles, paths, np.array([[1.0] * 3, [1 / 0.6] * 3]))
+    points = found.world_points().reshape(-1, 3)
+    outside = np.maximum([-2, -1, 0] - points, points - [6, 1, 2]).max(1)
+    near = (np.abs(outside) < 0.1) & (found.row_of >= 0)
+    np.testing.assert_allclose(found.grid[found.row_of[near], 1:], np.sin(2 * points[near]),
+                               atol=5e-3)
+
+
+@pytest.mark.parametrize('terms', [1, 4])
+def test_colours_are_multiplied_and_densities_are_not(terms: int) -> None:
+    grid = np.random.default_rng(0).normal(size=(50, 1 + 3 * terms)).astype(np.float32)
+    before = grid.copy()
+    multiply_colours(grid, np.array([0.5, 1.0, 1.5]))
+    means = slice(1, None, terms)
+    colours, now = (1 / (1 + np.exp(-0.28209479 * one[:, means])) for one in (before, grid))
+    np.testing.assert_allclose(now, np.minimum(colours * (0.5, 1, 1.5), 0.99), atol=1e-5)
+    kept = np.ones(grid.shape[1], bool)
+    kept[means] = False
+    np.testing.assert_array_equal(grid[:, kept], before[:, kept])
 
 
 def test_a_fit_ends_on_the_lattice_in_its_box() -> None:
