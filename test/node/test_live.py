@@ -236,11 +236,11 @@ import time
 from neo_ros.node.extrapolator_node import ExtrapolatorNode
 from neo_ros.runtime import FovExtrapolator
 fast = FovExtrapolator.expand
-def slow(self, image):
+def slow(self, image, **hints):
     if image.max() == 0:
         print('in the middle', flush=True)
         time.sleep(600)  # Longer than a test waits.
-    return fast(self, image)
+    return fast(self, image, **hints)
 FovExtrapolator.expand = slow
 from neo_ros.node.main import main
 main()
