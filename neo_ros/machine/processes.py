@@ -2,8 +2,10 @@
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 import multiprocessing
+import os
 import signal
 import subprocess
+import threading
 from typing import Any, TypeVar
 
 GRACE_S = 10.0
@@ -17,8 +19,21 @@ def map_in_processes(function: Callable[[Any], Result], jobs: Sequence[Any],
         yield from map(function, jobs)
         return
     # spawn: forking a process that has threads (torch, ROS) may hang the child.
-    with ProcessPoolExecutor(workers, multiprocessing.get_context('spawn')) as pool:
+    with ProcessPoolExecutor(workers, multiprocessing.get_context('spawn'),
+                             _end_with_parent) as pool:
         yield from pool.map(function, jobs, chunksize=4)
+
+
+def _end_with_parent() -> None:
+    """End this process when the one that started it is killed: else it waits for work for ever."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def watch() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def end_process(process: subprocess.Popen) -> None:
