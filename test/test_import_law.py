@@ -14,20 +14,19 @@ PACKAGE = Path(neo_ros.__file__).parent
 COMMON = {'errors'}
 # Room: the other rooms and the heavy libraries that it may import.
 LAW: dict[str, set[str]] = {
-    'machine': {'numba', 'ray'},
+    'machine': {'numba', 'ray', 'pycolmap'},
     'pictures': {'machine', 'cv2'},
     'geometry': {'cv2'},
     'scenes': {'geometry', 'machine', 'pictures', 'cv2'},
-    'captures': {'geometry', 'machine', 'pictures', 'scenes', 'bags', 'messages', 'reports', 'cv2',
-                 'pycolmap'},
+    'captures': {'geometry', 'machine', 'pictures', 'scenes', 'bags', 'messages', 'reports',
+                 'cv2'},
     'flat': {'geometry', 'machine', 'pictures', 'scenes', 'cv2'},
     'reports': {'geometry', 'machine', 'pictures', 'cv2', 'matplotlib'},
     'field': {'geometry', 'machine', 'pictures', 'scenes', 'torch', 'numba', 'scipy', 'cv2'},
     'outpaint': {'geometry', 'machine', 'pictures', 'scenes', 'field', 'runtime', 'torch', 'onnx',
                  'onnxruntime', 'cv2'},
     'memory': {'geometry', 'machine', 'pictures', 'numba', 'cv2'},
-    'baking': {'geometry', 'machine', 'scenes', 'field', 'memory', 'pycolmap', 'numba',
-               'cv2'},
+    'baking': {'geometry', 'machine', 'scenes', 'field', 'memory', 'numba', 'cv2'},
     'runtime': {'geometry', 'machine', 'pictures', 'memory', 'onnxruntime', 'onnx', 'cv2'},
     'messages': {'geometry', 'pictures', 'cv2'},
     'bags': {'geometry', 'machine', 'runtime', 'messages', 'rosbags', 'mcap', 'cv2'},
@@ -45,11 +44,11 @@ LAW: dict[str, set[str]] = {
     # Reads bags, changes what a training left, and trains its network on with the pipeline.
     'updating': {'geometry', 'machine', 'pictures', 'scenes', 'field', 'memory', 'baking',
                  'runtime', 'messages', 'bags', 'reports', 'training', 'pipeline', 'experiment',
-                 'numba', 'scipy', 'cv2', 'pycolmap'},
+                 'numba', 'scipy', 'cv2'},
     # Trains with the pipeline, which itself scores with `evaluation`.
     'benchmark': {'geometry', 'machine', 'pictures', 'scenes', 'captures', 'flat', 'field',
                   'outpaint', 'runtime', 'memory', 'baking', 'messages', 'reports', 'evaluation',
-                  'training', 'pipeline', 'experiment', 'bags', 'torch', 'cv2', 'pycolmap'},
+                  'training', 'pipeline', 'experiment', 'bags', 'torch', 'cv2'},
     'speed': {'geometry', 'machine', 'scenes', 'flat', 'field', 'outpaint', 'runtime', 'messages',
               'bags', 'memory', 'baking', 'viewer', 'evaluation', 'torch', 'cv2', 'onnx'},
     # Reads what the others say of themselves; nothing imports it.

@@ -4,13 +4,14 @@ from pathlib import Path
 from typing import Any
 
 from neo_ros.geometry import Intrinsics
+from neo_ros.machine.colmap import load_pycolmap
 from neo_ros.memory.local_features import Features
 import numpy as np
 
 
 def pinhole_lens(camera: Intrinsics) -> Any:
     """Return pycolmap's camera number 1."""
-    import pycolmap
+    pycolmap = load_pycolmap()
     return pycolmap.Camera(model='PINHOLE', width=camera.width, height=camera.height,
                            params=[camera.fx, camera.fy, camera.cx, camera.cy], camera_id=1,
                            has_prior_focal_length=True)
@@ -24,7 +25,7 @@ def write_database(path: Path, camera: Intrinsics, features: Sequence[Features],
     T_cam_world (K, 4, 4): poses of the first images; verified: pairs of images, and their
     geometry. Returns a reconstruction of the images with poses.
     """
-    import pycolmap
+    pycolmap = load_pycolmap()
     lens = pinhole_lens(camera)
     known, everything = pycolmap.Reconstruction(), pycolmap.Reconstruction()
     for one in (known, everything):
@@ -55,7 +56,7 @@ def write_database(path: Path, camera: Intrinsics, features: Sequence[Features],
 
 def of_known_poses(matches: np.ndarray) -> Any:
     """Return the geometry of two views whose poses are known, and allow these matches (M, 2)."""
-    import pycolmap
+    pycolmap = load_pycolmap()
     geometry = pycolmap.TwoViewGeometry()
     geometry.config = pycolmap.TwoViewGeometryConfiguration.CALIBRATED
     geometry.inlier_matches = matches.astype(np.uint32)

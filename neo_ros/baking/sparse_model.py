@@ -14,6 +14,7 @@ from neo_ros.baking.feature_database import of_known_poses, points_of, write_dat
 from neo_ros.baking.photo_bank import PhotoBank
 from neo_ros.errors import SceneError
 from neo_ros.geometry import Intrinsics
+from neo_ros.machine.colmap import load_pycolmap
 from neo_ros.machine.files import whole_file
 from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.memory.local_features import match_features
@@ -105,7 +106,7 @@ def epipolar_distance(camera: Intrinsics, T_b_a: np.ndarray, points_a: np.ndarra
 
 def _triangulate(bank: PhotoBank, folder: Path,
                  progress: Progress, rules: MatchRules) -> tuple[np.ndarray, np.ndarray]:
-    import pycolmap
+    pycolmap = load_pycolmap()
     pycolmap.logging.minloglevel = int(pycolmap.logging.ERROR)
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)

@@ -13,6 +13,7 @@ from neo_ros.benchmark.field_view import FieldView
 from neo_ros.evaluation.baselines import NeoModel
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
 from neo_ros.geometry.camera_pose import rotation_angle
+from neo_ros.machine.colmap import load_pycolmap
 from neo_ros.memory.local_features import Features, find_features, match_features
 import numpy as np
 
@@ -41,7 +42,7 @@ class Relocalizer:
 
     def __init__(self, bank: PhotoBank, model: SparseModel, camera: Intrinsics,
                  rules: RelocalizationRules = RelocalizationRules()) -> None:
-        import pycolmap
+        pycolmap = load_pycolmap()
         self.bank, self.model, self.rules = bank, model, rules
         self.lens = pycolmap.Camera(model='PINHOLE', width=camera.width, height=camera.height,
                                     params=[camera.fx, camera.fy, camera.cx, camera.cy])
@@ -75,7 +76,7 @@ class Relocalizer:
         return np.argsort(apart + turned, kind='stable')[:self.rules.retrieved]
 
     def _pnp(self, features: Features, photos: np.ndarray) -> tuple[CameraPose, int] | None:
-        import pycolmap
+        pycolmap = load_pycolmap()
         pairs: set[tuple[int, int]] = set()
         for index in photos:
             owned = np.flatnonzero(self.model.point_of[index] >= 0)

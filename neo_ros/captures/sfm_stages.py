@@ -9,6 +9,7 @@ from typing import Any
 from neo_ros.errors import NeoError, SceneError
 from neo_ros.geometry import Intrinsics
 from neo_ros.geometry.lens import Lens
+from neo_ros.machine.colmap import load_pycolmap
 from neo_ros.machine.evenly import evenly
 from neo_ros.machine.progress import StageProgress
 
@@ -47,7 +48,7 @@ def extract_features(database: Path, work: Path, names: list[str], pinhole: Intr
 
     pinhole: their camera, if known; masks: a folder with NAME.png, black where there are none.
     """
-    import pycolmap
+    pycolmap = load_pycolmap()
     reader = pycolmap.ImageReaderOptions()
     if masks is not None:
         reader.mask_path = masks
@@ -72,7 +73,7 @@ def extract_features(database: Path, work: Path, names: list[str], pinhole: Intr
 
 def match_photos(database: Path, work: Path, names: list[str], progress: StageProgress) -> None:
     """Compare pairs of photos that the database has not compared yet."""
-    import pycolmap
+    pycolmap = load_pycolmap()
     pairs = photo_pairs(names)
     options = pycolmap.ImportedPairingOptions()
     options.match_list_path = work / 'pairs.txt'
@@ -88,7 +89,7 @@ def match_photos(database: Path, work: Path, names: list[str], progress: StagePr
 def place_photos(database: Path, work: Path, model: Path, count: int, calibrated: bool,
                  progress: StageProgress) -> None:
     """Write the largest model; raises SceneError where too few photos can be placed."""
-    import pycolmap
+    pycolmap = load_pycolmap()
     most = 0
 
     def show(placed: int) -> None:
@@ -125,7 +126,7 @@ def place_photos(database: Path, work: Path, model: Path, count: int, calibrated
 def _largest_model(database: Path, work: Path, count: int, refine: bool,
                    show: Callable[[int], None]) -> Any | None:
     """Place the photos; `refine` estimates focal length and distortion, too."""
-    import pycolmap
+    pycolmap = load_pycolmap()
     options = pycolmap.IncrementalPipelineOptions()
     options.random_seed = 0
     options.min_model_size = FEWEST

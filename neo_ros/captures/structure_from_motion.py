@@ -17,6 +17,7 @@ from neo_ros.captures.sfm_stages import (
     extract_features, focal_length_held, is_plausible, match_photos, place_photos)
 from neo_ros.geometry import Intrinsics
 from neo_ros.geometry.lens import Lens
+from neo_ros.machine.colmap import load_pycolmap
 from neo_ros.machine.names import listed
 from neo_ros.machine.progress import no_stage_progress, StageProgress
 from neo_ros.pictures.usable import write_usable
@@ -60,7 +61,7 @@ def reconstruct(capture: Capture, work: Path,
     not be placed are named in the notes and left out. Raises SceneError where fewer than three
     are placed.
     """
-    import pycolmap
+    pycolmap = load_pycolmap()
     capture = _without_blanks(capture)
     names, pinhole = write_images(
         capture, work, lambda done, total: progress('images', done, total))

@@ -16,6 +16,7 @@ from neo_ros.baking.feature_database import (
 from neo_ros.baking.photo_bank import likeness_of
 from neo_ros.baking.sparse_model import epipolar_distance, SparseModel
 from neo_ros.geometry import CameraPose, Intrinsics
+from neo_ros.machine.colmap import load_pycolmap
 from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.memory.landmarks import Landmarks, magnification, WORKED_WIDTH
 from neo_ros.memory.local_features import Features, find_features, match_features
@@ -119,7 +120,7 @@ def _map(features: Sequence[Features], poses: Sequence[CameraPose],
          pairs: Sequence[tuple[int, int]], camera: Intrinsics, folder: Path, progress: Progress,
          rules: PlacingRules) -> Any | None:
     """Return a model of all that can be placed; the first have these poses, and keep them."""
-    import pycolmap
+    pycolmap = load_pycolmap()
     pycolmap.logging.minloglevel = int(pycolmap.logging.FATAL)
     known = write_database(
         folder / 'database.db', camera, features,
@@ -156,7 +157,7 @@ def _verified(features: Sequence[Features], poses: Sequence[CameraPose],
               pairs: Sequence[tuple[int, int]], camera: Intrinsics, progress: Progress,
               rules: PlacingRules) -> Iterator[tuple[int, int, Any]]:
     """Yield pairs of images, and the matches that two views allow: by their poses, if known."""
-    import pycolmap
+    pycolmap = load_pycolmap()
     lens, options = pinhole_lens(camera), pycolmap.TwoViewGeometryOptions()
     options.ransac.max_error, options.ransac.random_seed = rules.most_pixels, 0
     options.min_num_inliers = rules.least_matches
