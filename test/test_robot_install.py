@@ -38,8 +38,8 @@ KEYS = {
     'jinja2': 'python3-jinja2',
     'lz4': 'mcap-ros2-support', 'matplotlib': 'python3-matplotlib', 'mcap': 'mcap-ros2-support',
     'mcap_protobuf': None, 'numba': 'python3-numba', 'numpy': 'python3-numpy', 'onnx': None,
-    'onnxruntime': 'python3-onnxruntime-pip', 'pillow_heif': None, 'ray': None,
-    'rich': 'python3-rich',
+    'onnxruntime': 'python3-onnxruntime-pip', 'pillow_heif': None, 'pycolmap': None,
+    'ray': None, 'rich': 'python3-rich',
     'rosbags': 'python3-rosbags-pip', 'tf2_ros': 'tf2_ros_py', 'typer': 'python3-typer',
     'yaml': 'python3-yaml', 'yarl': 'python3-aiohttp', 'zstandard': 'mcap-ros2-support'}
 PYPI_NAMES = {'opencv-python-headless': 'cv2', 'pyyaml': 'yaml'}
