@@ -5,7 +5,10 @@ from dataclasses import replace
 import cv2
 from neo_ros.geometry import CameraPose, ViewExpansion
 from neo_ros.memory.alignment import agreement, Aligner, Drawn, grey_of
+from neo_ros.memory.alignment_kernels import GuideLevel, PhotoLevel
 from neo_ros.memory.coarse_memory import CoarseMemory
+from neo_ros.memory.pose_covariance import (
+    aligned_covariance, in_world, located_covariance, with_floor)
 from neo_ros.memory.rendering import GuideView, MemoryRenderer
 from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.memory.sight import CameraImage, Found, GuideThresholds, Sight
@@ -52,6 +55,23 @@ class Looker:
             grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
             depth = cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST)
         return grey, depth
+
+    def covariance(self, sight: Sight, photo: PhotoLevel) -> np.ndarray:
+        """Return how exactly an image tells a sight's pose, (6, 6); photo: its finest level."""
+        return in_world(with_floor(self._covariance(sight, photo), self.thresholds.covariance),
+                        sight.pose)
+
+    def _covariance(self, sight: Sight, photo: PhotoLevel) -> np.ndarray:
+        limits, location = self.thresholds, sight.location
+        if location is not None and sight.pose is location.pose:  # Alignment had no say.
+            return located_covariance(location, limits.covariance)
+        camera, drawn = self.aligner.levels[0], sight.drawn
+        # As it was drawn, but by now in the image's exposure.
+        grey = cv2.cvtColor(sight.view.image[self.expansion.observed], cv2.COLOR_RGB2GRAY)
+        grey = cv2.resize(grey, drawn.grey.shape[::-1], interpolation=cv2.INTER_AREA) / 255
+        shown = GuideLevel(grey, drawn.depth, self.aligner.rays[0])
+        return aligned_covariance(photo, shown, camera, limits.alignment.geman_mcclure,
+                                  limits.covariance)
 
     def best_of(self, image: CameraImage, starts: Sequence[CameraPose], found: Found
                 ) -> Sight | None:

@@ -3,10 +3,8 @@ from contextlib import AbstractContextManager
 from dataclasses import replace
 from functools import partial
 
-import cv2
 from neo_ros.geometry import CameraPose, ViewExpansion
 from neo_ros.machine.compiled import ALL_THREADS
-from neo_ros.memory.alignment_kernels import GuideLevel, PhotoLevel
 from neo_ros.memory.colour_kernels import apply_gain
 from neo_ros.memory.doubt import Doubt
 from neo_ros.memory.glancing import GlanceFinder
@@ -17,8 +15,6 @@ from neo_ros.memory.local_features import Features
 from neo_ros.memory.looking import Looker
 from neo_ros.memory.panorama import draw_panorama, Panorama
 from neo_ros.memory.parallel import parallel_loops
-from neo_ros.memory.pose_covariance import (
-    aligned_covariance, in_world, located_covariance, with_floor)
 from neo_ros.memory.recent_images import RecentImages
 from neo_ros.memory.scene_light import SceneLight
 from neo_ros.memory.scene_memory import SceneMemory
@@ -151,8 +147,8 @@ class SceneGuide:
                 self._recent.distrust(self._memory.changes)
         return Guide(view.image, known, view.stretched, best.pose, best.agreement, seen_before,
                      best.found, len(best.location.points) if best.location else 0, view.depth,
-                     partial(self._covariance, best, image.photo[0]), self.expansion.observed,
-                     partial(self._panorama, best.pose, gain), light,
+                     partial(self._looker.covariance, best, image.photo[0]),
+                     self.expansion.observed, partial(self._panorama, best.pose, gain), light,
                      None if changes is None else changes.shown_at(
                          view.depth, self.expansion.target, best.pose))
 
@@ -259,23 +255,6 @@ class SceneGuide:
             pose, self._led = location.pose, self.thresholds.landmarks_every
         self._watch.forget()  # What is tracked next may be off, too.
         return self._located(self._looker.look(image, pose, pose), location, 'landmarks')
-
-    def _covariance(self, sight: Sight, photo: PhotoLevel) -> np.ndarray:
-        covariance = self._covariance_of(sight, photo)
-        return in_world(with_floor(covariance, self.thresholds.covariance), sight.pose)
-
-    def _covariance_of(self, sight: Sight, photo: PhotoLevel) -> np.ndarray:
-        """Return how exactly the image tells a sight's pose; its view has the photo's exposure."""
-        limits, location = self.thresholds, sight.location
-        if location is not None and sight.pose is location.pose:  # Alignment had no say.
-            return located_covariance(location, limits.covariance)
-        camera, drawn = self.aligner.levels[0], sight.drawn
-        # As it was drawn, but by now in the image's exposure.
-        grey = cv2.cvtColor(sight.view.image[self.expansion.observed], cv2.COLOR_RGB2GRAY)
-        grey = cv2.resize(grey, drawn.grey.shape[::-1], interpolation=cv2.INTER_AREA) / 255
-        shown = GuideLevel(grey, drawn.depth, self.aligner.rays[0])
-        return aligned_covariance(photo, shown, camera, limits.alignment.geman_mcclure,
-                                  limits.covariance)
 
     def _panorama(self, pose: CameraPose, gain: np.ndarray, wide_image: np.ndarray, width: int
                   ) -> Panorama:

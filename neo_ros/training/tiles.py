@@ -1,11 +1,10 @@
 """A field fitted tile by tile: here one after the other, or side by side on a Ray cluster."""
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-import io
 import math
 from pathlib import Path
-from typing import Any
 
+from neo_ros.baking.worker_files import kept_file, read_part
 from neo_ros.experiment import Experiment
 from neo_ros.field.config import FieldConfig
 from neo_ros.field.device import field_trainer
@@ -13,7 +12,7 @@ from neo_ros.field.extent import FineBox
 from neo_ros.field.tiles import (
     brightness, cut_floor, joined, photos_of, Tile, tile_edge, TileRules)
 from neo_ros.field.voxel_field import VoxelField
-from neo_ros.machine.files import make_output_folder, write_bytes
+from neo_ros.machine.files import make_output_folder
 from neo_ros.machine.progress import no_stage_progress, StageProgress
 from neo_ros.machine.ray_jobs import make_on_ray
 from neo_ros.scenes.posed_images import PosedImages
@@ -102,7 +101,8 @@ def fit_tile(job: TileJob, progress: StageProgress = no_stage_progress,
         lambda: f'{trainer.psnr:.2f} dB on its photos', writes=job.writes)
     found = trainer.finished()
     if job.writes:
-        write_bytes(job.gains, _packed(photos=chosen, log_gain=trainer.camera.log_gain))
+        with kept_file(job.gains) as file:
+            np.savez(file, photos=chosen, log_gain=trainer.camera.log_gain)
         write_notes(job.out.with_suffix('.json'), watched.seconds, watched.log['field'])
         found.save(job.out)
         checkpoint.unlink(missing_ok=True)
@@ -139,17 +139,11 @@ def fit_tiles(jobs: Sequence[TileJob], cluster: bool, progress: StageProgress
     return joined([job.tile for job in jobs], [job.out for job in jobs], factors), seconds, log
 
 
-def _packed(**arrays: Any) -> bytes:
-    file = io.BytesIO()
-    np.savez(file, **arrays)
-    return file.getvalue()
-
-
 def _read_gains(path: Path) -> tuple[np.ndarray, np.ndarray]:
     if not path.exists():  # A tile of before they were kept.
         return np.zeros(0, int), np.zeros((0, 3))
-    with np.load(path) as found:
-        return found['photos'], found['log_gain']
+    found = read_part(path)
+    return found['photos'], found['log_gain']
 
 
 def _of_all(progress: StageProgress, number: int, count: int) -> StageProgress:

@@ -17,8 +17,9 @@ from neo_ros.memory.changes import Changes, without_replaced
 from neo_ros.memory.contradiction import contradicted, contradiction, ContradictionThresholds
 from neo_ros.memory.journal import (
     HEADER_BYTES, journal_path, JournalWriter, read_journal)
-from neo_ros.memory.learning import _as_before, Learner, LearningThresholds, Learnt
+from neo_ros.memory.learning import Learner, LearningThresholds, Learnt
 from neo_ros.memory.patch import PARTS, Patch
+from neo_ros.memory.patch_finding import _as_before, PatchThresholds
 from neo_ros.memory.rendering import MemoryRenderer
 from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.memory.stereo import Shot
@@ -108,7 +109,7 @@ def test_what_stays_is_learnt(tmp_path: Path) -> None:
         _, depth, parts = patch.pictures
         samples = patch.samples
         told = np.bincount(samples.parts[samples.depths[:, 1] > 0], minlength=PARTS)
-        assert told[np.unique(parts[depth > 0])].min() >= LearningThresholds().least_samples
+        assert told[np.unique(parts[depth > 0])].min() >= PatchThresholds().least_samples
 
 
 @pytest.mark.slow

@@ -81,6 +81,17 @@ async def receive(socket: ClientWebSocketResponse, kind: str
             return about, image, kinds
 
 
+async def first_look(socket: ClientWebSocketResponse, hub: Hub
+                     ) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
+    """Look around once the camera's place is known; return the look as `receive` does."""
+    put(hub)
+    await receive(socket, 'place')
+    put(hub)
+    await socket.send_json({'look': LOOK})
+    put(hub)
+    return await receive(socket, 'look')
+
+
 def test_the_map_is_the_room(model: Path) -> None:
     async def test() -> None:
         async with serving(model) as (client, _):
@@ -130,12 +141,7 @@ def test_a_memory_without_a_floor_has_no_map_but_the_viewer_goes_on(tmp_path: Pa
                 assert 'There is no map' in why and 'shows no floor' in why
                 assert (await client.get('/map.webp')).status == 404
             async with joined(client) as socket:
-                put(hub)
-                await receive(socket, 'place')
-                put(hub)
-                await socket.send_json({'look': LOOK})
-                put(hub)
-                _, image, _ = await receive(socket, 'look')
+                _, image, _ = await first_look(socket, hub)
                 assert image.shape == (120, 160, 3)
     run(test)
 
@@ -143,12 +149,7 @@ def test_a_memory_without_a_floor_has_no_map_but_the_viewer_goes_on(tmp_path: Pa
 def test_a_look_shows_the_room_with_the_live_image_in_it(model: Path) -> None:
     async def test() -> None:
         async with serving(model) as (client, hub), joined(client) as socket:
-            put(hub)
-            await receive(socket, 'place')
-            put(hub)
-            await socket.send_json({'look': LOOK})
-            put(hub)
-            about, image, kinds = await receive(socket, 'look')
+            about, image, kinds = await first_look(socket, hub)
             assert image.shape == (120, 160, 3) and kinds.shape == (60, 80)
             assert about['yaw'] == pytest.approx(LOOK['yaw'])
             # The camera looks 30 degrees to the right of the look.
