@@ -297,7 +297,7 @@ def multiply_colours(grid: np.ndarray, factor: np.ndarray) -> None:
     """
     Multiply the colours of rows of a grid (V, 1 + 3K) by a factor (3,), in place.
 
-    That is exact for the mean over all directions, and from DARKEST below white on.
+    What differs with the direction stays as it is; nothing gets brighter than 1 - DARKEST.
     """
     mean = grid[:, 1::grid.shape[1] // 3]
     colour = np.clip(factor / (1 + np.exp(-BAND_0 * mean)), DARKEST, 1 - DARKEST)
