@@ -71,7 +71,8 @@ def scene_folder(run: Path) -> Path:
 
 def check_run(run: Path, scene: Scene, experiment: Experiment) -> None:
     """Raise ConfigError where a run is of other photos, or of other settings of the field."""
-    found, own = _read_run_note(run / RUN_FILE), _run_note(scene, experiment)
+    found = _read_run_note(run / RUN_FILE)
+    own = {'photos': list_digest(scene.train)[:12], 'field': _field_hash(scene, experiment)}
     advice = {'photos': 'name its scene with --scene',
               'field': 'give the experiment that it was trained with, --config'}
     for name, what in advice.items():
@@ -85,10 +86,13 @@ def _run_note(scene: Scene, experiment: Experiment) -> dict[str, Any]:
     # Another memory leaves field and network as they are.
     settings = replace(experiment, memory=None).config_hash
     return {'scene': scene.name, 'settings': settings,
-            'field': experiment.field_hash(mapped=scene.walkable is not None),
-            **_scene_note(scene),
+            'field': _field_hash(scene, experiment), **_scene_note(scene),
             'view': f'{view.source.width}x{view.source.height} at {view.left}, {view.top} in '
                     f'{view.target.width}x{view.target.height}'}
+
+
+def _field_hash(scene: Scene, experiment: Experiment) -> str:
+    return experiment.field_hash(mapped=scene.walkable is not None)
 
 
 def _scene_note(scene: Scene) -> dict[str, Any]:
