@@ -44,10 +44,9 @@ def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """
-    Mark tests by what they import and use, and keep those together that share what is dear.
+    Mark tests by what they import and use.
 
-    One worker trains the tiny run for all tests that use it; else a file stays with one worker.
-    Where there are several, what is slow comes first: else one would end minutes after the others.
+    Several workers begin with the slow files: else one would end minutes after the others.
     """
     needs: dict[Path, set[str]] = {}
     for item in items:
@@ -58,13 +57,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         fixtures = getattr(item, 'fixturenames', ())
         for mark in needs[item.path].union(*(FIXTURES.get(name, set()) for name in fixtures)):
             item.add_marker(mark)
-        item.add_marker(pytest.mark.xdist_group(
-            'tiny run' if 'tiny_run' in fixtures else str(item.path)))
     if 'PYTEST_XDIST_WORKER' in os.environ:
         slow = {item.path for item in items
                 if item.get_closest_marker('slow') or item.get_closest_marker('ros')}
-        items.sort(key=lambda item: (
-            'tiny_run' not in getattr(item, 'fixturenames', ()), item.path not in slow))
+        items.sort(key=lambda item: item.path not in slow)
 
 
 def pytest_collection_finish() -> None:
