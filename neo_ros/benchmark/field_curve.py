@@ -26,6 +26,7 @@ from neo_ros.machine.progress import StageProgress
 from neo_ros.machine.result_rows import ResultRows
 from neo_ros.pictures.exposure import exposure_gain
 from neo_ros.scenes.scene import read_scene
+from neo_ros.training.photo_depth import photos_with_depth
 from neo_ros.training.run import TrainingRun
 import numpy as np
 import torch
@@ -97,10 +98,12 @@ def fit_own(run: TrainingRun, seconds: float, stage: str) -> tuple[Renderer, dic
     """Fit our field for so many seconds; returns it with its steps and minutes."""
     config = replace(run.field_config, minutes=seconds / 60)
     scale = run.experiment.field_scale
+    with photos_with_depth(run) as photos:
+        depths = photos.read_depths(scale)
     images = run.fitted.read_images(scale)
     trainer = field_trainer(images, run.fitted.intrinsics.scaled(scale),
                             run.fitted.T_world_cam, config, run.experiment.seed,
-                            run.fitted.read_depths(scale), run.fitted.read_all_usable(scale))
+                            depths, run.fitted.read_all_usable(scale))
     while trainer.done[0] < trainer.done[1]:
         trainer.train_step()
         run.progress(stage, *trainer.done, f'{trainer.psnr:.2f} dB on its photos')

@@ -21,12 +21,12 @@ def bag(
     from neo_ros.cli.options import tell_next
     from neo_ros.evaluation.evaluate import TruthFrames
     from neo_ros.runtime import read_model_card
-    from neo_ros.scenes.scene import read_scene
+    from neo_ros.scenes.upright import read_upright_scene
     import rich
     from rich.markup import escape
     from rich.progress import track
 
-    found = read_scene(scene)
+    found = read_upright_scene(scene)  # Its poses are the memory's.
     frames = TruthFrames(found.test, read_model_card(model).expansion)
     period_ns = int(1e9 / rate)
     height = found.walkable.camera_height if found.walkable is not None else 0.0

@@ -18,8 +18,9 @@ def evaluate(
     """
     Score a model on the test frames of a scene, beside edge replication and the mean photo.
 
-    Of a model with a scene memory, the network alone is scored, too, and how true pose, covariance
-    and depth are goes into geometry.json. Also says how true the confidence is.
+    Of a model with a scene memory, the network alone is scored, too, and how true pose and
+    covariance are goes into geometry.json, of the demo flat depth and map, too. Also says how true
+    the confidence is.
     """
     from neo_ros.benchmark.protocols import split_walks
     from neo_ros.cli.progress import stage_progress

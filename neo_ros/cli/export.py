@@ -20,20 +20,17 @@ def export(
     training. fp16 is for GPUs. int8 needs a CPU with int8 instructions (VNNI) to be fast and
     as good as it is measured here.
     """
-    from neo_ros.experiment import Experiment, read_experiment
+    from neo_ros.experiment import read_experiment
     from neo_ros.scenes.upright import read_upright_scene
     from neo_ros.training.run import TrainingRun
-    from neo_ros.training.time_plan import PLAN_FILE, read_plan
+    from neo_ros.training.time_plan import settings_of
     from neo_ros.training.variants import export_variants
     import rich
     from rich.markup import escape
     from rich.table import Table
 
-    experiment = read_experiment(config) if config is not None else Experiment()
-    if (out / PLAN_FILE).exists():  # Of neo train --minutes.
-        experiment = read_plan(out).experiment
-    run = TrainingRun(read_upright_scene(scene), experiment, out,
-                      no_stage_progress)
+    experiment = settings_of(out, read_experiment(config) if config is not None else None)
+    run = TrainingRun(read_upright_scene(scene), experiment, out, no_stage_progress)
     variants = export_variants(run, threads=threads)
     table = Table('format', 'file', 'MB', 'ms', 'ring dB', 'loss dB')
     best = max(variant.ring_psnr for variant in variants)

@@ -155,6 +155,13 @@ class ExtrapolatorNode(LifecycleNode):
         self._lingering = [worker for worker in self._lingering if worker.busy]
         return not self._lingering and not self._loader.busy
 
+    def end(self) -> bool:
+        """Stop for good, and keep what was learnt; return what `stop` does."""
+        idle = self.stop()
+        if idle and self._model is not None:
+            self._model.stop_learning()
+        return idle
+
     def _break_bond(self) -> None:
         if self._bond is not None:
             self._bond.shutdown()
@@ -277,7 +284,7 @@ class ExtrapolatorNode(LifecycleNode):
             self._worker.max_fps = values.max_fps
             if any(parameter.name in INPUT_PARAMETERS for parameter in parameters):
                 self._inputs.choose(values.image_transport, values.reliable)
-                self._attend()
+            self._attend()
 
     def _take_over(self, model: LoadedModel) -> None:
         """Let the next frame go through this model."""

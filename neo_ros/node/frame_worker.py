@@ -24,7 +24,7 @@ class Frame:
 
 
 class Wanted(NamedTuple):
-    """Which outputs somebody subscribes to."""
+    """Which outputs somebody subscribes to; learn: images are looked at for the memory's sake."""
 
     image: bool = True
     compressed: bool = True
@@ -39,6 +39,7 @@ class Wanted(NamedTuple):
     panorama: bool = False
     panorama_mask: bool = False
     transform: bool = False
+    learn: bool = False
 
     @property
     def infer(self) -> bool:

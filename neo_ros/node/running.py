@@ -85,7 +85,7 @@ def _serve(stop: _Stop) -> bool:
         if rclpy.ok():
             raise
     finally:
-        idle = node.stop()
+        idle = node.end()
     return idle
 
 

@@ -50,15 +50,16 @@ class WidePublishers:
 
     def use(self, values: NodeParameters, arbitrary_scale: bool) -> None:
         """Go by these parameters, and by the scale of the model's scene, from now on."""
-        self._jpeg_quality = values.jpeg_quality
+        self._jpeg_quality, self._learn = values.jpeg_quality, values.learn
         self.scene_frame = values.scene_frame or default_scene_frame(arbitrary_scale)
         self._memory = MemoryMessages(make_message, MemorySettings(
             self.scene_frame, self._node.get_fully_qualified_name(), values.points_every,
             values.panorama_width, values.panorama_fps))
 
     def wanted(self) -> Wanted:
-        """Say which topics have subscribers."""
-        return Wanted(transform=self._frames is not None and self._frames.sends, **{
+        """Say which topics have subscribers, and what else images are widened for."""
+        sends = self._frames is not None and self._frames.sends
+        return Wanted(transform=sends, learn=self._learn, **{
             name: publisher.get_subscription_count() > 0
             for name, publisher in self._publishers.items()})
 

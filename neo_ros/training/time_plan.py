@@ -14,6 +14,7 @@ from typing import Any
 
 from neo_ros.errors import ConfigError
 from neo_ros.experiment import Experiment, experiment_from
+from neo_ros.field.config import FieldConfig
 from neo_ros.field.device import field_trainer
 from neo_ros.machine.evenly import evenly
 from neo_ros.machine.files import write_bytes
@@ -50,11 +51,16 @@ class PlanRules:
 
 @dataclass(frozen=True)
 class TimePlan:
-    """What a training of `minutes` is made of; network_minutes are known when it comes to it."""
+    """
+    What a training of `minutes` is made of; network_minutes are known when it comes to it.
+
+    given: the hash of the settings that it was chosen from; None: of an older neo_ros.
+    """
 
     minutes: float
     experiment: Experiment
     network_minutes: float | None = None
+    given: str | None = None
 
 
 def plan_training(out: Path, scene: Scene, base: Experiment, minutes: float,
@@ -63,9 +69,10 @@ def plan_training(out: Path, scene: Scene, base: Experiment, minutes: float,
     """
     Read the plan of the run in `out`, or make one for this machine and note it there.
 
-    base: settings that stay, where they are not the default ones. say: told what was chosen, and
-    why. fits: a field is fitted; else it is there, and its minutes are the network's. Raises
-    ConfigError for minutes that are no number above 0, and for a run of others.
+    base: settings that stay, but for all minutes, and for shrink and voxels that are the default.
+    say: told what was chosen, and why. fits: a field is fitted; else it is there, and its minutes
+    are the network's. Raises ConfigError for minutes that are no number above 0, and for a run of
+    others, or of other settings.
     """
     if not 0 < minutes < math.inf:
         raise ConfigError(f'--minutes: expected a number > 0, got {minutes}')
@@ -74,11 +81,16 @@ def plan_training(out: Path, scene: Scene, base: Experiment, minutes: float,
         if plan.minutes != minutes:
             raise ConfigError(f'--minutes: {out} holds a run of {plan.minutes:g} minutes, got '
                               f'{minutes:g}; choose another folder')
+        if plan.given not in (None, base.config_hash):
+            raise ConfigError(f'{out}: expected an empty folder or a run of these settings, got '
+                              f'one of others ({plan.given}, not {base.config_hash}); give the '
+                              'same --config again, or choose another folder')
         return plan
     if any(out.iterdir()):
         raise ConfigError(f'{out}: expected an empty folder or a run of --minutes {minutes:g}; it '
                           'holds other files, or a run without --minutes; choose another folder')
-    plan = TimePlan(minutes, _chosen(scene, base, minutes, say, fits, rules))
+    plan = TimePlan(minutes, _chosen(scene, base, minutes, say, fits, rules),
+                    given=base.config_hash)
     _write_plan(out, plan)
     return plan
 
@@ -89,10 +101,17 @@ def read_plan(out: Path) -> TimePlan:
     try:
         found: dict[str, Any] = json.loads(path.read_text())
         return TimePlan(float(found['minutes']), experiment_from(found['experiment'], str(path)),
-                        found['network_minutes'])
+                        found['network_minutes'], found.get('given'))
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ConfigError(f'{path}: expected the plan of an earlier run: {error!r}; choose '
                           'another folder') from error
+
+
+def settings_of(out: Path, given: Experiment | None) -> Experiment:
+    """Return what the run in `out` was trained with: its plan's settings, those given, or none."""
+    if (out / PLAN_FILE).exists():
+        return read_plan(out).experiment
+    return given or Experiment()
 
 
 def _write_plan(out: Path, plan: TimePlan) -> None:
@@ -191,7 +210,9 @@ def _chosen(scene: Scene, base: Experiment, minutes: float, say: Callable[[str],
         shrink = min(max(round(math.sqrt(rules.passes * pixels / fitted)), 1), rules.most_shrink)
     tiles = len(tiles_of(scene, base))
     steps = fitted / base.field.rays_per_step / tiles
-    voxels = next(voxels for least, voxels in rules.voxels if steps >= least)
+    voxels = base.field.voxels
+    if voxels == FieldConfig.voxels:
+        voxels = next(voxels for least, voxels in rules.voxels if steps >= least)
     experiment = replace(
         base, field=replace(base.field, shrink=shrink, minutes=minutes * rules.field / tiles,
                             voxels=voxels),

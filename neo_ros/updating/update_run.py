@@ -15,7 +15,7 @@ from neo_ros.runtime.model_card import read_model_card
 from neo_ros.scenes.scene import Scene
 from neo_ros.scenes.upright import read_upright_scene
 from neo_ros.training.folder import check_run, scene_folder
-from neo_ros.training.time_plan import PLAN_FILE, read_plan
+from neo_ros.training.time_plan import settings_of
 from neo_ros.updating.driven_photos import Drive
 from neo_ros.updating.tuned_network import CHECKPOINT
 import numpy as np
@@ -40,9 +40,7 @@ class UpdateRun:
 
         tuned: its network is to be trained on.
         """
-        if experiment is None:
-            planned = (folder / PLAN_FILE).exists()
-            experiment = read_plan(folder).experiment if planned else Experiment()
+        experiment = settings_of(folder, experiment)
         found = read_upright_scene(scene or scene_folder(folder))
         check_run(folder, found, experiment)
         if not (folder / 'field.npz').exists():

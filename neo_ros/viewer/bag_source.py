@@ -36,15 +36,16 @@ class BagSource:
     Shows the wide pictures of a bag, or those that a model makes of its camera.
 
     A bag with a topic .../wide/image, as `neo replay` and `neo record` write it, is shown as it
-    is; else the camera (`topic`, or the only one) is widened with the model of `model`. Of several
-    wide topics the viewers choose. Raises BagError for bags and topics that cannot be used,
-    ModelError for the model.
+    is; else the camera (`topic`, or the only one) is widened with the model of `model`, without
+    its lens distortion if `rectify`. Of several wide topics the viewers choose. Raises BagError
+    for bags and topics that cannot be used, ModelError for the model.
     """
 
-    def __init__(self, bag: Path, topic: str | None, model: Path, rate: float = 1.0) -> None:
+    def __init__(self, bag: Path, topic: str | None, model: Path, rate: float = 1.0,
+                 rectify: bool = False) -> None:
         if not rate > 0:
             raise ConfigError(f'rate: expected a number > 0, got {rate}')
-        self._bag = bag
+        self._bag, self._rectify = bag, rectify
         # The model that its camera is widened with; None where it has wide images.
         self.model: Path | None = None
         with BagReader(bag) as reader:
@@ -71,7 +72,7 @@ class BagSource:
         extrapolator = FovExtrapolator.load(model)
         self.model, target = model, extrapolator.expansion.target
         self._memory = extrapolator.card.memory is not None
-        self._processor = FrameProcessor(extrapolator)
+        self._processor = FrameProcessor(extrapolator, self._rectify)
         self._camera = find_camera(reader, extrapolator.expansion.source, topic)
         image, info = self._camera.image, self._camera.info
         first = reader.first(info) if info is not None else None

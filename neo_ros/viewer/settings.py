@@ -7,7 +7,6 @@ import secrets
 import ssl
 
 from neo_ros.errors import ConfigError
-from yarl import URL
 
 # What a person may choose; the tokens that the viewer makes are longer.
 MIN_TOKEN, MAX_TOKEN = 12, 200
@@ -86,6 +85,8 @@ class ViewerSettings:
 
 def _as_browsers_say(public_origin: str) -> str:
     """Return an origin in small letters and without its scheme's own port; raises ConfigError."""
+    from yarl import URL  # It comes with aiohttp: without it `serve` says what to install.
+
     try:
         url = URL(public_origin)
         good = url.host and url.scheme in ('http', 'https') and url.origin() == url
