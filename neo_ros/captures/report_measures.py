@@ -83,8 +83,7 @@ def measure_capture(scene: Scene, progress: Progress = no_progress) -> CaptureMe
     """
     photos = scene.train
     camera = photos.intrinsics
-    expansion = scene.expansion or ViewExpansion.to_size(
-        camera, 2 * camera.width, 2 * camera.height)
+    expansion = scene.expansion or ViewExpansion.to_twice(camera)
     T_world_cam = photos.T_world_cam
     T_cam_world = np.linalg.inv(T_world_cam)
     measured, viewed = evenly(len(photos), MOST_PHOTOS), evenly(len(photos), MOST_VIEWS)

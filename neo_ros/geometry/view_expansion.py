@@ -40,6 +40,12 @@ class ViewExpansion:
         return cls(source, dx // 2, dx // 2, dy // 2, dy // 2)
 
     @classmethod
+    def to_twice(cls, source: Intrinsics) -> 'ViewExpansion':
+        """Grow to twice the width and height; an odd one grows by the odd pixel at its end."""
+        left, top = source.width // 2, source.height // 2
+        return cls(source, left, source.width - left, top, source.height - top)
+
+    @classmethod
     def horizontal(cls, source: Intrinsics, width: int) -> 'ViewExpansion':
         """Grow left and right only, to `width` pixels (the paper's ScanNet protocol)."""
         return cls.to_size(source, width, source.height)

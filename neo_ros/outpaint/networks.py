@@ -126,9 +126,7 @@ def fitting_expansion(camera: Intrinsics, config: NetworkConfig) -> ViewExpansio
             view = ViewExpansion.to_size(camera.middle(width, height), 2 * width, 2 * height)
             if config.patch or _is_light(view, patch, config):
                 found.append(((width * height, min(patch, PATCH), -patch), view))
-    left, top = camera.width // 2, camera.height // 2
-    whole = ViewExpansion(camera, left, camera.width - left, top, camera.height - top)
-    return max(found, key=lambda item: item[0], default=((), whole))[1]
+    return max(found, key=lambda item: item[0], default=((), ViewExpansion.to_twice(camera)))[1]
 
 
 def fitted_expansion(stated: ViewExpansion, scale: float, config: NetworkConfig

@@ -169,6 +169,19 @@ def test_lengths_have_the_unit_of_the_scene(tmp_path: Path, arbitrary: bool, m: 
     assert ('metres' in page) != arbitrary
 
 
+def test_photos_of_an_odd_size_get_a_page(tmp_path: Path) -> None:
+    images = [np.random.default_rng(index).integers(40, 216, (47, 61, 3), np.uint8)
+              for index in range(12)]
+    scene = make_scene(tmp_path, turning(12), images)
+    odd = replace(scene, train=replace(
+        scene.train, intrinsics=Intrinsics.from_hfov(61, 47, math.pi / 2)))
+    write_capture_report(tmp_path, odd)
+    assert (tmp_path / 'capture.html').exists()
+    wide = measure_capture(odd).expansion
+    assert (wide.target.width, wide.target.height) == (122, 94)
+    assert (wide.left, wide.right, wide.top, wide.bottom) == (30, 31, 23, 24)
+
+
 @pytest.mark.slow
 def test_the_page_stands_alone_and_says_what_the_terminal_says(tmp_path: Path) -> None:
     scene = make_scene(tmp_path, turning(12, full=0.3))
