@@ -51,6 +51,9 @@ class Tile:
         return ends.max(0).min(-1) >= np.maximum(ends.min(0).max(-1), 0)
 
 
+EVERYWHERE = Tile((-math.inf,) * 3, (math.inf,) * 3)
+
+
 def cut_floor(positions: np.ndarray, most: float, rules: TileRules = TileRules()) -> list[Tile]:
     """
     Cut the world so that photos of a tile, at positions (N, 3), stand at most so far apart.

@@ -1,7 +1,6 @@
 """A field fitted tile by tile: here one after the other, or side by side on a Ray cluster."""
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-import math
 from pathlib import Path
 
 from neo_ros.baking.worker_files import kept_file, read_part
@@ -10,7 +9,7 @@ from neo_ros.field.config import FieldConfig
 from neo_ros.field.device import field_trainer
 from neo_ros.field.extent import FineBox
 from neo_ros.field.tiles import (
-    brightness, cut_floor, joined, photos_of, Tile, tile_edge, TileRules)
+    brightness, cut_floor, EVERYWHERE, joined, photos_of, Tile, tile_edge, TileRules)
 from neo_ros.field.voxel_field import VoxelField
 from neo_ros.machine.files import make_output_folder
 from neo_ros.machine.progress import no_stage_progress, StageProgress
@@ -26,10 +25,9 @@ TILES = 'tiles'
 
 def tiles_of(scene: Scene, experiment: Experiment) -> list[Tile]:
     """Return the tiles that a scene's field is fitted by: one where it is no large floor."""
-    most = _most(experiment.field)
     if experiment.field.tile is None and scene.walkable is None:
-        most = math.inf
-    return cut_floor(scene.train.T_world_cam[:, :3, 3], most)
+        return [EVERYWHERE]  # A hand that holds the camera at two heights makes no storeys.
+    return cut_floor(scene.train.T_world_cam[:, :3, 3], _most(experiment.field))
 
 
 def _most(config: FieldConfig) -> float:

@@ -8,8 +8,10 @@ from neo_ros.experiment import Experiment
 from neo_ros.field.rendering import render_view
 from neo_ros.field.tiles import joined
 from neo_ros.field.voxel_field import VoxelField
+from neo_ros.geometry import CameraPose
 from neo_ros.machine import ray_jobs
 from neo_ros.machine.progress import no_stage_progress
+from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.scene import read_scene, Scene
 from neo_ros.training import checkpoint
 from neo_ros.training.tiles import fit_tile, fit_tiles, tile_jobs, TileJob, tiles_of
@@ -48,6 +50,16 @@ def test_only_large_floors_are_cut(scene: Scene) -> None:
     assert len(tiles_of(scene, TILED)) == 3
     hand_held = replace(scene, walkable=None)
     assert len(tiles_of(hand_held, TINY)) == 1 and len(tiles_of(hand_held, TILED)) == 3
+
+
+def test_a_hand_that_holds_the_camera_at_two_heights_makes_no_tiles(scene: Scene) -> None:
+    poses = tuple(CameraPose.from_planar(np.cos(angle), np.sin(angle), z, angle + np.pi)
+                  for z in (1.0, 2.6) for angle in np.linspace(0, 2 * np.pi, 60, endpoint=False))
+    orbits = replace(scene, walkable=None, train=PosedImages(
+        scene.train.intrinsics, (Path('none.png'),) * 120, poses, (0,) * 120))
+    assert len(tiles_of(orbits, TINY)) == 1
+    # With a floor map they are two storeys.
+    assert len(tiles_of(replace(orbits, walkable=scene.walkable), TINY)) == 2
 
 
 def test_tiles_make_one_field(scene: Scene, whole: Path) -> None:
