@@ -20,6 +20,7 @@ from neo_ros.geometry import Band, CameraPose, Intrinsics
 from neo_ros.machine.evenly import evenly
 from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.memory.keyframe import FINER, Keyframe
+from neo_ros.memory.scene_memory import MOST_TEXTURE
 from neo_ros.scenes.pose_sampling import PoseSampler
 import numpy as np
 
@@ -36,6 +37,10 @@ class BakingRules:
     least_coverage: float = 0.5    # of a pixel by what photos saw, for its depth to be known
     least_keyframes: int = 8       # however short the time
     direction_photos: int = 100    # that tell which way the walls face
+    # Of a texture: OpenCV's remap takes fewer than 2^15 - 1 rows and columns. A robot decodes it,
+    # and 512 MB are enough for one; so it also has fewer pixels than a memory file may ask for.
+    most_side: int = (1 << 15) - 2
+    most_bytes: int = MOST_TEXTURE
 
 
 @dataclass(frozen=True)
@@ -172,10 +177,16 @@ def _gain(rendered: np.ndarray, photo: np.ndarray) -> np.ndarray:
 
 def keyframe_size(band: Band, focal: float, rules: BakingRules = BakingRules()
                   ) -> tuple[int, int, int]:
-    """Return rows and columns of a keyframe's mesh, and how many times finer its texture is."""
+    """
+    Return rows and columns of a keyframe's mesh, and how many times finer its texture is.
+
+    That is FINER times as fine as the view, or as fine as a texture can be.
+    """
     mesh = min(focal, rules.mesh_focal)
-    return (max(int((band.top - band.bottom) * mesh), 2), int(band.width * mesh),
-            max(round(FINER * focal / mesh), 1))
+    rows, columns = max(int((band.top - band.bottom) * mesh), 2), int(band.width * mesh)
+    most = min(rules.most_side // max(rows, columns),
+               math.isqrt(rules.most_bytes // (3 * rows * columns)))
+    return rows, columns, max(min(round(FINER * focal / mesh), most), 1)
 
 
 def bake_keyframe(field: RadianceField, photos: Photos, seen: np.ndarray, gains: np.ndarray,

@@ -8,13 +8,13 @@ from neo_ros.baking.band_rendering import mesh_depth
 from neo_ros.baking.glances import glance_rotations
 from neo_ros.baking.kernels import colour_from_photos, PanoramaPixels, PhotoArrays
 from neo_ros.baking.keyframes import (
-    BakingRules, keyframe_positions, MemoryConfig, Photos, seeing_camera)
+    BakingRules, keyframe_positions, keyframe_size, MemoryConfig, Photos, seeing_camera)
 from neo_ros.baking.memory_baking import bake_memory
 from neo_ros.errors import ConfigError, NeoError
 from neo_ros.field.rendering import Rendering
 from neo_ros.field.voxel_field import VoxelField
-from neo_ros.geometry import CameraPose, Intrinsics
-from neo_ros.memory.scene_memory import SceneMemory
+from neo_ros.geometry import Band, CameraPose, Intrinsics
+from neo_ros.memory.scene_memory import MOST_TEXTURE, SceneMemory
 from neo_ros.scenes.pose_sampling import PoseSampler
 import numpy as np
 import pytest
@@ -330,6 +330,23 @@ def test_a_texture_finer_than_the_depth_is_as_sharp_as_one_with_depth_for_every_
     error = {name: np.abs(image[level] - truth[level]).mean() for name, image in baked.items()}
     assert error['all'] < 4
     assert error['third'] < error['all'] + 0.5
+
+
+@pytest.mark.parametrize('focal', [1744.0, 2912.0, 12000.0])
+@pytest.mark.parametrize('top', [0.3, 0.9, np.pi / 2])
+def test_a_texture_is_never_larger_than_what_reads_it_takes(focal: float, top: float) -> None:
+    rows, columns, finer = keyframe_size(Band(top, -top), focal)
+    assert rows == int(2 * top * 96) and columns == 603
+    assert max(rows, columns) * finer < (1 << 15) - 1
+    assert rows * columns * finer ** 2 * 3 <= MOST_TEXTURE
+    # As large as it may be.
+    finer += 1
+    assert columns * finer > (1 << 15) - 2 or rows * columns * finer ** 2 * 3 > MOST_TEXTURE
+
+
+def test_usual_textures_are_three_times_as_fine_as_the_view() -> None:
+    assert keyframe_size(Band(0.9, -0.9), 554.3) == (172, 603, 17)
+    assert keyframe_size(Band(0.9, -0.9), 64.0) == (115, 402, 3)
 
 
 @pytest.mark.parametrize('width, height, fx', [(720, 1280, 361.4), (480, 640, 333.3),
