@@ -52,9 +52,10 @@ class PhotoArrays(NamedTuple):
     """
     The photos that colour it, all of one camera.
 
-    images uint8 (N, H, W, 3); float32: depth (N, H, W) or coarser, metres along the ray, rotations
+    images uint8 (M, H, W, 3); float32: depth (N, H, W) or coarser, metres along the ray, rotations
     (N, 3, 3) camera to world, positions (N, 3), gains (N, 3) that multiply a photo's colours to
-    the scene's; fx, fy, cx, cy in pixels.
+    the scene's; fx, fy, cx, cy in pixels; numbers int64 (N,): which of the images the photos are,
+    None: all, in their order. So nobody has to copy the N of more, which may be gigabytes.
     """
 
     images: np.ndarray
@@ -66,6 +67,7 @@ class PhotoArrays(NamedTuple):
     fy: float
     cx: float
     cy: float
+    numbers: np.ndarray | None = None
 
 
 @njit(**FAST)
@@ -112,12 +114,12 @@ def choose_photos(panorama, posed, own, which, cost):
     -1 = none, and cost float64 of that shape, radians, the least first; others have none.
     """
     position, rays, depth, _ = panorama
-    photos, photo_depth, rotations, positions, _, fx, fy, cx, cy = posed
-    high, wide = photos.shape[1], photos.shape[2]
+    images, photo_depth, rotations, positions, _, fx, fy, cx, cy, _ = posed
+    high, wide = images.shape[1], images.shape[2]
     # Depth may be coarser than the photos.
     across, down = photo_depth.shape[2] / wide, photo_depth.shape[1] / high
-    offsets, squares = np.empty((len(photos), 3)), np.empty(len(photos))
-    for n in range(len(photos)):
+    offsets, squares = np.empty((len(positions), 3)), np.empty(len(positions))
+    for n in range(len(positions)):
         squares[n] = 0
         for c in range(3):
             offsets[n, c] = position[c] - positions[n, c]
@@ -132,7 +134,7 @@ def choose_photos(panorama, posed, own, which, cost):
                 continue
             # Most photos are too far aside: the angle alone, squared, tells with few operations.
             least = SLACK * LEAST_COSINE ** 2
-            for n in range(len(photos)):
+            for n in range(len(positions)):
                 nearer = (offsets[n, 0] * rays[i, j, 0] + offsets[n, 1] * rays[i, j, 1]
                           + offsets[n, 2] * rays[i, j, 2])
                 along = nearer + d
@@ -199,8 +201,8 @@ def blend_photos(panorama, posed, which, cost, wraps, one_surface, out):
     the panorama is drawn.
     """
     position, rays, depth, coarse = panorama
-    photos, _, rotations, positions, gains, fx, fy, cx, cy = posed
-    high, wide = photos.shape[1], photos.shape[2]
+    images, _, rotations, positions, gains, fx, fy, cx, cy, numbers = posed
+    high, wide = images.shape[1], images.shape[2]
     rows, columns = depth.shape
     tall, broad = out.shape[0] / rows, out.shape[1] / columns
     for i in prange(out.shape[0]):
@@ -254,7 +256,7 @@ def blend_photos(panorama, posed, which, cost, wraps, one_surface, out):
                 v = fy * (R[0, 1] * px + R[1, 1] * py + R[2, 1] * pz) / z + cy - 0.5
                 if z < CLOSEST or not (0 <= u < wide - 1 and 0 <= v < high - 1):
                     continue  # Just outside, where the pixel's middle is inside.
-                _read_cubic(photos[n], u, v, gains[n], colour)
+                _read_cubic(images[numbers[n]], u, v, gains[n], colour)
                 apart = 0.0
                 for c in range(3):
                     apart += (colour[c] - own[c]) ** 2
@@ -276,6 +278,8 @@ def colour_from_photos(panorama: PanoramaPixels, posed: PhotoArrays, wraps: bool
     own: bool (h, w), pixels that photos are chosen for; others take those of the middle of their
     block of `block` squared pixels. None: all.
     """
+    if posed.numbers is None:
+        posed = posed._replace(numbers=np.arange(len(posed.images)))
     which = np.empty((*panorama.depth.shape, BLENDED), np.int32)
     cost = np.empty(which.shape)
     if own is None:

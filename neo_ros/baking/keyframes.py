@@ -215,13 +215,11 @@ def bake_keyframe(field: RadianceField, photos: Photos, seen: np.ndarray, gains:
     near = np.sort(np.argsort(np.linalg.norm(centres - position, axis=1),
                               kind='stable')[:rules.photos])
     camera = photos.intrinsics
-    # All of them may be gigabytes: they are not copied.
-    images = photos.images if len(near) == len(photos.images) else photos.images[near]
     colour_from_photos(
         PanoramaPixels(position.astype(np.float32), rays, depth, shown),
-        PhotoArrays(images, seen[near],
+        PhotoArrays(photos.images, seen[near],
                     np.ascontiguousarray(photos.T_world_cam[near, :3, :3], np.float32),
                     centres[near].astype(np.float32), gains[near],
-                    camera.fx, camera.fy, camera.cx, camera.cy),
+                    camera.fx, camera.fy, camera.cx, camera.cy, near),
         wraps, rules.one_surface, texture, own, dense)
     return Keyframe(position, mesh_depth(depth, dense, rules.one_surface), texture)

@@ -112,6 +112,46 @@ def test_far_away_photos_need_not_agree_on_the_depth() -> None:
     assert list(baked.values()) == [200, 180, 180]
 
 
+def test_photos_chosen_by_number_colour_as_copies_of_them_do() -> None:
+    random = np.random.default_rng(0)
+    colour, depth = cast(POSITION, SMALL)
+    poses = [planar(2.2, 1.9, yaw) for yaw in range(0, 360, 30)]
+    views = [view(pose, SOURCE) for pose in poses]
+    lengths = np.linalg.norm(SOURCE.pixel_rays(), axis=-1)
+    # Noise, that another photo would be seen by.
+    images = random.integers(0, 256, (12, SOURCE.height, SOURCE.width, 3), np.uint8)
+    panorama = PanoramaPixels(POSITION.astype(np.float32), SMALL, depth.astype(np.float32),
+                              colour.astype(np.uint8))
+    chosen = np.array([1, 2, 5, 6, 7, 9, 11])
+    more = (np.stack([z * lengths for _, z in views]).astype(np.float32)[chosen],
+            np.stack([pose.T_world_cam[:3, :3] for pose in poses]).astype(np.float32)[chosen],
+            np.stack([pose.position for pose in poses]).astype(np.float32)[chosen],
+            random.uniform(0.8, 1.2, (7, 3)).astype(np.float32),
+            SOURCE.fx, SOURCE.fy, SOURCE.cx, SOURCE.cy)
+    copied, by_number = (np.empty((*depth.shape, 3), np.uint8) for _ in range(2))
+    colour_from_photos(panorama, PhotoArrays(images[chosen], *more), BAND.wraps, 0.1, copied)
+    colour_from_photos(panorama, PhotoArrays(images, *more, chosen), BAND.wraps, 0.1, by_number)
+    np.testing.assert_array_equal(by_number, copied)
+    assert (copied != colour.astype(np.uint8)).mean() > 0.5
+
+
+def test_a_keyframe_copies_no_photos(monkeypatch: pytest.MonkeyPatch) -> None:
+    poses = [planar(2.1, 1.95, yaw).T_world_cam for yaw in range(0, 360, 45)]
+    photos = Photos(np.zeros((8, SOURCE.height, SOURCE.width, 3), np.uint8), SOURCE,
+                    np.stack(poses))
+    given: list[PhotoArrays] = []
+    monkeypatch.setattr(keyframes, 'colour_from_photos',
+                        lambda panorama, posed, *more: given.append(posed))
+    monkeypatch.setattr(band_rendering, 'render_rays', stand_in_field)
+    keyframes.bake_keyframe(
+        VoxelField.empty(8, POSITION, np.ones(3), 0.2, 0, near=0.5), photos,
+        np.ones((8, 4, 4), np.float32), np.ones((8, 3), np.float32), POSITION, BAND, (8, 24, 1),
+        BakingRules(photos=5))
+    posed, = given
+    assert posed.images is photos.images
+    assert posed.numbers is not None and len(posed.numbers) == len(posed.depth) == 5
+
+
 def test_every_place_has_a_keyframe_near() -> None:
     grid = np.stack(np.meshgrid(np.arange(0, 3, 0.1), np.arange(0, 2, 0.1)), -1).reshape(-1, 2)
     sampler = PoseSampler(grid, (0.0, 1.0), ((0.0, 0.0), (0.0, 0.0)), (1.4, 0.0))
