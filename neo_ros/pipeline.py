@@ -43,7 +43,8 @@ from neo_ros.training.tiles import fit_tiles, tile_jobs, TILES, tiles_of
 from neo_ros.training.time_plan import (
     plan_training, read_plan, share_network_minutes, TimeLeft)
 from neo_ros.training.views import (
-    calibration_views, held_out_views, make_stream, note_poses, real_frames, real_usable)
+    calibration_views, held_out_views, make_stream, note_poses, real_frames, real_usable,
+    RealFrames)
 import numpy as np
 from torch import nn
 
@@ -253,7 +254,7 @@ def export_step(run: TrainingRun, network: nn.Module,
     write_model_card(path, replace(
         card, parity=Parity(max_abs_error=worst, share_within_1=share),
         scene_reference=fit_scene_reference(
-            real_frames(run, REFERENCE_PHOTOS, run.scene.train),
+            RealFrames.of(run, REFERENCE_PHOTOS, run.scene.train),
             lambda image: extrapolator.expand(image).confidence, run.expansion,
             real_usable(run, REFERENCE_PHOTOS, run.scene.train))))
 

@@ -6,7 +6,7 @@ fitted to the training photos when the model is exported, says how unusual an im
 room, a covered lens, darkness and blur all are.
 """
 import base64
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 import sys
 from typing import Any
@@ -98,7 +98,7 @@ class SceneCheck:
         return 1 / (1 + (self._threshold / max(unusual, 1e-9)) ** self._steepness)
 
 
-def fit_scene_reference(photos: np.ndarray,
+def fit_scene_reference(photos: Sequence[np.ndarray] | np.ndarray,
                         predict_confidence: Callable[[np.ndarray], np.ndarray],
                         expansion: ViewExpansion, usable: np.ndarray | None = None,
                         thresholds: SceneCheckThresholds = SceneCheckThresholds()
@@ -106,8 +106,9 @@ def fit_scene_reference(photos: np.ndarray,
     """
     Learn what the scene looks like from its photos, as they are and a little brighter or darker.
 
-    `photos`: uint8 RGB (N, h, w, 3). `predict_confidence` runs the network on one and returns
-    its confidence, uint8 (H, W). `usable`: bool (N, h, w), what shows the scene; None: all.
+    `photos`: N of uint8 RGB (h, w, 3), each looked at once. `predict_confidence` runs the network
+    on one and returns its confidence, uint8 (H, W). `usable`: bool (N, h, w), what shows the
+    scene; None: all.
     Returns None for fewer than `thresholds.least_photos`.
     """
     shown = np.full(len(photos), None) if usable is None else _without_own_body(usable)

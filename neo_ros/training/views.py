@@ -1,5 +1,7 @@
 """Step 2 of the paper: the wide views that a run trains its outpainter on, and validates it on."""
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 from neo_ros.errors import ConfigError
 from neo_ros.field.free_space import find_free_floor
@@ -121,25 +123,49 @@ def note_poses(run: TrainingRun, stream: PairStream, steps: int) -> None:
         run.scene.train))
 
 
+@dataclass(frozen=True)
+class RealFrames(Sequence[np.ndarray]):
+    """Narrow views, uint8 (h, w, 3), of chosen photos; one is read when it is looked at."""
+
+    photos: PosedImages
+    chosen: Sequence[int]
+    scale: float
+    window: tuple[slice, slice]
+
+    @classmethod
+    def of(cls, run: TrainingRun, count: int, photos: PosedImages) -> 'RealFrames':
+        """Choose evenly; hundreds of large photos would fill the memory."""
+        window = photos.intrinsics.scaled(run.experiment.scale).window(run.expansion.source)
+        return cls(photos, evenly(len(photos), count).tolist(), run.experiment.scale, window)
+
+    def __len__(self) -> int:
+        return len(self.chosen)
+
+    def __getitem__(self, place: Any) -> Any:
+        if isinstance(place, slice):
+            return replace(self, chosen=self.chosen[place])
+        # A copy: a window would keep the whole photo.
+        return self.photos.read_image(self.chosen[place], self.scale)[self.window].copy()
+
+
 def real_frames(run: TrainingRun, count: int, photos: PosedImages | None = None) -> np.ndarray:
     """
     Read narrow views, uint8 (N, h, w, 3), evenly out of photos.
 
     Without `photos`, out of those that the field was not shown.
     """
-    photos, scale = photos or run.held_out or run.fitted, run.experiment.scale
-    window = photos.intrinsics.scaled(scale).window(run.expansion.source)
-    return np.stack([photos.read_image(index, scale)[window]
-                     for index in evenly(len(photos), count)])
+    return np.stack(RealFrames.of(run, count, photos or run.held_out or run.fitted))
 
 
 def real_usable(run: TrainingRun, count: int, photos: PosedImages) -> np.ndarray | None:
     """Read which pixels of `real_frames` show the scene, bool (N, h, w); None without masks."""
     if not any(photos.mask_paths):
         return None
-    scale = run.experiment.scale
-    camera = photos.intrinsics.scaled(scale)
-    every = np.ones((camera.height, camera.width), bool)
-    masks = [photos.read_usable(index, scale) for index in evenly(len(photos), count)]
-    window = camera.window(run.expansion.source)
-    return np.stack([(every if usable is None else usable)[window] for usable in masks])
+    scale, source = run.experiment.scale, run.expansion.source
+    window, chosen = photos.intrinsics.scaled(scale).window(source), evenly(len(photos), count)
+    every = np.ones((len(chosen), source.height, source.width), bool)
+    for place, index in enumerate(chosen):
+        usable = photos.read_usable(index, scale)
+        if usable is not None:
+            every[place] = usable[window]
+    return every

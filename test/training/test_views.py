@@ -3,7 +3,7 @@ from dataclasses import replace
 
 from neo_ros.field.voxel_field import VoxelField
 from neo_ros.training.run import TrainingRun
-from neo_ros.training.views import make_stream
+from neo_ros.training.views import make_stream, real_frames, RealFrames
 import numpy as np
 import pytest
 from tiny_training import TINY
@@ -19,3 +19,12 @@ def test_training_views_are_as_wide_as_asked_and_as_large_as_the_models(
     assert np.degrees(view.hfov) == pytest.approx(hfov_deg, abs=0.01)
     assert (view.width, view.height) == (64, 64) and stream.real is None
     assert stream.batch(0, 2).shape == (2, 64, 64, 4)
+
+
+def test_frames_are_read_one_by_one_and_keep_no_photo(tiny_run: TrainingRun) -> None:
+    photos = tiny_run.scene.train
+    frames = RealFrames.of(tiny_run, 5, photos)
+    np.testing.assert_array_equal(np.stack(frames), real_frames(tiny_run, 5, photos))
+    np.testing.assert_array_equal(frames[4], photos.read_image(len(photos) - 1))
+    assert len(frames) == 5 and len(frames[1:3]) == 2
+    assert all(frame.base is None for frame in frames)
