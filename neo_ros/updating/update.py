@@ -207,10 +207,12 @@ def _photos_that_see(run: UpdateRun, old: VoxelField, field: VoxelField, space: 
     reached[compared.old:] = compared.photos.usable[compared.old:]
     chosen = [index for index, pixels in enumerate(reached) if pixels.any()]
     agree = still_right(old, field, space, compared, reached)
-    photos, masks = zip(*(run.photo(drive, index) for index in chosen))
-    camera = run.camera
-    seen, usable = compared.depth[chosen], np.stack(masks)
+    camera, seen = run.camera, compared.depth[chosen]
+    # They may be gigabytes: each is read into its place.
+    images = np.empty((len(chosen), camera.height, camera.width, 3), np.uint8)
+    usable = np.empty(images.shape[:3], bool)
     for place, index in enumerate(chosen):
+        images[place], usable[place] = run.photo(drive, index)
         origin, rays = world_rays(small, compared.pose(index))
         pixels = reached[index]
         now = render_rays(field, origin, rays[pixels])
@@ -224,7 +226,7 @@ def _photos_that_see(run: UpdateRun, old: VoxelField, field: VoxelField, space: 
             wrong &= ~outside
             seen[place][outside], seen[place][wrong] = depth[outside], 0
             usable[place] &= ~_enlarged(wrong, camera.width, camera.height)
-    return (Photos(np.stack(photos), camera, compared.photos.T_world_cam[chosen], usable), seen,
+    return (Photos(images, camera, compared.photos.T_world_cam[chosen], usable), seen,
             compared.gains[chosen], chosen)
 
 
