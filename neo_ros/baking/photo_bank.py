@@ -26,10 +26,13 @@ class PhotoBank:
 
     photos    as they were given; scale is the resolution the features were found at
     features  one Features per photo, in pixels at that resolution
+    magnify   how many times photos were enlarged, or shrunk, before features were looked for
     """
 
-    def __init__(self, photos: PosedImages, scale: float, features: Sequence[Features]) -> None:
+    def __init__(self, photos: PosedImages, scale: float, features: Sequence[Features],
+                 magnify: float = MAGNIFY) -> None:
         self.photos, self.scale, self.features = photos, scale, features
+        self.magnify = magnify
         self.words = _learn_words(np.concatenate([one.descriptors for one in features]))
         self.vectors = np.stack([_vlad(one, self.words) for one in features])
 
@@ -73,7 +76,8 @@ def read_photo_bank(photos: PosedImages, scale: float, cache: Path,
         raise SceneError('photos: expected some with texture, none has a SIFT feature')
     ends = np.cumsum(counts)[:-1]
     return PhotoBank(photos, scale, [
-        Features(*pair) for pair in zip(np.split(points, ends), np.split(descriptors, ends))])
+        Features(*pair) for pair in zip(np.split(points, ends), np.split(descriptors, ends))],
+        magnify)
 
 
 def likeness_of(features: Sequence[Features]) -> np.ndarray:

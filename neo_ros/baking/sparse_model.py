@@ -30,7 +30,14 @@ class MatchRules:
     partners: int = 15             # photos that each photo is matched with
     most_angle_deg: float = 60.0   # between the viewing directions of two photos
     epipolar_pixels: float = 1.5   # how far off its epipolar line a match may lie
+    # Photos that are shrunk more than this to find features (from 640 pixels across to 192) show
+    # them less exactly: the limit is 0.45 pixels of the shrunk one.
+    most_shrunk: float = 0.3
     ratio: float = 0.85            # of the best to the second distance of descriptors
+
+    def coarser(self, magnify: float) -> float:
+        """Return how many times larger limits in pixels are in photos that were magnified so."""
+        return max(1.0, self.most_shrunk / magnify)
 
 
 class SparseModel(NamedTuple):
@@ -115,8 +122,7 @@ def _triangulate(bank: PhotoBank, folder: Path,
     known = write_database(database, camera, bank.features,
                            np.linalg.inv(bank.photos.T_world_cam),
                            _verified(bank, camera, progress, rules))
-    options = pycolmap.IncrementalPipelineOptions()
-    options.random_seed = 0
+    options = _options(rules.coarser(bank.magnify))
     model = pycolmap.triangulate_points(known, database, folder, folder, options=options)
     points, flat = points_of(model, bank.features)
     database.unlink()
@@ -126,18 +132,29 @@ def _triangulate(bank: PhotoBank, folder: Path,
     return points, flat
 
 
+def _options(coarser: float) -> Any:
+    """Return pycolmap's options; its limits in pixels are made so many times as large."""
+    options = load_pycolmap().IncrementalPipelineOptions()
+    options.random_seed = 0
+    options.mapper.filter_max_reproj_error *= coarser
+    options.triangulation.merge_max_reproj_error *= coarser
+    options.triangulation.complete_max_reproj_error *= coarser
+    return options
+
+
 def _verified(bank: PhotoBank, camera: Intrinsics, progress: Progress, rules: MatchRules
               ) -> Iterator[tuple[int, int, Any]]:
     """Yield pairs of photos, and the matches that their poses allow."""
     T_world_cam = bank.photos.T_world_cam
     T_cam_world = np.linalg.inv(T_world_cam)
     pairs = choose_pairs(bank, rules)
+    limit = rules.epipolar_pixels * rules.coarser(bank.magnify)
     for done, (i, j) in enumerate(pairs, 1):
         a, b = bank.features[i], bank.features[j]
         matches = match_features(a.descriptors, b.descriptors, rules.ratio)
         off = epipolar_distance(camera, T_cam_world[j] @ T_world_cam[i],
                                 a.points[matches[:, 0]], b.points[matches[:, 1]])
-        kept = matches[off < rules.epipolar_pixels]
+        kept = matches[off < limit]
         if len(kept) >= 5:
             yield i, j, of_known_poses(kept)
         progress(done, len(pairs))

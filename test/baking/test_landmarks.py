@@ -9,8 +9,9 @@ from neo_ros.baking.landmarks import (
     _photos_for, find_landmarks, LEAST_PHOTOS, photos_for_landmarks)
 from neo_ros.baking.photo_bank import read_photo_bank
 from neo_ros.evaluation.evaluate import TruthFrames
+from neo_ros.geometry import Intrinsics
 from neo_ros.machine.evenly import evenly
-from neo_ros.memory.landmarks import Landmarks, Locator
+from neo_ros.memory.landmarks import Landmarks, Locator, magnification
 from neo_ros.pictures.usable import write_usable
 from neo_ros.scenes.posed_images import PosedImages
 import numpy as np
@@ -72,6 +73,28 @@ def test_pairs_are_the_same_however_many_photos_are_compared_at_once(
     pairs = sparse_model.choose_pairs(bank, rules)
     monkeypatch.setattr(sparse_model, '_AT_ONCE', 4)
     assert sparse_model.choose_pairs(bank, rules) == pairs and len(pairs) > 15
+
+
+@pytest.mark.parametrize('width, limit', [(96, 1.5), (320, 1.5), (640, 1.5), (1920, 4.5)])
+def test_matches_are_known_as_exactly_as_the_shrunk_photo_shows_them(
+        width: int, limit: float) -> None:
+    rules = sparse_model.MatchRules()
+    coarser = rules.coarser(magnification(Intrinsics.from_hfov(width, width, 1.5)))
+    assert rules.epipolar_pixels * coarser == pytest.approx(limit, rel=1e-12)
+    if width <= 640:
+        assert coarser == 1
+
+
+def test_limits_of_large_photos_are_larger_for_matches_and_for_points(
+        corner: tuple[PosedImages, TruthFrames], tmp_path: Path) -> None:
+    pytest.importorskip('pycolmap')
+    usual, coarse = (sparse_model._options(times) for times in (1.0, 3.0))
+    for name in ('merge_max_reproj_error', 'complete_max_reproj_error'):
+        assert getattr(usual.triangulation, name) == 4.0
+        assert getattr(coarse.triangulation, name) == 12.0
+    assert (usual.mapper.filter_max_reproj_error, coarse.mapper.filter_max_reproj_error) == (4, 12)
+    bank = read_photo_bank(corner[0], 1.0, tmp_path / 'features.npz', magnify=0.1)
+    assert bank.magnify == 0.1
 
 
 @pytest.mark.parametrize('patches', [True, False], ids=['patches', 'blank'])
