@@ -78,6 +78,7 @@ def _looked_through(field: RadianceField, photos: PosedImages, low: np.ndarray,
         rendering = render_rays(field, origin, directions)
         # Up to a little before the surface; rays that met none say nothing of where air ends.
         reach = np.where(rendering.opacity > 0.5, rendering.depth - 2 * rules.resolution, 0)
+        reach = np.minimum(reach, _on_map(directions, origin[2] - height, size, rules))
         steps = np.arange(0, max(reach.max(), rules.resolution), rules.resolution)
         rise = origin[2] + steps * directions[:, 2:] - height
         ray, step = np.nonzero((steps < reach[:, None]) & (np.abs(rise) < rules.slab))
@@ -86,6 +87,20 @@ def _looked_through(field: RadianceField, photos: PosedImages, low: np.ndarray,
         index = index[((index >= 0) & (index < size)).all(-1)]
         passed[index[:, 1], index[:, 0]] = True
     return passed
+
+
+def _on_map(directions: np.ndarray, above: float, size: np.ndarray, rules: FreeFloorRules
+            ) -> np.ndarray:
+    """
+    Return metres along unit rays (N, 3) from which on they are off the map or its height: (N,).
+
+    They begin on the map, so far above its height. Rays into the sky reach kilometres.
+    """
+    across = np.linalg.norm(size + 1) * rules.resolution
+    flat = np.maximum(np.linalg.norm(directions[:, :2], axis=1), 1e-9)
+    steep = np.maximum(np.abs(directions[:, 2]), 1e-9)
+    return np.minimum(across / flat,
+                      (abs(above) + rules.slab) / steep + rules.resolution)
 
 
 def _floor_height(field: RadianceField, positions: np.ndarray) -> float:

@@ -1,6 +1,9 @@
 from pathlib import Path
+import tracemalloc
 
+from neo_ros.field import free_space
 from neo_ros.field.free_space import find_free_floor
+from neo_ros.field.rendering import render_rays, Rendering
 from neo_ros.field.voxel_field import VoxelField
 from neo_ros.geometry import Intrinsics
 from neo_ros.scenes.pose_sampling import PoseSampler, SamplingConfig
@@ -80,6 +83,30 @@ def test_around_a_photo_that_the_field_has_in_matter_it_does_not_count() -> None
     field = furnished((0.3, -0.2, -0.2), (0.7, 0.2, 0.2))
     floor = find_free_floor(field, photos((0.5, 0), (-0.8, 0)), SamplingConfig())
     assert floor.contains(CENTRE[:2] + np.array([[0.5, 0], [0.5, 0.15], [-0.8, 0]])).all()
+
+
+def test_rays_into_the_sky_take_no_memory_and_change_nothing(
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    field = room_field(80_000)
+    field.update_occupancy()
+    places = photos((0, 0), (1, 0.8))
+    floor = find_free_floor(field, places, SamplingConfig())
+
+    def without_a_ceiling(of: VoxelField, origin: np.ndarray, rays: np.ndarray) -> Rendering:
+        found = render_rays(of, origin, rays)
+        return found._replace(depth=np.where(rays[..., 2] > 0.3, 300.0, found.depth))
+
+    monkeypatch.setattr(free_space, 'render_rays', without_a_ceiling)
+    tracemalloc.start()
+    try:
+        under_the_sky = find_free_floor(field, places, SamplingConfig())
+        most = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    np.testing.assert_array_equal(under_the_sky.cells, floor.cells)
+    assert under_the_sky.origin == floor.origin
+    # All steps of all rays took 300 MB.
+    assert most < 60e6
 
 
 def test_the_height_may_be_another() -> None:
