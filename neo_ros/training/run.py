@@ -52,12 +52,14 @@ class TrainingRun:
     hold_out: HoldOutRules = HoldOutRules()
     geometry: GivenGeometry | None = None  # in the place of a fitted field
     cluster: bool = False         # hands tiles and keyframes to Ray
+    view: ViewExpansion | None = None  # of the model, where an earlier run tells it
 
     def __post_init__(self) -> None:
         if not self.cache_gb >= 0:  # nan is neither, and would be no limit.
             raise ConfigError(f'--cache-gb: expected GB, 0 or more, got {self.cache_gb}')
         camera = self.scene.train.intrinsics
-        self.expansion: ViewExpansion = self.experiment.expansion(camera, self.scene.expansion)
+        self.expansion: ViewExpansion = self.view or self.experiment.expansion(
+            camera, self.scene.expansion)
         held_out = set(self.hold_out.chosen(len(self.scene.train)))
         self.fitted = self.scene.train.subset(
             [i for i in range(len(self.scene.train)) if i not in held_out])

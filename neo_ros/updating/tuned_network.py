@@ -24,9 +24,9 @@ def tune_network(folder: Path, scene: Scene, experiment: Experiment, minutes: fl
     """
     before = read_model_card(folder / f'{scene.name}.onnx')
     # An updated scene has no test frames any more, which may have told the view.
-    scene = replace(scene, test=None, expansion=before.expansion.scaled(1 / experiment.scale))
+    scene = replace(scene, test=None)
     run = TrainingRun(scene, replace(experiment, outpaint=replace(
-        experiment.outpaint, minutes=minutes)), folder, progress)
+        experiment.outpaint, minutes=minutes)), folder, progress, view=before.expansion)
     field = read_field(folder / 'field.npz', chosen_device(experiment.field.device))
     earlier = folder / f'earlier_{CHECKPOINT}'
     (folder / CHECKPOINT).rename(earlier)
