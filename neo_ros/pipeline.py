@@ -128,7 +128,7 @@ def fit_field_step(run: TrainingRun, rank: int = 0) -> RadianceField:
 
 
 def _fit_field(run: TrainingRun, path: Path, writes: bool) -> None:
-    tiles = tiles_of(run.scene, run.experiment)
+    tiles = tiles_of(run.scene, run.experiment, run.hold_out.chosen(len(run.scene.train)))
     if len(tiles) > 1:
         _fit_tiles(run, tiles, path, writes)
         return

@@ -54,30 +54,47 @@ class Tile:
 EVERYWHERE = Tile((-math.inf,) * 3, (math.inf,) * 3)
 
 
-def cut_floor(positions: np.ndarray, most: float, rules: TileRules = TileRules()) -> list[Tile]:
+def cut_floor(positions: np.ndarray, most: float, rules: TileRules = TileRules(),
+              held_out: Sequence[int] = ()) -> list[Tile]:
     """
     Cut the world so that photos of a tile, at positions (N, 3), stand at most so far apart.
 
     It is cut between storeys, and where the fewest photos stand: in doors and narrow places.
-    Storeys less than two tiles wide are one.
+    Storeys less than two tiles wide are one. A tile of photos that are all held out would have
+    nothing to be fitted to: its neighbour has its part of the world.
     """
-    borders = [-math.inf, *storey_borders(positions[:, 2]), math.inf]
+    kept = np.ones(len(positions), bool)
+    kept[list(held_out)] = False
     tiles = []
-    for low, high in zip(borders, borders[1:]):
-        storey = Tile((-math.inf, -math.inf, low), (math.inf, math.inf, high))
+    for storey in _storeys(positions, kept):
         wide = np.ptp(positions[storey.holds(positions), :2], axis=0).max() >= 2 * most
-        tiles += _cut(storey, positions, most, rules) if wide else [storey]
+        tiles += _cut(storey, positions, kept, most, rules) if wide else [storey]
     return tiles
 
 
-def _cut(tile: Tile, positions: np.ndarray, most: float, rules: TileRules) -> list[Tile]:
+def _storeys(positions: np.ndarray, kept: np.ndarray) -> list[Tile]:
+    heights = positions[kept, 2]
+    borders = [-math.inf]
+    for border in storey_borders(positions[:, 2]):
+        if ((heights >= borders[-1]) & (heights < border)).any() and (heights >= border).any():
+            borders.append(border)
+    return [Tile((-math.inf, -math.inf, low), (math.inf, math.inf, high))
+            for low, high in zip(borders, [*borders[1:], math.inf])]
+
+
+def _cut(tile: Tile, positions: np.ndarray, kept: np.ndarray, most: float, rules: TileRules
+         ) -> list[Tile]:
     border = _narrow_place(positions[tile.holds(positions)], most, rules)
     if border is None:
         return [tile]
     axis, place = border
-    below, above = (replace(tile, **{end: (*ends[:axis], place, *ends[axis + 1:])})
-                    for end, ends in (('high', tile.high), ('low', tile.low)))
-    return [*_cut(below, positions, most, rules), *_cut(above, positions, most, rules)]
+    parts = [replace(tile, **{end: (*ends[:axis], place, *ends[axis + 1:])})
+             for end, ends in (('high', tile.high), ('low', tile.low))]
+    for part in parts:
+        inside = part.holds(positions)
+        if not kept[inside].any():
+            return _cut(tile, positions[~inside], kept[~inside], most, rules)
+    return [one for part in parts for one in _cut(part, positions, kept, most, rules)]
 
 
 def _narrow_place(positions: np.ndarray, most: float, rules: TileRules

@@ -23,11 +23,16 @@ import numpy as np
 TILES = 'tiles'
 
 
-def tiles_of(scene: Scene, experiment: Experiment) -> list[Tile]:
-    """Return the tiles that a scene's field is fitted by: one where it is no large floor."""
+def tiles_of(scene: Scene, experiment: Experiment, held_out: Sequence[int] = ()) -> list[Tile]:
+    """
+    Return the tiles that a scene's field is fitted by: one where it is no large floor.
+
+    held_out: photos that it is not fitted to.
+    """
     if experiment.field.tile is None and scene.walkable is None:
         return [EVERYWHERE]  # A hand that holds the camera at two heights makes no storeys.
-    return cut_floor(scene.train.T_world_cam[:, :3, 3], _most(experiment.field))
+    return cut_floor(scene.train.T_world_cam[:, :3, 3], _most(experiment.field),
+                     held_out=held_out)
 
 
 def _most(config: FieldConfig) -> float:

@@ -45,6 +45,30 @@ def test_a_floor_is_cut_in_its_doors() -> None:
     np.testing.assert_allclose(borders, doors, atol=0.5)
 
 
+def test_a_tile_whose_photos_are_all_held_out_is_its_neighbours() -> None:
+    rooms = positions((0, 0, 4, 4, 1.5), (9, 0, 4, 4, 1.5))
+    places = np.concatenate([rooms, [[20.0, 2.0, 1.5]]])
+    every = cut_floor(places, 5.0)
+    alone = [tile for tile in every if tile.holds(places).sum() == 1]
+    assert len(alone) == 1 and alone[0].holds(places[-1])
+    # Others held out change nothing.
+    assert cut_floor(places, 5.0, held_out=range(0, len(rooms), 3)) == every
+    left = cut_floor(places, 5.0, held_out=[*range(0, len(rooms), 3), len(rooms)])
+    assert len(left) == len(every) - 1
+    assert all(tile.holds(rooms).any() for tile in left)
+    anywhere = np.random.default_rng(0).uniform(-100, 100, (1000, 3))
+    assert (np.stack([tile.holds(anywhere) for tile in left]).sum(0) == 1).all()
+
+
+def test_a_storey_whose_photos_are_all_held_out_is_no_tile() -> None:
+    storeys = positions(*((0, 0, 5, 5, z) for z in (1.5, 4.5, 7.5)))
+    for z in (1.5, 4.5, 7.5):
+        tiles = cut_floor(storeys, 6.0, held_out=np.flatnonzero(storeys[:, 2] == z).tolist())
+        assert len(tiles) == 2
+        assert (np.stack([tile.holds(storeys) for tile in tiles]).sum(0) == 1).all()
+        assert all(tile.holds(storeys[storeys[:, 2] != z]).any() for tile in tiles)
+
+
 @pytest.mark.parametrize('most', [6.0, math.inf])
 def test_small_scenes_are_one_tile(most: float) -> None:
     tile, = cut_floor(positions((0, 0, 12, 9, 1.5)), most)
