@@ -7,6 +7,7 @@ from typing import Literal
 from neo_ros.errors import ConfigError
 from neo_ros.geometry import CameraPose
 from neo_ros.scenes.posed_images import PosedImages
+from neo_ros.scenes.storeys import storey_borders
 from neo_ros.scenes.walkable import WalkableMap
 import numpy as np
 
@@ -58,6 +59,7 @@ class PoseSampler:
     pitch_roll     means and standard deviations ((pitch, roll), (pitch, roll)), radians
     height         mean and standard deviation of z, metres
     rise           (M,) metres that positions are higher: on other storeys; None: on none
+    deviation      (M,) standard deviations of z around these heights; None: as `height` says
     yaws           headings at one position, evenly spaced over the range; 0 = any
     floor          the free floor that the positions lie on, where they lie on one
     """
@@ -69,6 +71,7 @@ class PoseSampler:
     yaws: int = 0
     floor: WalkableMap | None = None
     rise: np.ndarray | None = None
+    deviation: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         if not len(self.positions_xy):
@@ -98,7 +101,8 @@ class PoseSampler:
         6-DoF (section 4.2): a horizontal grid within `radius` of the photos.
 
         Yaw is uniform between the photos' bounds; height, pitch and roll are Gaussian with the
-        photos' mean and deviation. The world's z axis must point up.
+        photos' mean and deviation. On several storeys there is a grid for each, with the height
+        of its own photos: between them is a ceiling. The world's z axis must point up.
         """
         interval = PHOTOS_INTERVAL if config.interval is None else config.interval
         T = photos.T_world_cam
@@ -106,28 +110,32 @@ class PoseSampler:
         low, high = xy.min(0) - config.radius, xy.max(0) + config.radius
         _check_grid(high - low, interval)
         axes = [np.arange(a, b + interval, interval) for a, b in zip(low, high)]
-        near = np.zeros((len(axes[1]), len(axes[0])), bool)
-        for photo in xy:  # each looks at the part of the grid around it
-            across, along = (slice(max(int((at - start - config.radius) / interval), 0),
-                                   int((at - start + config.radius) / interval) + 2)
-                             for at, start in zip(photo, low))
-            around = np.stack(np.meshgrid(axes[0][across], axes[1][along]), axis=-1)
-            near[along, across] |= np.linalg.norm(photo - around, axis=-1) <= config.radius
-        rows, columns = np.nonzero(near)
+        mean, std = float(T[:, 2, 3].mean()), float(T[:, 2, 3].std())
+        storey_of = np.searchsorted(storey_borders(T[:, 2, 3]), T[:, 2, 3])
+        grids, rise, deviation = [], [], []
+        for storey in np.unique(storey_of):
+            own = T[storey_of == storey, :3, 3]
+            grids.append(_grid_around(own[:, :2], axes, interval, config.radius))
+            rise.append(np.full(len(grids[-1]), own[:, 2].mean() - mean))
+            deviation.append(np.full(len(grids[-1]), own[:, 2].std()))
+        heights = ((np.concatenate(rise), np.concatenate(deviation)) if len(grids) > 1
+                   else (None, None))
         angles = np.array([yaw_pitch_roll(matrix[:3, :3]) for matrix in T])
         # Of angles on the circle: a camera mounted upside down has rolls around +-pi.
         tilt_mean = np.angle(np.exp(1j * angles[:, 1:]).mean(0))
         tilt_std = np.angle(np.exp(1j * (angles[:, 1:] - tilt_mean))).std(0)
-        return cls(np.column_stack([axes[0][columns], axes[1][rows]]), _yaw_bounds(angles[:, 0]),
-                   (tuple(tilt_mean), tuple(tilt_std)),
-                   (float(T[:, 2, 3].mean()), float(T[:, 2, 3].std())))
+        return cls(np.concatenate(grids), _yaw_bounds(angles[:, 0]),
+                   (tuple(tilt_mean), tuple(tilt_std)), (mean, std), 0, None, *heights)
 
     def draw_position(self, random: np.random.Generator) -> np.ndarray:
         """Draw one position, (3,) metres."""
         index = random.integers(len(self.positions_xy))
         x, y = self.positions_xy[index]
         rise = 0.0 if self.rise is None else self.rise[index]
-        return np.array([x, y, random.normal(*self.height) + rise])
+        mean, deviation = self.height
+        if self.deviation is not None:
+            deviation = self.deviation[index]
+        return np.array([x, y, random.normal(mean, deviation) + rise])
 
     def places(self) -> np.ndarray:
         """Return all positions at their mean heights, (M, 3) metres."""
@@ -170,6 +178,20 @@ def rotation_from_angles(yaw: float, pitch: float, roll: float) -> np.ndarray:
     return CameraPose(np.block([
         [np.stack([right, np.cross(forward, right), forward], axis=1), np.zeros((3, 1))],
         [np.array([[0, 0, 0, 1.0]])]])).T_world_cam[:3, :3]
+
+
+def _grid_around(photos: np.ndarray, axes: Sequence[np.ndarray], interval: float, radius: float
+                 ) -> np.ndarray:
+    """Return the places of a grid of x and y, its axes, near photos (N, 2): (M, 2) metres."""
+    near = np.zeros((len(axes[1]), len(axes[0])), bool)
+    for photo in photos:  # each looks at the part of the grid around it
+        across, along = (slice(max(int((at - axis[0] - radius) / interval), 0),
+                               int((at - axis[0] + radius) / interval) + 2)
+                         for at, axis in zip(photo, axes))
+        around = np.stack(np.meshgrid(axes[0][across], axes[1][along]), axis=-1)
+        near[along, across] |= np.linalg.norm(photo - around, axis=-1) <= radius
+    rows, columns = np.nonzero(near)
+    return np.column_stack([axes[0][columns], axes[1][rows]])
 
 
 def _grid_over(floor: WalkableMap, config: SamplingConfig) -> np.ndarray:

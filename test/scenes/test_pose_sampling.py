@@ -216,6 +216,37 @@ def test_the_places_around_photos_are_the_grid_points_near_one() -> None:
     np.testing.assert_allclose(sampler.positions_xy, grid[near], atol=1e-12)
 
 
+def test_hand_held_cameras_are_on_a_storey_and_not_between_two() -> None:
+    random = np.random.default_rng(4)
+    # The upper storey is beside the lower one, and in part above it.
+    lower, upper = ([(random.uniform(x, x + 3), random.uniform(0, 1), random.normal(z, 0.05),
+                      0.0, 0.0, 0.0) for _ in range(100)] for x, z in ((0, 1.5), (2, 4.5)))
+    config = SamplingConfig()
+    both = PoseSampler.around_photos(photos_with(lower + upper), config)
+    drawn = np.stack([both.draw_position(random) for _ in range(2000)])
+    off = np.abs(drawn[:, 2:] - [1.5, 4.5])
+    assert off.min(1).max() < 0.3
+    assert off[:, 0].min() < 0.01 and off[:, 1].min() < 0.01
+    # Each is near photos of its own storey.
+    for photos, own in ((lower, off[:, 0] < 1), (upper, off[:, 1] < 1)):
+        places = np.array(photos)[:, :2]
+        away = np.linalg.norm(drawn[own, None, :2] - places, axis=-1).min(1)
+        assert own.mean() > 0.4 and away.max() <= config.radius
+        # Above and below one another, too.
+        assert ((drawn[own, 0] > 2.2) & (drawn[own, 0] < 2.8)).any()
+    assert set(both.places()[:, 2].round(1)) == {1.5, 4.5}
+
+
+def test_on_one_storey_heights_are_those_of_all_photos() -> None:
+    random = np.random.default_rng(4)
+    photos = photos_with([(*random.uniform(0, 3, 2), random.uniform(0.8, 2.2), 0, 0, 0)
+                          for _ in range(50)])
+    sampler = PoseSampler.around_photos(photos, SamplingConfig())
+    assert sampler.rise is None and sampler.deviation is None
+    z = photos.T_world_cam[:, 2, 3]
+    assert sampler.height == (z.mean(), z.std())
+
+
 def test_a_seed_fixes_the_poses() -> None:
     sampler = PoseSampler.for_walkable(FLOOR, SamplingConfig())
     first, second = (np.random.default_rng(5) for _ in range(2))
