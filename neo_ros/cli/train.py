@@ -43,6 +43,7 @@ def train(
     SCENE.memory and report.html in OUT. Broken off? Run the same command again: it goes on from
     the last minute.
     """
+    from neo_ros.cli.options import refuse
     from neo_ros.cli.progress import stage_progress
     from neo_ros.experiment import Experiment, read_experiment
     from neo_ros.field.given_geometry import GivenGeometry
@@ -50,6 +51,8 @@ def train(
     import rich
     from rich.markup import escape
 
+    if geometry is not None:
+        refuse('--geometry takes the place of a field', field_of=field_of)
     experiment = read_experiment(config) if config is not None else Experiment()
     with stage_progress() as show:
         run = run_pipeline(scene, experiment, out, show, cache_gb, field_of, minutes,

@@ -1,6 +1,8 @@
 """Tables of docs/reference/ from the command line, the settings and the node's interface."""
 import ast
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from neo_ros.documents.pages import Maker, table
 from neo_ros.errors import NeoError
@@ -13,13 +15,21 @@ def commands(root: Path) -> str:
 
     group = typer.main.get_command(app)
     parts = []
-    for name, command in group.commands.items():  # type: ignore[attr-defined]
+    for name, command in _all_commands(group, ''):
         lines = [[_names(parameter), _default(parameter),
                   _line(getattr(parameter, 'help', ''))] for parameter in command.params
                  if not getattr(parameter, 'hidden', False)]
-        parts += [f'## neo {name}', _unwrapped(command.help or ''),
+        parts += [f'## neo{name}', _unwrapped(command.help or ''),
                   table(['argument or option', 'default', ''], lines)]
     return '\n\n'.join(parts)
+
+
+def _all_commands(group: Any, name: str) -> Iterator[tuple[str, Any]]:
+    """Yield commands and groups with their names, each group before what is in it."""
+    for word, command in group.commands.items():
+        yield f'{name} {word}', command
+        if hasattr(command, 'commands'):
+            yield from _all_commands(command, f'{name} {word}')
 
 
 def fields(root: Path, file: str, name: str, prefix: str = '') -> str:

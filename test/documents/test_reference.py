@@ -59,3 +59,6 @@ def test_commands_have_their_options() -> None:
     assert '| `--out` | required | Folder for the model' in train
     assert '| `SCENE` | required |' in train and '`--cache-gb` | `0.0`' in train
     assert '| `--watch`, `--no-watch` |  |' in text
+    # Also of what is in a group.
+    compact = text[text.index('## neo memory compact'):]
+    assert '| `MODEL` | required |' in compact

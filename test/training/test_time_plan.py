@@ -13,7 +13,8 @@ from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.scene import Scene
 from neo_ros.training import time_plan
 from neo_ros.training.time_plan import (
-    PLAN_FILE, plan_training, PlanRules, read_plan, share_network_minutes, TimeLeft, TimePlan)
+    PLAN_FILE, plan_training, PlanRules, read_plan, settings_of, share_network_minutes, TimeLeft,
+    TimePlan)
 import numpy as np
 import pytest
 from tiny_training import TINY
@@ -82,11 +83,12 @@ def test_more_minutes_and_faster_machines_see_finer(
 
 def test_what_a_user_has_set_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     base = Experiment()
-    base = replace(base, seed=7, memory=None, field=replace(base.field, shrink=2, sh_degree=1),
-                   network=replace(base.network, shrink=8))
+    base = replace(base, seed=7, memory=None, field=replace(
+        base.field, shrink=2, sh_degree=1, voxels=7_000_000),
+        network=replace(base.network, shrink=8))
     found = planned(tmp_path, scene_of(640, 480, 1000), 30, RATE, monkeypatch, base)
     assert (found.seed, found.memory, found.field.shrink, found.field.sh_degree,
-            found.network.shrink) == (7, None, 2, 1, 8)
+            found.field.voxels, found.network.shrink) == (7, None, 2, 1, 7_000_000, 8)
 
 
 def test_a_stated_view_is_shrunk_by_what_divides_it(
@@ -111,6 +113,9 @@ def test_a_plan_is_kept_and_others_are_refused(
     monkeypatch.setattr(time_plan, '_fitting_rate', lambda *of: 10 * RATE)
     assert plan_training(tmp_path, scene, Experiment(), 30, told.append) == first
     assert len(told) == 1
+    with pytest.raises(ConfigError, match='a run of these settings, got one of others'):
+        plan_training(tmp_path, scene, Experiment(seed=1), 30, told.append)
+    assert settings_of(tmp_path, Experiment(seed=1)) == first.experiment
     with pytest.raises(ConfigError, match='holds a run of 30 minutes, got 20'):
         plan_training(tmp_path, scene, Experiment(), 20, told.append)
     # What is left for the network is what it was when it came to it.
