@@ -1,6 +1,6 @@
 """Read the sqlite3 storage of rosbag2, also one that was cut off or damaged."""
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Container, Iterator
 from pathlib import Path
 import shutil
 import sqlite3
@@ -19,6 +19,8 @@ _MAX_MISSES, _MAX_KNOWN_MISSES = 10_000, 1_000_000
 _HEADER_BYTES = 100
 _TOPIC_COLUMNS = {'id': int, 'name': str, 'type': str, 'serialization_format': str}
 Row = tuple[int, int, int, bytes]  # id, topic id, log time in ns, CDR
+# Numbers of rows are kept as bits up to this one: 128 MiB, of which only what is used is taken.
+_MOST_BITS = 1 << 30
 
 
 class SqliteFile:
@@ -86,7 +88,7 @@ class SqliteFile:
                  stop_ns: int = _LAST) -> Iterator[tuple[int, int, bytes]]:
         """Yield (topic id, log time in ns, CDR) of these topics in [start_ns, stop_ns)."""
         marks = ','.join('?' * len(topics))
-        seen: set[int] = set()
+        seen = _Numbers(self._highest())
         try:
             # Not by topic: the planner must stay with the index by time.
             for row in self._database.execute(
@@ -117,7 +119,7 @@ class SqliteFile:
         """Return the counts without those of topics that are lost."""
         return Counter({topic: count for topic, count in counts.items() if topic in self.topics})
 
-    def _rows_by_number(self, seen: set[int]) -> Iterator[Row]:
+    def _rows_by_number(self, seen: Container[int]) -> Iterator[Row]:
         """Yield all rows that can be read, each once, but those that were seen."""
         number, misses = 1, 0
         highest = self._highest()
@@ -167,6 +169,37 @@ class SqliteFile:
             if must:
                 raise
             return []  # Bags before Iron have no definitions.
+
+
+class _Numbers(Container[int]):
+    """
+    Numbers of rows, to which more are added.
+
+    A bit for each up to `highest`, as a set would take gigabytes for ten million; a set for those
+    that a damaged page makes up.
+    """
+
+    def __init__(self, highest: int | None) -> None:
+        self._bits = bytearray(min(highest or 0, _MOST_BITS) // 8 + 1)
+        self._others: set[int] = set()
+        self._count = 0
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __contains__(self, number: object) -> bool:
+        assert isinstance(number, int)
+        if 0 <= number < 8 * len(self._bits):
+            return bool(self._bits[number >> 3] >> (number & 7) & 1)
+        return number in self._others
+
+    def add(self, number: int) -> None:
+        """Add a number that is not among them yet."""
+        self._count += 1
+        if 0 <= number < 8 * len(self._bits):
+            self._bits[number >> 3] |= 1 << (number & 7)
+        else:
+            self._others.add(number)
 
 
 def _is_whole(row: tuple[Any, ...]) -> bool:

@@ -52,14 +52,17 @@ def view(
         public_origin=public_origin, floor=floor)
     if bag is not None:
         from neo_ros.viewer.bag_source import BagSource
+        from neo_ros.viewer.ending import end_if_busy
         from neo_ros.viewer.server import serve
 
         refuse('expected only without --bag, whose time is its own', sim_time=sim_time)
         source = BagSource(bag, topic, model or share_dir() / 'models' / 'demo_flat.onnx',
                            1.0 if rate is None else rate, rectify)
         serve(source, settings(model=model or source.model), typer.echo)
+        end_if_busy()
         return
     refuse('expected only with --bag', rate=rate, rectify=rectify)
+    from neo_ros.viewer.ending import end_if_busy
     from neo_ros.viewer.main import serve_topic
     import rclpy
     from rclpy.parameter import Parameter
@@ -72,3 +75,4 @@ def view(
         serve_topic(node, topic or '/camera/wide/image', settings(model=model))
     finally:
         rclpy.try_shutdown()
+    end_if_busy()

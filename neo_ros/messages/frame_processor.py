@@ -11,7 +11,7 @@ from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
 from neo_ros.messages.camera_fit import camera_key, CameraFit
 from neo_ros.messages.compressed_image import compressed_size, read_compressed_image
 from neo_ros.messages.image import read_image
-from neo_ros.messages.stamps import stamp_of
+from neo_ros.messages.stamps import NS_PER_S, stamp_of
 import numpy as np
 
 
@@ -143,6 +143,12 @@ class PaceThresholds:
     least: float = 0.25
     # After so many times as long a robot may have done anything.
     most: float = 4.0
+    # After so long it may be anywhere: nobody follows a camera that was carried meanwhile. Not
+    # measured; a search costs 0.2 s, a place that is kept wrongly costs the whole view.
+    longest_s: float = 30.0
+    # Time that runs back by more has begun anew, as `node.robot_frames.ANEW`: a bag that is played
+    # again. Less is images that overtook one another.
+    back_s: float = 1.0
 
 
 class FrameProcessor:
@@ -170,8 +176,11 @@ class FrameProcessor:
     def reset(self) -> None:
         """Forget where the camera was; the next image may be from anywhere."""
         with self._busy:
-            self._stamp_ns, self._interval_ns = None, 0
-            self._extrapolator.reset()
+            self._forget()
+
+    def _forget(self) -> None:
+        self._stamp_ns, self._interval_ns = None, 0
+        self._extrapolator.reset()
 
     def process(self, image_message: Any, camera_info_message: Any | None,
                 infer: bool = True) -> WideFrame:
@@ -214,14 +223,23 @@ class FrameProcessor:
         header = getattr(message, 'header', None)
         if header is None:  # Pixels alone, as of an evaluation.
             return {}
-        before, now = self._stamp_ns, stamp_of(header)
-        self._stamp_ns = now
+        now = stamp_of(header)
+        if self._begins_anew(now):
+            self._forget()
+        before, self._stamp_ns = self._stamp_ns, now
         found: dict[str, Any] = {
             'pace': self._pace(now - before if before is not None else 0), 'stamp_ns': now}
         if self.hints is not None:
             found |= {'prior': self.hints.take_prior(), 'motion': (
                 None if before is None else self.hints.motion(before, now))}
         return {name: hint for name, hint in found.items() if hint is not None}
+
+    def _begins_anew(self, now_ns: int) -> bool:
+        """Say whether the stamps tell of a pause after which the camera may be anywhere."""
+        if self._stamp_ns is None:
+            return False
+        passed_s, limits = (now_ns - self._stamp_ns) / NS_PER_S, self._pace_limits
+        return not -limits.back_s <= passed_s <= limits.longest_s
 
     def _pace(self, interval_ns: int) -> float | None:
         """Return by how much an interval is longer than the one before; None: about as long."""

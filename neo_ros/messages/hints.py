@@ -1,6 +1,7 @@
 """Where the camera may be, from others than its image: a prior, and what odometry measured."""
 from bisect import bisect_left
 from collections import deque
+from itertools import islice
 import threading
 from time import monotonic
 from typing import Any
@@ -76,19 +77,31 @@ class PoseHints:
         known = self._odometry
         index = bisect_left(known, stamp_ns, key=lambda entry: entry[0])
         if index == len(known):
-            # Images are often newer than the newest odometry: by less than one message, it moves
-            # on as it did.
-            if len(known) < 2 or stamp_ns - known[-1][0] > LONGEST_HOLE_NS:
-                return None
-            index -= 1
-        elif index == 0:
+            return self._beyond(stamp_ns)
+        if index == 0:
             return known[0][1] if known[0][0] == stamp_ns else None
         (one_ns, one), (other_ns, other) = known[index - 1], known[index]
         if other_ns - one_ns > LONGEST_HOLE_NS:
             return None
-        share = (stamp_ns - one_ns) / (other_ns - one_ns)
-        if share <= 1:
-            return one.interpolated(other, share)
-        step = one.inverse() @ one.interpolated(other, 1.0).T_world_cam
-        onward = CameraPose.nearest(other.T_world_cam @ step)
-        return other.interpolated(onward, share - 1)
+        return one.interpolated(other, (stamp_ns - one_ns) / (other_ns - one_ns))
+
+    def _beyond(self, stamp_ns: int) -> CameraPose | None:
+        """
+        Return where the camera is a little after the newest odometry, or None.
+
+        Images are often newer: it moves on as it did over at least as long before. From a shorter
+        time, as between two messages that came at once, noise would grow without bound.
+        """
+        if not self._odometry:
+            return None
+        newest_ns, newest = self._odometry[-1]
+        ahead_ns = stamp_ns - newest_ns
+        for base_ns, base in islice(reversed(self._odometry), 1, None):
+            known_ns = newest_ns - base_ns
+            if known_ns > LONGEST_HOLE_NS:
+                break
+            if known_ns >= ahead_ns:
+                step = base.inverse() @ base.interpolated(newest, 1.0).T_world_cam
+                onward = CameraPose.nearest(newest.T_world_cam @ step)
+                return newest.interpolated(onward, ahead_ns / known_ns)
+        return None

@@ -1,5 +1,5 @@
 """Everything that is published of what the scene memory knows: the node's and the replay's way."""
-from collections.abc import Container, Iterator
+from collections.abc import Callable, Container, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -37,12 +37,18 @@ class MemorySettings:
 
 
 class MemoryMessages:
-    """Makes the messages of MEMORY_OUTPUTS; `make` as in scene_outputs."""
+    """
+    Makes the messages of MEMORY_OUTPUTS; `make` as in scene_outputs.
 
-    def __init__(self, make: Make, settings: MemorySettings) -> None:
-        self._make, self.settings = make, settings
+    clock: seconds, where images come as they are taken; it counts where their stamps stand still.
+    """
+
+    def __init__(self, make: Make, settings: MemorySettings,
+                 clock: Callable[[], float] | None = None) -> None:
+        self._make, self.settings, self._clock = make, settings, clock
         self._points: tuple[tuple[Intrinsics, int], PointMaker] | None = None
         self._panorama_ns: int | None = None
+        self._panorama_s = 0.0  # By the clock.
 
     def of(self, header: Any, frame: WideFrame, wanted: Container[str],
            age_ms: float | None = None) -> Iterator[tuple[str, Any]]:
@@ -84,7 +90,11 @@ class MemoryMessages:
     def _is_due(self, header: Any) -> bool:
         """Say whether a panorama is due; where time runs back, it is."""
         now, before = stamp_of(header), self._panorama_ns
-        if before is not None and 0 <= (now - before) * self.settings.panorama_fps < NS_PER_S:
-            return False
-        self._panorama_ns = now
+        now_s = self._clock() if self._clock is not None else 0.0
+        if before is not None:
+            passed = ((now_s - self._panorama_s) * NS_PER_S if now == before
+                      else now - before)
+            if 0 <= passed * self.settings.panorama_fps < NS_PER_S:
+                return False
+        self._panorama_ns, self._panorama_s = now, now_s
         return True

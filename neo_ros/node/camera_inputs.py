@@ -125,14 +125,6 @@ class CameraInputs:
                 CAMERA_INFO.kind, info_topic, self._on_info, latched,
                 event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False)))
 
-    def take_waiting(self) -> None:
-        """Take what has come, where the executor cannot: its thread is busy, and this is it."""
-        for subscription in self._subscriptions:
-            with subscription.handle:
-                found = subscription.handle.take_message(subscription.msg_type, subscription.raw)
-            if found is not None:
-                subscription.callback(found[0])
-
     def unsubscribe(self) -> None:
         """Take no more images."""
         for subscription in self._subscriptions:

@@ -9,7 +9,7 @@ from neo_ros.node.frame_statistics import Statistics
 from neo_ros.node.frame_worker import Frame, FrameWorker
 from neo_ros.node.interface import ENABLE, NODE_NAME, RELOAD_MODEL, RELOCALIZE
 from neo_ros.node.loaded_model import Load, LoadedModel
-from neo_ros.node.loading import ModelLoader
+from neo_ros.node.loading import ModelLoader, take_waiting
 from neo_ros.node.manager_bond import form_bond
 from neo_ros.node.map_publisher import MapPublisher
 from neo_ros.node.parameters import (
@@ -194,8 +194,8 @@ class ExtrapolatorNode(LifecycleNode):
             self._inputs.subscribe()
 
     def _go_on(self) -> None:
-        """Widen images and publish diagnostics while the executor waits for another model."""
-        self._inputs.take_waiting()
+        """Hear all topics, tf and the clock, too, while the executor waits for another model."""
+        take_waiting(self.subscriptions)
         self._diagnosing.keep_up()
 
     def _has_audience(self) -> bool:

@@ -113,19 +113,23 @@ class FrameWorker:
             taken = time.perf_counter()
             self._serve(frame, taken)
             # Wait before taking, so that what is taken then is the newest.
-            while (self.max_fps > 0 and not self._stopped.is_set()
-                   and (pause := taken + 1 / self.max_fps - time.perf_counter()) > 0):
+            while not self._stopped.is_set() and (pause := self._pause_after(taken)) > 0:
                 self._stopped.wait(min(pause, LOOK_S))
+
+    def _pause_after(self, taken: float) -> float:
+        max_fps = self.max_fps  # Read once: the executor's thread may set it to 0 meanwhile.
+        return taken + 1 / max_fps - time.perf_counter() if max_fps > 0 else 0.0
 
     def _serve(self, frame: Frame, taken: float) -> None:
         try:
             wanted = self._outputs.wanted()
-            if not any(wanted):
-                self.forget()
-                return
-            if self._forgets:
+            if not wanted.infer:
+                self.forget()  # Nobody follows the camera meanwhile.
+            elif self._forgets:
                 self._forgets = False
                 self.processor.reset()
+            if not any(wanted):
+                return
             wide = self.processor.process(
                 frame.image, frame.camera_info, infer=wanted.infer)
             processed = time.perf_counter()

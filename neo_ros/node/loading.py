@@ -1,12 +1,15 @@
 """Load a model in another thread; the executor's, which waits for it, keeps the node going."""
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import Future, wait
 import threading
 
 from neo_ros.node.loaded_model import Load, load_model, LoadedModel
 from neo_ros.node.parameters import NodeParameters
+from rclpy.subscription import Subscription
 
 LOOK_S = 0.005  # An image waits so long at most.
+# Of one topic at a time: who sends faster than it is heard must not hold up the others.
+MOST_TAKEN = 100
 
 
 class ModelLoader:
@@ -48,3 +51,14 @@ class ModelLoader:
         self._thread.join()
         self._thread = None
         return loaded.result()
+
+
+def take_waiting(subscriptions: Iterable[Subscription]) -> None:
+    """Take what has come, where the executor cannot: its thread is busy, and this is it."""
+    for subscription in list(subscriptions):
+        for _ in range(MOST_TAKEN):
+            with subscription.handle:
+                found = subscription.handle.take_message(subscription.msg_type, subscription.raw)
+            if found is None:
+                break
+            subscription.callback(found[0])

@@ -49,9 +49,9 @@ class PoseInputs:
                        f'(scene_frame), got {frame}: dropped')
             return
         T_camera = T_BODY_OPTICAL if not self._base_frame else self._camera_in_base()
-        pose = self._read(PRIOR.name, message.pose.pose)
-        if pose is not None and T_camera is not None:
-            self.hints.set_prior(CameraPose.nearest(pose.T_world_cam @ T_camera))
+        pose = self._read(PRIOR.name, message.pose.pose, T_camera)
+        if pose is not None:
+            self.hints.set_prior(pose)
 
     def _on_odometry(self, message: Odometry) -> None:
         if not self.camera_frame:
@@ -66,10 +66,9 @@ class PoseInputs:
             self._tell('odometry', f'{ODOMETRY.name}: is of {child or "no frame"}; to use it, set '
                        f'base_frame to that, or send it of {self.camera_frame}')
             return
-        pose = self._read(ODOMETRY.name, message.pose.pose)
-        if pose is not None and T_camera is not None:
-            self.hints.add_odometry(message.header,
-                                    CameraPose.nearest(pose.T_world_cam @ T_camera))
+        pose = self._read(ODOMETRY.name, message.pose.pose, T_camera)
+        if pose is not None:
+            self.hints.add_odometry(message.header, pose)
 
     def _camera_in_base(self) -> np.ndarray | None:
         T = None
@@ -81,9 +80,12 @@ class PoseInputs:
                        'what is of the base is dropped')
         return T
 
-    def _read(self, name: str, pose: Any) -> CameraPose | None:
+    def _read(self, name: str, pose: Any, T_camera: np.ndarray | None) -> CameraPose | None:
+        """Return the camera's pose by what a message says; None: that cannot be used."""
+        if T_camera is None:
+            return None
         try:
-            return read_pose(pose)
+            return CameraPose.nearest(read_pose(pose).T_world_cam @ T_camera)
         except GeometryError as error:
             self._tell(name, f'{name}: {error}: dropped')
             return None

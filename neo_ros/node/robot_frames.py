@@ -2,6 +2,7 @@
 from time import monotonic
 from typing import Any
 
+from neo_ros.errors import GeometryError
 from neo_ros.geometry import CameraPose
 from neo_ros.geometry.camera_pose import quaternion_from_rotation
 from neo_ros.node.message_types import make_message
@@ -19,6 +20,8 @@ NEWEST = Time()  # To tf2.
 ANEW = Duration(seconds=1)
 # Odometry may come a little later than the image: a transform that is missing for longer is told.
 MISSED_S = 5.0
+# One that nobody has asked for in so long may be there by now: nothing is told of it.
+ASKED_S = 10.0
 
 
 def moved_covariance(covariance: np.ndarray, offset: np.ndarray) -> np.ndarray:
@@ -45,7 +48,8 @@ class RobotFrames:
         self._listener = tf2_ros.TransformListener(self._buffer, node)
         self._broadcaster = tf2_ros.TransformBroadcaster(node) if values.publish_tf else None
         self._stamp: Time | None = None
-        self._missed: dict[str, tuple[float, str]] = {}  # By target: since when, and the words.
+        # By target: since when, when last, and the words.
+        self._missed: dict[str, tuple[float, float, str]] = {}
         # The buffer refuses what is 10 s older than its newest. Fixed transforms survive.
         self._jumps = node.get_clock().create_jump_callback(
             JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-ANEW.nanoseconds)),
@@ -60,8 +64,8 @@ class RobotFrames:
     def missing(self) -> str:
         """Which transforms have been missing for long, in words; '' = none."""
         now = monotonic()
-        return '; '.join(words for since, words in list(self._missed.values())
-                         if now - since > MISSED_S)
+        return '; '.join(words for since, last, words in list(self._missed.values())
+                         if now - since > MISSED_S and now - last <= ASKED_S)
 
     def camera_in_base(self, camera_frame: str, stamp: Time = NEWEST) -> np.ndarray | None:
         """Return T_base_camera (4, 4) at a time, else the newest one; None: nobody has sent it."""
@@ -115,16 +119,18 @@ class RobotFrames:
         for stamp in stamps:
             try:
                 found = self._buffer.lookup_transform(target, source, stamp).transform
-            except self._tf2.TransformException as error:
+                at, turn = found.translation, found.rotation
+                T = CameraPose.from_quaternion(
+                    np.array([at.x, at.y, at.z]),
+                    np.array([turn.x, turn.y, turn.z, turn.w])).T_world_cam
+            except (self._tf2.TransformException, GeometryError) as error:
                 words = f'no transform from {target} to {source}: {error}'
                 continue
             self._missed.pop(target, None)
-            at, turn = found.translation, found.rotation
-            return CameraPose.from_quaternion(
-                np.array([at.x, at.y, at.z]),
-                np.array([turn.x, turn.y, turn.z, turn.w])).T_world_cam
-        since, _ = self._missed.get(target, (monotonic(), ''))
-        self._missed[target] = since, words
+            return T
+        now = monotonic()
+        since, last, _ = self._missed.get(target, (now, now, ''))
+        self._missed[target] = since if now - last <= ASKED_S else now, now, words
         if self.missing and self._node.context.ok():
             self._node.get_logger().warning(self.missing, throttle_duration_sec=MISSED_S)
         return None

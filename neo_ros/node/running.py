@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 import signal
 import sys
+import threading
 from typing import Any
 
 from neo_ros.node.extrapolator_node import ExtrapolatorNode
@@ -55,9 +56,10 @@ def run(arguments: Sequence[str] | None = None) -> None:
     for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)  # It is ending.
     rclpy.try_shutdown()
-    if not idle:
-        # The network is in the middle of a frame and cannot be interrupted; tearing the
-        # interpreter down below it may crash, waiting for it may take seconds.
+    if not idle or _works():
+        # The network is in the middle of a frame and cannot be interrupted, or a thread learns or
+        # draws the map; tearing the interpreter down below them may crash, waiting for them may
+        # take seconds.
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(0)
@@ -87,6 +89,12 @@ def _serve(stop: _Stop) -> bool:
     finally:
         idle = node.end()
     return idle
+
+
+def _works() -> bool:
+    """Say whether a thread is at work that nobody waits for at the end."""
+    return any(thread.daemon and thread is not threading.current_thread()
+               for thread in threading.enumerate())
 
 
 def _can_log() -> bool:

@@ -1,6 +1,7 @@
 """The topics that the node publishes."""
 from collections.abc import Callable
 import functools
+from time import monotonic
 from typing import Any
 
 from neo_ros.messages import image_fields, jpeg_fields
@@ -54,7 +55,7 @@ class WidePublishers:
         self.scene_frame = values.scene_frame or default_scene_frame(arbitrary_scale)
         self._memory = MemoryMessages(make_message, MemorySettings(
             self.scene_frame, self._node.get_fully_qualified_name(), values.points_every,
-            values.panorama_width, values.panorama_fps))
+            values.panorama_width, values.panorama_fps), monotonic)
 
     def wanted(self) -> Wanted:
         """Say which topics have subscribers, and what else images are widened for."""

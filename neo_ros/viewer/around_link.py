@@ -6,6 +6,7 @@ from typing import Any, TYPE_CHECKING
 
 from aiohttp import web
 import cv2
+from neo_ros.errors import NeoError
 from neo_ros.messages import encode_jpeg
 from neo_ros.viewer.clock import Clock
 from neo_ros.viewer.hearing import finite, hear
@@ -48,7 +49,8 @@ class AroundLink:
     """
     Tells one viewer of the camera's place, and draws where the viewer looks.
 
-    To the viewer: JSON of type `place`, `distance`, `full`; or a look, see `pictures.pack`: a
+    To the viewer: JSON of type `place` (`why`: the look that was asked for cannot be drawn),
+    `distance`, `full`; or a look, see `pictures.pack`: a
     JSON object, a JPEG, a PNG of its kinds, see `memory.look_around`. From the viewer: JSON
     objects with `look` (yaw, pitch, hfov in radians, width, height in pixels; null = no more),
     `got` (seq of a message), `ahead` (seconds that a message is on its way), `ask` (x, y in
@@ -93,11 +95,17 @@ class AroundLink:
             self._sequence += 1
             self._on_the_way.add(self._sequence)
             about = {'type': 'place', 'seq': self._sequence, **_place_fields(place)}
-            if direction is None or self._surroundings.looks is None:
+            drawn = None
+            if direction is not None and self._surroundings.looks is not None:
+                try:
+                    drawn = await asyncio.to_thread(
+                        self._draw, self._surroundings.looks, direction, place, about)
+                except NeoError as error:  # The places must go on.
+                    about['why'] = str(error)
+            if drawn is None:
                 await self._socket.send_json(about)
             else:
-                await self._socket.send_bytes(await asyncio.to_thread(
-                    self._draw, self._surroundings.looks, direction, place, about))
+                await self._socket.send_bytes(drawn)
 
     def _draw(self, looks: 'LookAround', direction: 'Direction', place: Place,
               about: dict[str, Any]) -> bytes:
@@ -139,7 +147,10 @@ class AroundLink:
         if 'ask' in asked:
             ask = asked['ask']
             x, y = (_within(ask[name], (0.0, 1.0)) for name in 'xy')
-            told = await asyncio.to_thread(self._distance, x, y)
+            try:
+                told = await asyncio.to_thread(self._distance, x, y)
+            except NeoError:
+                told = None  # Nobody knows it.
             await self._socket.send_json({'type': 'distance', 'id': int(ask['id']),
                                           **(told._asdict() if told is not None else {})})
 

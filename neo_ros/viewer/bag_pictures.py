@@ -64,6 +64,8 @@ class BagPictures:
         due: when it is shown, by the hub's clock. Raises ImageRejected, GeometryError and
         BagError for what cannot be used.
         """
+        if not self.topics.fits(message.topic):
+            return None
         name, content = message.topic.name, message.read()
         if name == '/diagnostics':
             known = self._diagnosis.read(content.status)

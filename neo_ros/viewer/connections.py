@@ -61,6 +61,8 @@ class Connections:
 
     def touch(self, request: web.Request, watching: bool = False) -> None:
         """Let the connection of a request stay: for a while, or while its viewer watches."""
+        if request.transport is None:  # Gone; those in their handshake have none, either.
+            return
         for connection in self._open:
             if connection.transport is request.transport:
                 connection.until = self._clock.now() + IDLE_S

@@ -48,6 +48,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
                  'checkout')
     finally:
         rclpy.try_shutdown()
+    from neo_ros.viewer.ending import end_if_busy
+
+    end_if_busy()
 
 
 def read_settings(node: Node) -> ViewerSettings:

@@ -105,6 +105,8 @@ class _Reading:
         self._waiting: dict[str, dict[int, np.ndarray]] = {topics.image: {}, truth or '': {}}
 
     def take(self, message: BagMessage) -> None:
+        if not self._topics.fits(message.topic):
+            return
         name, timeline = message.topic.name, self._timeline
         if name == self._topics.status:
             for status in message.read().status[:1]:

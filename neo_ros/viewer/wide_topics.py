@@ -3,9 +3,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from neo_ros.bags import BagTopic
 from neo_ros.errors import ImageRejected
 from neo_ros.messages import read_compressed_image, read_image
-from neo_ros.messages.scene_outputs import WIDENING
+from neo_ros.messages.memory_messages import IMAGE
+from neo_ros.messages.scene_outputs import POSE, STATUS, WIDENING
 from neo_ros.pictures.header import compressed_image_size
 import numpy as np
 
@@ -47,6 +49,12 @@ class WideTopics:
     def camera(self) -> str:
         """The camera's namespace, where the node is."""
         return self._wide.rpartition('/')[0]
+
+    def fits(self, topic: BagTopic) -> bool:
+        """Say whether a topic is of the type that its name says; others may have the name, too."""
+        expected = {self.confidence: IMAGE, self.mask: IMAGE, self.status: STATUS,
+                    self.pose: POSE, '/diagnostics': STATUS}.get(topic.name)
+        return expected in (None, topic.msgtype)
 
     @property
     def _wide(self) -> str:

@@ -3,6 +3,7 @@ from collections import Counter
 from pathlib import Path
 import shutil
 import sqlite3
+import tracemalloc
 from typing import Any
 
 from bag_files import (
@@ -11,6 +12,7 @@ from neo_ros.bags import BagReader, BagTopic, BagWriter
 from neo_ros.bags.bag_folder import read_bag_folder
 from neo_ros.bags.mcap_file import McapFile
 from neo_ros.bags.qos import LATCHED
+from neo_ros.bags.sqlite_file import _Numbers
 from neo_ros.errors import BagError
 import pytest
 from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
@@ -305,3 +307,18 @@ def test_a_recorder_that_was_killed_leaves_packed_and_plain_files(tmp_path: Path
             (bag / f'bag_{number}.mcap').write_bytes(content)
     with BagReader(bag) as reader:
         assert len(list(reader.messages())) == 1 + 2 + 3 and not reader.damages
+
+
+def test_numbers_of_rows_take_little_memory() -> None:
+    tracemalloc.start()
+    numbers = _Numbers(10_000_000)
+    for number in range(0, 10_000_000, 100):
+        numbers.add(number)
+    assert tracemalloc.get_traced_memory()[1] < 2_000_000
+    tracemalloc.stop()
+    for number in (-3, 1 << 62):  # As a damaged page may say.
+        assert number not in numbers
+        numbers.add(number)
+        assert number in numbers
+    assert len(numbers) == 100_002 and 100 in numbers and 101 not in numbers
+    assert 5 not in _Numbers(None)

@@ -47,6 +47,24 @@ def test_where_odometry_is_silent_no_motion_is_made_up(hints, start, end):
     assert hints.motion(start * 10**6, end * 10**6) is None
 
 
+def test_two_messages_that_came_at_once_do_not_tell_how_fast_it_goes(hints):
+    late = at(950).T_world_cam.copy()
+    late[:3, 3] += [0.0, 0.02, 0.0]  # Two centimetres of noise in 0.2 ms.
+    hints.add_odometry(SimpleNamespace(frame_id='', stamp=SimpleNamespace(
+        sec=0, nanosec=950_200_000)), CameraPose(late))
+    motion = hints.motion(900 * 10**6, 965 * 10**6)
+    expected = at(900).inverse() @ at(965).T_world_cam
+    assert np.abs(motion - expected).max() < 0.03
+
+
+def test_what_is_known_of_a_moment_says_nothing_of_a_longer_time():
+    hints = PoseHints()
+    hints.add_odometry(header(950), at(950))
+    hints.add_odometry(header(960), at(960))
+    assert hints.motion(950 * 10**6, 970 * 10**6) is not None
+    assert hints.motion(950 * 10**6, 980 * 10**6) is None
+
+
 def test_a_hole_is_not_bridged_and_time_that_runs_back_forgets(hints):
     hints.add_odometry(header(2000), at(2000))
     assert hints.motion(900 * 10**6, 1500 * 10**6) is None
@@ -90,10 +108,10 @@ class Listener:
     expansion, scene_check = TINY_EXPANSION, None
 
     def __init__(self):
-        self.heard = []
+        self.heard, self.resets = [], 0
 
     def reset(self):
-        pass
+        self.resets += 1
 
     def expand(self, image, **given):
         self.heard.append(given)
@@ -112,6 +130,21 @@ def test_dropped_images_are_told_by_the_stamps(stamps, paces):
     for milliseconds in stamps:
         processor.process(image_message(noise_image(SOURCE, 0), header(milliseconds)), None)
     assert [given.get('pace') for given in listener.heard] == paces
+
+
+@pytest.mark.parametrize('stamps, resets', [
+    ([0, 29_000, 58_000], 0), ([0, 31_000, 31_033], 1), ([60_000, 59_100, 59_133], 0),
+    ([60_000, 58_900, 58_933], 1), ([0, 0, 0], 0)],
+                         ids=['slow', 'a long pause', 'overtaken', 'anew', 'no clock'])
+def test_a_camera_that_may_be_anywhere_is_looked_for_anew(stamps, resets):
+    listener: Any = Listener()
+    processor = FrameProcessor(listener)
+    processor.hints = hints = PoseHints()
+    for milliseconds in stamps:
+        hints.set_prior(at(0))
+        processor.process(image_message(noise_image(SOURCE, 0), header(milliseconds)), None)
+    assert listener.resets == resets
+    assert all('prior' in given for given in listener.heard)
 
 
 def test_pixels_without_a_header_have_no_pace():

@@ -149,3 +149,14 @@ def test_panoramas_come_at_their_rate(make):
 
 def test_a_scene_of_arbitrary_scale_is_no_map():
     assert (default_scene_frame(False), default_scene_frame(True)) == ('map', 'scene')
+
+
+def test_where_stamps_stand_still_panoramas_go_by_the_clock_of_a_live_camera(make):
+    now = 50.0
+    settings = MemorySettings('map', 'n', panorama_width=16, panorama_fps=0.5)
+    for maker, drawn in ((MemoryMessages(make, settings, lambda: now), [True, False, True]),
+                         (MemoryMessages(make, settings), [True, False, False])):
+        found = []
+        for now in (50.0, 51.0, 52.5):
+            found.append('panorama' in messages(make, KnownGuide(), {'panorama'}, 0, maker))
+        assert found == drawn

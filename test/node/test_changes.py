@@ -3,10 +3,12 @@ from array import array
 import math
 import os
 import signal
+import time
 
 from camera_messages import noise_image
 import cv2
 from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseWithCovarianceStamped
 from live_node import Camera, end, NODE, node_beside, set_parameter, started
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.messages import camera_info_fields, CameraFit
@@ -73,6 +75,35 @@ def test_images_are_widened_while_another_model_loads(graph, model, tmp_path):
         graph.executor.add_node(node)
         assert result.successful and widths == [64] * 4
         assert camera.widen(image, 6)['image'].width == 80
+
+
+def test_priors_and_the_clock_are_heard_while_another_model_loads(graph, model, tmp_path):
+    larger = write_tiny_model(tmp_path / 'larger.onnx', LARGER)
+    priors = graph.node.create_publisher(PoseWithCovarianceStamped, '/robot/fov_extrapolator/prior', 10)
+    clock = graph.node.create_publisher(Clock, '/clock', 10)
+    heard = []
+
+    def load_slowly(path, *arguments):
+        if str(path) == str(larger):
+            prior = PoseWithCovarianceStamped()
+            prior.pose.pose.orientation.w = 1.0
+            clock.publish(Clock(clock=Time(seconds=100).to_msg()))
+            priors.publish(prior)
+            deadline = time.monotonic() + 10
+            while heard[-1:] != [(True, True)] and time.monotonic() < deadline:
+                time.sleep(0.02)
+                heard.append((node._pose_inputs.hints._prior is not None,
+                              node.get_clock().now().nanoseconds == 100 * 10**9))
+        return FovExtrapolator.load(path, *arguments)
+
+    with node_beside(graph, model, '-p', 'use_sim_time:=true', load=load_slowly) as node:
+        graph.spin_until(lambda: priors.get_subscription_count()
+                         and clock.get_subscription_count())
+        graph.spin_for(0.3)
+        graph.executor.remove_node(node)  # No executor runs it, as while its callback loads.
+        result, = node.set_parameters([Parameter('model', value=str(larger))])
+        graph.executor.add_node(node)
+    assert result.successful and heard[-1] == (True, True)
 
 
 def test_a_replaced_file_is_loaded_on_request_only_and_a_deleted_one_does_no_harm(graph, model):

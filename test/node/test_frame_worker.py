@@ -209,6 +209,45 @@ def test_a_camera_that_nobody_followed_may_be_elsewhere(bench):
     assert resets_after('fifth') == 3
 
 
+def test_a_camera_whose_mask_alone_is_wanted_is_not_followed(bench):
+    def resets_after(header):
+        bench.worker.submit(frame(header))
+        bench.extrapolator.gate.release()
+        assert bench.outputs.published.acquire(timeout=WAIT_S)
+        return bench.extrapolator.resets
+
+    assert resets_after('first') == 1
+    bench.outputs._wanted = Wanted(image=False, compressed=False, confidence=False)
+    assert resets_after('mask') == 1
+    bench.outputs._wanted = Wanted()
+    assert [resets_after('third'), resets_after('fourth')] == [2, 2]
+
+
+def test_max_fps_may_become_none_at_any_moment():
+    class Changing(FrameWorker):
+        """Its limit goes away whenever somebody has looked at it."""
+
+        looks = 0
+
+        @property
+        def max_fps(self):
+            self.looks += 1
+            return 1000.0 * (self.looks % 2)
+
+        @max_fps.setter
+        def max_fps(self, value):
+            pass
+
+    outputs, extrapolator = KeptOutputs(), GatedExtrapolator()
+    worker = Changing(FrameProcessor(extrapolator), outputs, Statistics(), print)
+    worker.start()
+    for header in range(2):
+        extrapolator.gate.release()
+        worker.submit(frame(header))
+        assert outputs.published.acquire(timeout=WAIT_S)
+    assert worker.stop(WAIT_S)
+
+
 def test_latency_is_split_into_stages(bench):
     bench.extrapolator.gate.release()
     bench.worker.submit(frame(0))

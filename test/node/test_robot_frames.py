@@ -1,14 +1,19 @@
 """The base's pose, the transform for tf, odometry of the base: with a stand-in for tf2_ros."""
 from array import array
+from types import SimpleNamespace
+from typing import Any
 
 from box_room import apart, EXPANSION, planar, view, write_box_model
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from live_node import Camera, node_beside
+from nav_msgs.msg import Odometry
 from neo_ros.geometry import CameraPose
 from neo_ros.geometry.camera_pose import T_BODY_OPTICAL
 from neo_ros.messages import image_fields
 from neo_ros.messages.hints import read_pose
+from neo_ros.node.pose_inputs import PoseInputs
+from neo_ros.node.robot_frames import RobotFrames
 import numpy as np
 import pytest
 from rclpy.lifecycle import TransitionCallbackReturn
@@ -159,3 +164,43 @@ def test_what_tf_said_later_is_forgotten_when_simulated_time_runs_back(tmp_path,
             assert transition() == TransitionCallbackReturn.SUCCESS
         graph.spin_until(lambda: wait_until(1))
         assert Buffer.moving
+
+
+@pytest.fixture
+def frames(graph, tf2):
+    values: Any = SimpleNamespace(base_frame='base_link', odom_frame='odom', publish_tf=False)
+    frames = RobotFrames(graph.node, values)
+    yield frames
+    frames.destroy()
+
+
+def test_a_transform_that_was_missed_once_is_not_missing_for_good(frames, monkeypatch):
+    now = 100.0
+    monkeypatch.setattr('neo_ros.node.robot_frames.monotonic', lambda: now)
+    told = []
+    for now, asked in ((100.0, True), (106.0, True), (150.0, False), (160.0, True),
+                       (166.0, True)):
+        if asked:
+            frames.camera_in_base('eye')
+        told.append('from base_link to eye' in frames.missing)
+    assert told == [False, True, False, False, True]
+
+
+@pytest.mark.parametrize('number', [np.inf, 1e308])
+def test_a_transform_of_no_use_is_dropped_and_told(graph, frames, number, monkeypatch):
+    monkeypatch.setattr('neo_ros.node.robot_frames.MISSED_S', -1.0)
+    endless = T_BASE_CAMERA.copy()
+    endless[:3, 3] = number
+    Buffer.known['base_link', 'camera_optical'] = endless
+    inputs = PoseInputs(graph.node, 'map', 'base_link', frames)
+    inputs.camera_frame = 'camera_optical'
+    message = PoseWithCovarianceStamped()
+    message.pose.pose.orientation.w = 1.0
+    at = message.pose.pose.position
+    at.x = at.y = at.z = 1e308
+    inputs._on_prior(message)
+    odometry = Odometry(child_frame_id='base_link', pose=message.pose)
+    inputs._on_odometry(odometry)
+    assert inputs.hints.take_prior() is None and not inputs.hints._odometry
+    assert bool(frames.missing) != np.isfinite(number)
+    inputs.destroy()

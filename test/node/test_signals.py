@@ -91,3 +91,21 @@ def test_signals_that_come_in_a_row_do_no_harm(graph, executable, model):
         process.send_signal(signal.SIGINT)
         time.sleep(0.01)
     assert process.returncode == 0 and 'Traceback' not in process.stdout.read()
+
+
+WORKING = """
+import atexit, threading, time
+from neo_ros.node import running
+def serve(stop):
+    threading.Thread(target=time.sleep, args=(60,), name='learn', daemon=True).start()
+    return True
+atexit.register(print, 'the interpreter is torn down')
+running._serve = serve
+running.run([])
+"""
+
+
+def test_no_interpreter_is_torn_down_below_a_thread_that_learns(graph):
+    process = graph.start('-c', WORKING)
+    assert process.wait(WAIT_S) == 0
+    assert 'torn down' not in process.stdout.read()

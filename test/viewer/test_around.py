@@ -14,6 +14,7 @@ import cv2
 from hand_clock import HandClock
 from neo_ros.errors import ModelError, SceneError
 from neo_ros.geometry import Intrinsics
+from neo_ros.memory.look_around import LookAround
 from neo_ros.memory.panorama import REMEMBERED, SEEN
 from neo_ros.scenes.walkable import WalkableMap
 from neo_ros.viewer.clock import Clock
@@ -160,6 +161,28 @@ def test_a_look_shows_the_room_with_the_live_image_in_it(model: Path) -> None:
             await socket.send_json({'look': None})
             put(hub, pose=planar(2.0, 1.7, 30))
             await receive(socket, 'place')
+    run(test)
+
+
+def test_places_go_on_where_a_look_cannot_be_drawn(
+        model: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: Any) -> None:
+        raise ModelError('keyframe 3: damaged')
+
+    async def test() -> None:
+        async with serving(model) as (client, hub), joined(client) as socket:
+            monkeypatch.setattr(LookAround, 'draw', fail)
+            monkeypatch.setattr(LookAround, 'distance', fail)
+            await socket.send_json({'look': LOOK})
+            for x in (1.9, 2.0):
+                put(hub, pose=planar(x, 1.7, 30))
+                about, *_ = await receive(socket, 'place')
+                while 'why' not in about or about['position'][0] != pytest.approx(x):
+                    about, *_ = await receive(socket, 'place')
+                assert about['why'] == 'keyframe 3: damaged'
+            await socket.send_json({'ask': {'x': 0.5, 'y': 0.5, 'id': 4}})
+            answer, *_ = await receive(socket, 'distance')
+            assert answer == {'type': 'distance', 'id': 4}
     run(test)
 
 

@@ -3,9 +3,10 @@ import math
 from pathlib import Path
 import subprocess
 import sys
+import threading
 from typing import Any
 
-from bag_files import walk_frames, write_walk_bag
+from bag_files import STRING, string_cdr, walk_frames, write_walk_bag
 from camera_bags import CameraBag
 from neo_ros.bags import BagReader, BagWriter, replay
 from neo_ros.errors import BagError, ConfigError
@@ -16,6 +17,7 @@ from neo_ros.runtime import FovExtrapolator
 from neo_ros.viewer.bag_moments import Companion
 from neo_ros.viewer.bag_source import BagSource, LATE_S
 from neo_ros.viewer.hub import Wanted
+from neo_ros.viewer.timeline import read_timeline, Timeline
 import numpy as np
 from picture_collector import collect, Collector
 import pytest
@@ -82,6 +84,24 @@ def test_truth_that_comes_before_its_picture_is_found_wherever_the_bag_is(tmp_pa
             log_ns = first_ns + number * (step_ns - 10)
             found = companion.at(log_ns, first_ns + number * step_ns)
             assert found is not None and np.unique(found) == number
+
+
+def test_topics_of_another_type_are_left_out(wide_bag, model, tmp_path):
+    """Others may publish under these names: a PoseStamped as pose, a text as diagnostics."""
+    bag = tmp_path / 'other'
+    names = [f'/camera/wide/{name}' for name in ('pose', 'status', 'mask', 'confidence')]
+    with BagReader(wide_bag) as reader, BagWriter(bag) as writer:
+        image = writer.add_topic('/camera/wide/image', 'sensor_msgs/msg/Image')
+        others = [writer.add_topic(name, STRING) for name in (*names, '/diagnostics')]
+        for message in reader.messages(['/camera/wide/image']):
+            for other in others:
+                writer.write_cdr(other, message.stamp_ns, string_cdr('something else'))
+            writer.write_cdr(image, message.stamp_ns, message.cdr)
+    hub = collect(BagSource(bag, None, model), FRAMES)
+    assert len(hub.pictures) == FRAMES and not any(state.message for state in hub.states)
+    timeline = Timeline(hub.playback.span_ns)
+    read_timeline(bag, {'/camera/wide/image': timeline}, None, threading.Event())
+    assert timeline.done
 
 
 def test_timing_by_the_clock_and_once_more(wide_bag, model):

@@ -2,11 +2,15 @@
 import asyncio
 from contextlib import asynccontextmanager
 import logging
+import socket
+from types import SimpleNamespace
+from typing import Any
 
 import aiohttp
 from hand_clock import HandClock
 from neo_ros.viewer.access import HEADERS
-from neo_ros.viewer.connections import IDLE_S, LineLimit, LINES_S, MAX_IDLE, MAX_LINES
+from neo_ros.viewer.connections import (
+    _Connection, Connections, IDLE_S, LineLimit, LINES_S, MAX_IDLE, MAX_LINES)
 from neo_ros.viewer.hub import Hub
 from neo_ros.viewer.server import opened
 from neo_ros.viewer.settings import ViewerSettings
@@ -65,6 +69,19 @@ def test_idle_connections_end_and_viewers_stay(said):
                         pass
                 assert len(hub) == 1
     run(test)
+
+
+def test_who_has_gone_keeps_no_other_connection_in_its_handshake():
+    clock = HandClock()
+    connections, (ours, theirs) = Connections(clock), socket.socketpair()
+    waiting = _Connection(ours, clock.now() + IDLE_S)
+    connections._open.append(waiting)
+    clock.turn(5.0)
+    gone: Any = SimpleNamespace(transport=None)
+    connections.touch(gone, watching=True)
+    assert (waiting.until, waiting.watching) == (1000.0 + IDLE_S, False)
+    ours.close()
+    theirs.close()
 
 
 def test_many_silent_connections_lock_nobody_out():

@@ -27,8 +27,12 @@ export class Link {
     this.offset = null;
     this.roundTrip = Infinity;
     document.addEventListener('visibilitychange', () => {
-      this.pauseOrGoOn();
-      if (!document.hidden) this.retryNow();
+      if (document.hidden) {
+        this.pauseOrGoOn();
+      } else {
+        this.measureAnew();
+        this.retryNow();
+      }
     });
     window.addEventListener('online', () => this.retryNow());
     setInterval(() => this.watch(), 500);
@@ -67,13 +71,10 @@ export class Link {
     this.heard = performance.now();
     if (message.type === 'hello') {
       this.attempt = 0;
-      this.roundTrip = Infinity;
       this.offset = message.now - performance.now();
       this.events.onOpen();
       this.events.onHello(message);
-      this.answers = 0;
-      this.pauseOrGoOn();
-      this.send({ ping: performance.now() });
+      this.measureAnew();
     } else if (message.type === 'pong') {
       this.setClock(message);
       this.answers += 1;
@@ -87,14 +88,26 @@ export class Link {
     }
   }
 
+  // Ask for the server's clock before pictures come: it is not known, or the clock here may have
+  // stood still while the page was hidden.
+  measureAnew() {
+    this.roundTrip = Infinity;
+    this.answers = 0;
+    this.pauseOrGoOn();
+    this.send({ ping: performance.now() });
+  }
+
   // The answer that took the shortest way tells the server's clock best; clocks drift, so that
-  // an old best answer loses its worth, by as much as they may.
+  // an old best answer loses its worth, by as much as they may. Where two answers contradict one
+  // another, the clock here stood still between them, as in a sleep, and the newer one is right.
   setClock({ ping, now }) {
     const roundTrip = performance.now() - ping;
+    const offset = now + roundTrip / 2 - performance.now();
     this.roundTrip += DRIFT_MS;
-    if (roundTrip > this.roundTrip) return;
+    const fits = Math.abs(offset - this.offset) <= (roundTrip + this.roundTrip) / 2;
+    if (roundTrip > this.roundTrip && fits) return;
     this.roundTrip = roundTrip;
-    this.offset = now + roundTrip / 2 - performance.now();
+    this.offset = offset;
   }
 
   async receive(buffer) {

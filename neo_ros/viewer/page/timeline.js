@@ -19,16 +19,22 @@ export class Timeline {
   constructor(canvas, changed) {
     Object.assign(this, { canvas, changed });
     this.known = null;
+    this.loads = 0;
     new ResizeObserver(() => this.paint()).observe(canvas);
   }
 
   // Ask the server; again and again while it still reads the bag.
   async load() {
     clearTimeout(this.again);
+    this.loads += 1;
+    const load = this.loads;
+    let { known } = this;
     try {
       const answer = await fetch('/timeline');
-      this.known = answer.ok ? await answer.json() : null;
+      known = answer.ok ? await answer.json() : null;
     } catch { /* The server is away: again, later. */ }
+    if (load !== this.loads) return;  // Another has begun meanwhile, perhaps for another camera.
+    this.known = known;
     this.paint();
     this.changed();
     if (!this.known?.done) this.again = setTimeout(() => this.load(), AGAIN_MS);

@@ -1,0 +1,93 @@
+// Parts of the page without a browser: node page_parts.mjs FOLDER OF THE PAGE, NAME OF THE TEST.
+import assert from 'node:assert/strict';
+import { pathToFileURL } from 'node:url';
+
+const [folder, name] = process.argv.slice(2);
+const load = (file) => import(pathToFileURL(`${folder}/${file}`));
+let here = 5000;  // What performance.now() says.
+Object.defineProperty(globalThis, 'performance', { value: { now: () => here } });
+const heard = {};
+globalThis.document = { hidden: false, addEventListener: (kind, call) => { heard[kind] = call; } };
+globalThis.window = { addEventListener() {} };
+globalThis.location = { protocol: 'http:', host: 'robot' };
+globalThis.setInterval = () => 0;
+
+// A connection whose server's clock is `ahead` ms ahead of the page's.
+async function connected(ahead) {
+  const said = [];
+  globalThis.WebSocket = class {
+    static OPEN = 1;
+    readyState = 1;
+    send(text) { said.push(JSON.parse(text)); }
+  };
+  const { Link } = await load('link.js');
+  const link = new Link({ onOpen() {}, onHello() {}, onStatus() {}, onPicture() {} });
+  const server = { ahead };
+  const hear = (message) => link.socket.onmessage({ data: JSON.stringify(message) });
+  // Let a ping take `there` ms there and `back` ms back.
+  const pong = (there, back) => {
+    const ping = here;
+    here += there;
+    const now = here + server.ahead;
+    here += back;
+    hear({ type: 'pong', ping, now });
+  };
+  hear({ type: 'hello', now: here + ahead });
+  return { link, server, pong, said, error: () => link.now() - (here + server.ahead) };
+}
+
+const tests = {
+  async shortest() {
+    const { pong, error } = await connected(1000);
+    pong(5, 5);
+    pong(0, 80);
+    assert.equal(error(), 0, 'a long way tells nothing new');
+  },
+  async sleep() {
+    const { server, pong, error } = await connected(1000);
+    pong(5, 5);
+    server.ahead += 30_000;  // The phone slept; its clock stood still.
+    pong(0, 80);
+    assert.ok(Math.abs(error()) <= 40, `off by ${error()} ms`);
+  },
+  async seen() {
+    const { link, server, pong, said, error } = await connected(1000);
+    pong(5, 5);
+    pong(5, 5);
+    assert.equal(link.asked.paused, false);
+    document.hidden = true;
+    heard.visibilitychange();
+    server.ahead += 30;  // Less than a slow answer could tell.
+    document.hidden = false;
+    said.length = 0;
+    heard.visibilitychange();
+    assert.deepEqual(said.map((message) => [message.paused, 'ping' in message]),
+      [[true, false], [undefined, true]]);
+    pong(30, 30);
+    pong(30, 30);
+    assert.equal(error(), 0);
+    assert.equal(link.asked.paused, false);
+  },
+  async loads() {
+    globalThis.ResizeObserver = class { observe() {} };
+    const waiting = [];
+    const planned = [];
+    globalThis.setTimeout = (call) => planned.push(call);
+    globalThis.clearTimeout = () => {};
+    globalThis.fetch = () => new Promise((answer) => {
+      waiting.push((known) => answer({ ok: true, json: async () => known }));
+    });
+    const { Timeline } = await load('timeline.js');
+    const canvas = { getBoundingClientRect: () => ({ width: 0 }) };
+    let changes = 0;
+    const timeline = new Timeline(canvas, () => { changes += 1; });
+    const both = [timeline.load(), timeline.load()];
+    waiting[1]({ of: 'the new camera', done: false });
+    await both[1];
+    waiting[0]({ of: 'the old camera', done: false });
+    await both[0];
+    assert.equal(timeline.known.of, 'the new camera');
+    assert.deepEqual([planned.length, changes], [1, 1]);
+  },
+};
+await tests[name]();
