@@ -284,7 +284,9 @@ class ExtrapolatorNode(LifecycleNode):
             self._worker.max_fps = values.max_fps
             if any(parameter.name in INPUT_PARAMETERS for parameter in parameters):
                 self._inputs.choose(values.image_transport, values.reliable)
-            self._attend()
+            # Not whenever anything changes: to subscribe declares parameters of its own.
+            if any(parameter.name in (*INPUT_PARAMETERS, 'learn') for parameter in parameters):
+                self._attend()
 
     def _take_over(self, model: LoadedModel) -> None:
         """Let the next frame go through this model."""

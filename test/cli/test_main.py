@@ -99,6 +99,9 @@ def test_what_train_cannot_do_is_one_clear_line(
 
 @pytest.mark.parametrize('arguments, message', [
     (['view', '--rate', '2'], '--rate: expected only with --bag; leave it out'),
+    (['view', '--rectify'], '--rectify: expected only with --bag; leave it out'),
+    (['train', 'x', '--out', 'y', '--geometry', 'x.ply', '--field-of', 'z'],
+     '--field-of: --geometry takes the place of a field; leave it out'),
     (['view', '--bag', 'x', '--sim-time'], '--sim-time: expected only without --bag'),
     (['floor', 'scene', 'map.yaml', '--origin', '0', '0', '1'], '--origin: expected with an'),
     (['import', 'demo', 'x', '--level'], '--level: the demo has its own'),

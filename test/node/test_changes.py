@@ -79,9 +79,10 @@ def test_images_are_widened_while_another_model_loads(graph, model, tmp_path):
 
 def test_priors_and_the_clock_are_heard_while_another_model_loads(graph, model, tmp_path):
     larger = write_tiny_model(tmp_path / 'larger.onnx', LARGER)
-    priors = graph.node.create_publisher(PoseWithCovarianceStamped, '/robot/fov_extrapolator/prior', 10)
+    priors = graph.node.create_publisher(
+        PoseWithCovarianceStamped, '/robot/fov_extrapolator/prior', 10)
     clock = graph.node.create_publisher(Clock, '/clock', 10)
-    heard = []
+    heard: list[object] = []
 
     def load_slowly(path, *arguments):
         if str(path) == str(larger):

@@ -114,13 +114,14 @@ def test_security_policy_grants_what_the_node_needs_and_nothing_more(tmp_path):
         node.destroy_node()
     assert {f'/{output.name}' for output in OUTPUTS.values()} <= published
     assert {service.name for service in SERVICES} <= served
-    # Transforms are published where publish_tf asks for it.
-    assert published == granted['publish'] - {'/tf'} and served == granted['reply']
+    # Transforms are published where publish_tf asks for it, the bond where a manager does.
+    assert published == granted['publish'] - {'/tf', '/bond'} and served == granted['reply']
     assert subscribed <= granted['subscribe']
-    # Compressed images, simulated time and transforms are subscribed only where a parameter asks.
+    # Compressed images, simulated time, transforms and the bond are subscribed only where a parameter
+    # asks.
     inputs = {entry.name if entry.name.startswith('~') else f'/{entry.name}' for entry in INPUTS}
     assert granted['subscribe'] == inputs | {
-        '/clock', '/parameter_events', '/tf', '/tf_static'}
+        '/clock', '/parameter_events', '/tf', '/tf_static', '/bond'}
 
 
 def test_launch_file_compiles_and_has_its_function():

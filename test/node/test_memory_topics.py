@@ -202,3 +202,16 @@ def test_a_memory_that_shows_no_floor_is_told(tmp_path):
     MapPublisher(Mock(), told)._draw(model, 'map')
     message, = told.call_args.args
     assert message.startswith('no map: the memory shows no floor')
+
+
+def test_a_node_that_learns_takes_images_though_nobody_subscribes(tmp_path, graph):
+    with node_beside(graph, write_box_model(tmp_path), '-p', 'learn:=true') as node:
+        assert node._inputs.subscribed
+        assert set_parameter(graph, 'learn', False).successful
+        graph.spin_until(lambda: not node._inputs.subscribed)
+        # What was learnt is kept when it ends, not only when the model is freed.
+        assert set_parameter(graph, 'learn', True).successful
+        graph.spin_until(lambda: node._inputs.subscribed)
+        learner = node._model.processor._extrapolator._guided_view._guide
+        assert learner.learner is not None
+        assert node.end() and learner.learner is None
