@@ -95,11 +95,13 @@ class PoseHints:
         if not self._odometry:
             return None
         newest_ns, newest = self._odometry[-1]
-        ahead_ns = stamp_ns - newest_ns
+        ahead_ns, before_ns = stamp_ns - newest_ns, newest_ns
+        if ahead_ns > LONGEST_HOLE_NS:
+            return None
         for base_ns, base in islice(reversed(self._odometry), 1, None):
-            known_ns = newest_ns - base_ns
-            if known_ns > LONGEST_HOLE_NS:
+            if before_ns - base_ns > LONGEST_HOLE_NS:
                 break
+            before_ns, known_ns = base_ns, newest_ns - base_ns
             if known_ns >= ahead_ns:
                 step = base.inverse() @ base.interpolated(newest, 1.0).T_world_cam
                 onward = CameraPose.nearest(newest.T_world_cam @ step)

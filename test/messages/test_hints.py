@@ -65,6 +65,15 @@ def test_what_is_known_of_a_moment_says_nothing_of_a_longer_time():
     assert hints.motion(950 * 10**6, 980 * 10**6) is None
 
 
+def test_slow_odometry_that_comes_unevenly_is_moved_on():
+    hints = PoseHints()
+    for milliseconds in (700, 801, 902):
+        hints.add_odometry(header(milliseconds), at(milliseconds))
+    motion = hints.motion(902 * 10**6, 1052 * 10**6)  # So far in less than two messages.
+    assert np.abs(motion - at(902).inverse() @ at(1052).T_world_cam).max() < 0.03
+    assert hints.motion(902 * 10**6, 1103 * 10**6) is None
+
+
 def test_a_hole_is_not_bridged_and_time_that_runs_back_forgets(hints):
     hints.add_odometry(header(2000), at(2000))
     assert hints.motion(900 * 10**6, 1500 * 10**6) is None
