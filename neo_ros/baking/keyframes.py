@@ -20,7 +20,6 @@ from neo_ros.geometry import Band, CameraPose, Intrinsics
 from neo_ros.machine.evenly import evenly
 from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.memory.keyframe import FINER, Keyframe
-from neo_ros.memory.scene_memory import MOST_TEXTURE
 from neo_ros.scenes.pose_sampling import PoseSampler
 import numpy as np
 
@@ -30,7 +29,7 @@ class BakingRules:
     """What was chosen by measuring, and holds for all scenes."""
 
     mesh_focal: float = 96.0       # the mesh's vertices a radian are at most so many
-    # Pixels of a texture a radian, at most, or as many as the view has: then poses and depth tell
+    # Pixels of a texture a radian, at most, or as many as the view has: there poses and depth tell
     # what is sharp. 640x480 at 69 degrees: 27.98 dB, three times as fine as the view 27.89.
     texture_focal: float = 768.0
     dense: int = 3                 # rays into the field for a vertex, along each side, at most
@@ -40,10 +39,10 @@ class BakingRules:
     least_coverage: float = 0.5    # of a pixel by what photos saw, for its depth to be known
     least_keyframes: int = 8       # however short the time
     direction_photos: int = 100    # that tell which way the walls face
-    # Of a texture: OpenCV's remap takes fewer than 2^15 - 1 rows and columns. A robot decodes it,
-    # and 512 MB are enough for one; so it also has fewer pixels than a memory file may ask for.
+    # Of a texture: OpenCV's remap takes fewer than 2^15 - 1 rows and columns, and a robot decodes
+    # it: fewer pixels than a memory file may ask for.
     most_side: int = (1 << 15) - 2
-    most_bytes: int = MOST_TEXTURE
+    most_bytes: int = 512 << 20
 
 
 @dataclass(frozen=True)

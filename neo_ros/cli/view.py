@@ -44,6 +44,7 @@ def view(
     """Show the widened stream in a browser, from a ROS graph or from a bag; view only."""
     from neo_ros.cli.options import refuse
     from neo_ros.machine.files import share_dir
+    from neo_ros.machine.processes import end_if_busy
     from neo_ros.viewer.settings import read_token, ViewerSettings
 
     settings = partial(
@@ -52,7 +53,6 @@ def view(
         public_origin=public_origin, floor=floor)
     if bag is not None:
         from neo_ros.viewer.bag_source import BagSource
-        from neo_ros.viewer.ending import end_if_busy
         from neo_ros.viewer.server import serve
 
         refuse('expected only without --bag, whose time is its own', sim_time=sim_time)
@@ -62,7 +62,6 @@ def view(
         end_if_busy()
         return
     refuse('expected only with --bag', rate=rate, rectify=rectify)
-    from neo_ros.viewer.ending import end_if_busy
     from neo_ros.viewer.main import serve_topic
     import rclpy
     from rclpy.parameter import Parameter

@@ -166,6 +166,6 @@ def _filled(image: np.ndarray, known: np.ndarray) -> np.ndarray:
         colours = cv2.blur(result, (side, side))
         result[gap] = colours[gap] / around[gap][:, None]
         weight[gap] = 1
-    fine = cv2.resize(result, (width, height))
+    fine: np.ndarray = cv2.resize(result, (width, height))
     fine += 0.5
     return cv2.copyTo(image, known.view(np.uint8), fine.astype(np.uint8))

@@ -72,8 +72,8 @@ def parameters() -> list[tuple[str, Any, ParameterDescriptor]]:
              additional_constraints=f'some of {", ".join(PROVIDERS)}'),
         _row('learn', False,
              'Learn what has changed in the scene, beside the images on a thread of low priority, '
-             'also while nobody subscribes; '
-             'it is kept in a journal beside the scene memory, whose folder must be writable'),
+             'also while nobody subscribes; it is kept in a journal beside the scene memory, '
+             'whose folder must be writable'),
         _row('image_transport', 'raw', 'Which image topic is subscribed',
              additional_constraints=' or '.join(TRANSPORTS)),
         _row('reliable', False,

@@ -6,9 +6,9 @@ import os
 from pathlib import Path
 import signal
 import sys
-import threading
 from typing import Any
 
+from neo_ros.machine.processes import end_if_busy
 from neo_ros.node.extrapolator_node import ExtrapolatorNode
 from neo_ros.node.fastdds_profile import use_large_image_profile
 from neo_ros.node.main import SIGNALS
@@ -56,13 +56,9 @@ def run(arguments: Sequence[str] | None = None) -> None:
     for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)  # It is ending.
     rclpy.try_shutdown()
-    if not idle or _works():
-        # The network is in the middle of a frame and cannot be interrupted, or a thread learns or
-        # draws the map; tearing the interpreter down below them may crash, waiting for them may
-        # take seconds.
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(0)
+    # The network may be in the middle of a frame, and cannot be interrupted; threads learn, or
+    # draw the map.
+    end_if_busy(not idle)
     # The interpreter's last garbage collections walk through all of numba: two thirds of the time
     # that ending takes.
     gc.freeze()
@@ -89,12 +85,6 @@ def _serve(stop: _Stop) -> bool:
     finally:
         idle = node.end()
     return idle
-
-
-def _works() -> bool:
-    """Say whether a thread is at work that nobody waits for at the end."""
-    return any(thread.daemon and thread is not threading.current_thread()
-               for thread in threading.enumerate())
 
 
 def _can_log() -> bool:

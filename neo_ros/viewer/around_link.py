@@ -50,11 +50,10 @@ class AroundLink:
     Tells one viewer of the camera's place, and draws where the viewer looks.
 
     To the viewer: JSON of type `place` (`why`: the look that was asked for cannot be drawn),
-    `distance`, `full`; or a look, see `pictures.pack`: a
-    JSON object, a JPEG, a PNG of its kinds, see `memory.look_around`. From the viewer: JSON
-    objects with `look` (yaw, pitch, hfov in radians, width, height in pixels; null = no more),
-    `got` (seq of a message), `ahead` (seconds that a message is on its way), `ask` (x, y in
-    shares of the picture, id).
+    `distance`, `full`; or a look, see `pictures.pack`: a JSON object, a JPEG, a PNG of its kinds,
+    see `memory.look_around`. From the viewer: JSON objects with `look` (yaw, pitch, hfov in
+    radians, width, height in pixels; null = no more), `got` (seq of a message), `ahead` (seconds
+    that a message is on its way), `ask` (x, y in shares of the picture, id).
     """
 
     def __init__(self, socket: web.WebSocketResponse, where: Whereabouts,

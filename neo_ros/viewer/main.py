@@ -6,6 +6,7 @@ import sys
 from typing import Any
 
 from neo_ros.errors import NeoError
+from neo_ros.machine.processes import end_if_busy
 from neo_ros.viewer.settings import read_token, ViewerSettings
 from rcl_interfaces.msg import ParameterDescriptor
 import rclpy
@@ -48,8 +49,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
                  'checkout')
     finally:
         rclpy.try_shutdown()
-    from neo_ros.viewer.ending import end_if_busy
-
     end_if_busy()
 
 

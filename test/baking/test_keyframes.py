@@ -378,10 +378,12 @@ def test_a_texture_is_never_larger_than_what_reads_it_takes(focal: float, top: f
     rows, columns, finer = keyframe_size(Band(top, -top), focal)
     assert rows == int(2 * top * 96) and columns == 603
     assert max(rows, columns) * finer < (1 << 15) - 1
-    assert rows * columns * finer ** 2 * 3 <= MOST_TEXTURE
+    assert rows * columns * finer ** 2 <= MOST_TEXTURE
+    assert rows * columns * finer ** 2 * 3 <= BakingRules.most_bytes
     # As large as it may be.
     finer += 1
-    assert columns * finer > (1 << 15) - 2 or rows * columns * finer ** 2 * 3 > MOST_TEXTURE
+    assert columns * finer > (1 << 15) - 2 or (
+        rows * columns * finer ** 2 * 3 > BakingRules.most_bytes)
 
 
 def test_usual_textures_are_as_fine_as_the_view_or_three_times() -> None:

@@ -3,7 +3,7 @@ The viewer's server as a process, for a camera in the box room.
 
 Arguments: the folder for the model, or '' to go without one. Lines on the input: JSON objects
 with `x`, `y`, `yaw` (degrees) of the camera; `lost`, whether its place is known; `late`, seconds
-by which everything comes late.
+by which everything comes late; `torn`, whether its images cannot be read.
 """
 from functools import partial
 import json
@@ -14,6 +14,7 @@ import time
 from typing import Any
 
 from box_room import EXPANSION, planar, view, write_box_model
+from neo_ros.errors import NeoError
 from neo_ros.viewer.hub import Hub
 from neo_ros.viewer.pictures import SourcePicture, SourceState
 from neo_ros.viewer.server import serve
@@ -21,8 +22,13 @@ from neo_ros.viewer.settings import ViewerSettings
 from neo_ros.viewer.whereabouts import Place
 import numpy as np
 
-START = {'x': 1.9, 'y': 1.7, 'yaw': 30.0, 'lost': False, 'late': 0.0}
+START = {'x': 1.9, 'y': 1.7, 'yaw': 30.0, 'lost': False, 'late': 0.0, 'torn': False}
 PERIOD_S = 0.1
+
+
+def unreadable() -> np.ndarray:
+    """Fail as a damaged file does."""
+    raise NeoError('image 7: damaged')
 
 
 class BoxSource:
@@ -45,7 +51,8 @@ class BoxSource:
             image, _ = view(pose, EXPANSION.target)
             captured = time.monotonic() - now['late']
             if not now['lost']:
-                hub.where.put(Place(pose, captured, partial(np.asarray, image)))
+                hub.where.put(Place(pose, captured, unreadable if now['torn']
+                                    else partial(np.asarray, image)))
             hub.publish(SourcePicture(image, captured, True, None, (0.25, 0.25, 0.5, 0.5)))
 
 

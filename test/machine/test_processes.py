@@ -1,4 +1,4 @@
-"""Work in several processes: in order, and none outlives the one that asked for it."""
+"""Work in several processes: in order, none outlives who asked for it, and how one ends."""
 import os
 from pathlib import Path
 import signal
@@ -53,3 +53,21 @@ def test_they_end_with_the_process_that_asked_even_if_it_is_killed(tmp_path: Pat
     while any(map(is_there, workers)):
         assert time.monotonic() < deadline
         time.sleep(0.05)
+
+
+ENDING = """
+import atexit, threading, time
+from neo_ros.machine.processes import end_if_busy
+atexit.register(print, 'torn down')
+if {busy}:
+    threading.Thread(target=time.sleep, args=(60,), daemon=True).start()
+print('said')
+end_if_busy()
+"""
+
+
+@pytest.mark.parametrize('busy', [False, True])
+def test_the_interpreter_is_torn_down_unless_a_thread_works(busy: bool) -> None:
+    result = subprocess.run([sys.executable, '-c', ENDING.format(busy=busy)], text=True,
+                            cwd=Path(__file__).parents[2], capture_output=True, check=True)
+    assert result.stdout.split('\n')[:-1] == ['said', *([] if busy else ['torn down'])]

@@ -186,14 +186,16 @@ def test_max_fps_may_be_raised_while_it_waits(bench):
     assert bench.outputs.headers == [0, 1]
 
 
-def test_a_camera_that_nobody_followed_may_be_elsewhere(bench):
-    def resets_after(header):
-        bench.worker.submit(frame(header))
-        bench.extrapolator.gate.release()
-        assert bench.outputs.published.acquire(timeout=WAIT_S)
-        return bench.extrapolator.resets
+def resets_after(bench, header):
+    """Let an image be widened; return how often the camera has been searched for anew."""
+    bench.worker.submit(frame(header))
+    bench.extrapolator.gate.release()
+    assert bench.outputs.published.acquire(timeout=WAIT_S)
+    return bench.extrapolator.resets
 
-    assert [resets_after('first'), resets_after('second')] == [1, 1]
+
+def test_a_camera_that_nobody_followed_may_be_elsewhere(bench):
+    assert [resets_after(bench, 'first'), resets_after(bench, 'second')] == [1, 1]
     asked = threading.Event()
 
     def nothing():
@@ -204,23 +206,17 @@ def test_a_camera_that_nobody_followed_may_be_elsewhere(bench):
         patch.setattr(bench.outputs, 'wanted', nothing)
         bench.worker.submit(frame('unseen'))
         assert asked.wait(WAIT_S)
-    assert [resets_after('third'), resets_after('fourth')] == [2, 2]
+    assert [resets_after(bench, 'third'), resets_after(bench, 'fourth')] == [2, 2]
     bench.worker.forget()
-    assert resets_after('fifth') == 3
+    assert resets_after(bench, 'fifth') == 3
 
 
 def test_a_camera_whose_mask_alone_is_wanted_is_not_followed(bench):
-    def resets_after(header):
-        bench.worker.submit(frame(header))
-        bench.extrapolator.gate.release()
-        assert bench.outputs.published.acquire(timeout=WAIT_S)
-        return bench.extrapolator.resets
-
-    assert resets_after('first') == 1
+    assert resets_after(bench, 'first') == 1
     bench.outputs._wanted = Wanted(image=False, compressed=False, confidence=False)
-    assert resets_after('mask') == 1
+    assert resets_after(bench, 'mask') == 1
     bench.outputs._wanted = Wanted()
-    assert [resets_after('third'), resets_after('fourth')] == [2, 2]
+    assert [resets_after(bench, 'third'), resets_after(bench, 'fourth')] == [2, 2]
 
 
 def test_max_fps_may_become_none_at_any_moment():

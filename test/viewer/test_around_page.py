@@ -11,7 +11,7 @@ from viewer_pages import CONTRAST, opened_page, ServerProcess, wait_for
 # The first of all fixtures: without a browser nothing need start.
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures('browser')]
 
-START = {'x': 1.9, 'y': 1.7, 'yaw': 30.0, 'lost': False, 'late': 0.0}
+START = {'x': 1.9, 'y': 1.7, 'yaw': 30.0, 'lost': False, 'late': 0.0, 'torn': False}
 # What an arrow key turns, radians, and + zooms by; the wide view is shown at first.
 STEP, ZOOM, FIELD = 0.12, 1.15, 1.75
 YELLOW = (255, 214, 0)
@@ -207,6 +207,15 @@ def test_a_late_look_says_so(page: Any, viewer: ServerProcess) -> None:
     viewer.tell({'late': 3.0})
     wait_for(page, lambda: page.inner_text('#look-sign').startswith('Stale: nothing has come for'))
     viewer.tell({'late': 0.0})
+    page.wait_for_selector('#look-sign', state='hidden')
+
+
+def test_a_look_that_cannot_be_drawn_says_why(page: Any, viewer: ServerProcess) -> None:
+    page.keyboard.press('ArrowLeft')
+    wait_for_look(page, camera_yaw() + STEP)
+    viewer.tell({'torn': True})
+    wait_for(page, lambda: page.inner_text('#look-sign') == 'Cannot be drawn: image 7: damaged')
+    viewer.tell({'torn': False})
     page.wait_for_selector('#look-sign', state='hidden')
 
 

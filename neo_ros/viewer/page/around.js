@@ -91,6 +91,7 @@ export class Around {
   move(place) {
     this.place = place;
     this.map?.add(place);
+    if (place.why && this.direction) this.sign(`Cannot be drawn: ${place.why}`, true);
     this.tick();
   }
 
@@ -157,14 +158,19 @@ export class Around {
 
   showLook() {
     const { look } = this;
-    const sign = find('look-sign');
-    sign.hidden = !look.predicted;
-    sign.classList.toggle('old', look.stale);
     const late = `${(look.age).toFixed(1)} s`;
-    sign.textContent = look.stale ? `Stale: nothing has come for ${late}.`
-      : `Predicted: ${late} late, drawn where the last motion leads.`;
-    find('look').classList.toggle('old', look.stale);
+    this.sign(!look.predicted ? '' : look.stale ? `Stale: nothing has come for ${late}.`
+      : `Predicted: ${late} late, drawn where the last motion leads.`, look.stale);
     this.paint();
+  }
+
+  // Say something about the look, or nothing; `old`: it does not show what is there now.
+  sign(words, old) {
+    const sign = find('look-sign');
+    sign.hidden = !words;
+    sign.textContent = words;
+    sign.classList.toggle('old', old);
+    find('look').classList.toggle('old', old);
   }
 
   paint() {
