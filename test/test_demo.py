@@ -104,20 +104,29 @@ def test_a_part_of_the_graph_that_ends_is_told_at_once(
 def test_another_camera_gets_a_model_of_its_own(
         tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def train(scene, experiment, out, progress, minutes):
-        assert minutes == 0.5
-        out.mkdir()
+        trained.append(minutes)
+        out.mkdir(exist_ok=True)
         write_tiny_model(out / 'demo_flat.onnx', scene_id=read_scene(scene).name)
+        (out / 'plan.json').write_text(json.dumps(
+            {'minutes': minutes, 'experiment': {}, 'network_minutes': None}))
+        if len(trained) == 1:
+            raise NeoError('broken off')
+        (out / 'report.html').touch()
         return SimpleNamespace(model_path=out / 'demo_flat.onnx')
 
-    shown = []
+    shown: list[Path] = []
+    trained: list[float] = []
     monkeypatch.setattr('neo_ros.pipeline.train', train)
     monkeypatch.setattr('neo_ros.demo.run_demo', lambda model, *others: shown.append(model))
     monkeypatch.setattr('neo_ros.demo.write_demo_scene',
                         partial(write_demo_scene, n_train=4, workers=1))
-    told = CliRunner().invoke(app, ['demo', '--out', str(tmp_path), '--camera', '32x24@69',
-                                    '--minutes', '0.5'])
-    assert told.exit_code == 0, told.output
-    assert shown == [tmp_path / '32x24@69/model/demo_flat.onnx'] and shown[0].is_file()
+    # What was broken off goes on; what is finished is shown, or trained by other minutes.
+    for minutes in ('0.5', '0.5', '0.5', '1'):
+        told = CliRunner().invoke(app, ['demo', '--out', str(tmp_path), '--camera', '32x24@69',
+                                        '--minutes', minutes])
+        assert told.exit_code == int(not shown and len(trained) == 1), told.output
+    assert trained == [0.5, 0.5, 1]
+    assert shown == [tmp_path / '32x24@69/model/demo_flat.onnx'] * 3 and shown[0].is_file()
     photos = read_scene(tmp_path / '32x24@69/demo_flat').train
     assert (photos.intrinsics.width, photos.intrinsics.height) == (32, 24)
     assert photos.intrinsics.hfov == pytest.approx(math.radians(69))

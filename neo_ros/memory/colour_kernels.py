@@ -1,6 +1,6 @@
 """Compiled loops over the colours of a wide view: exposure, differences at the seam, blending."""
 from neo_ros.machine.compiled import njit
-from neo_ros.memory.kernels import FAST
+from neo_ros.memory.kernels import BANDS, FAST
 from numba import prange
 import numpy as np
 
@@ -48,32 +48,151 @@ def average_differences(image, guide, known, window, block, most, coarse):
                 coarse[row, column, c] *= share
 
 
-@njit(parallel=True, **FAST)
-def bend_colours(guide, correction, difference, weight, of_seen, least_error, wide, error):
-    """
-    Add to the guide what the seam and the last images correct, and tell the error that is left.
+@njit(**FAST)
+def _rows_at(y, scale, rows):
+    """Return the two rows, of so many, that row y of a view lies between, and how far."""
+    at = max((y + np.float32(0.5)) * scale - np.float32(0.5), np.float32(0))
+    upper = min(int(at), rows - 1)
+    return upper, min(upper + 1, rows - 1), at - np.float32(upper)
 
-    guide, correction float32 (H, W, 3); difference and weight as `SeenBefore`'s; of_seen: the
-    share of the differences that is expected as error. Fills wide uint8 (H, W, 3); error float32
-    (H, W) holds the seam's, and is changed in place.
-    """
+
+@njit(**FAST)
+def _bend_row(guide, carried, down, seen, seen_down, rule, wide, error):
+    """Do `bend_colours` in one row: two rows each of carried and seen, and how far between."""
     one, half, white = np.float32(1), np.float32(0.5), np.float32(255)
-    share = np.float32(of_seen / 3)
-    for y in prange(guide.shape[0]):
-        for x in range(guide.shape[1]):
-            rest, seen = one - weight[y, x], np.float32(0)
-            for c in range(3):
-                off = difference[y, x, c]
-                seen += abs(off)
-                colour = guide[y, x, c] + correction[y, x, c] * rest + off
-                wide[y, x, c] = np.uint8(min(max(colour + half, np.float32(0)), white))
-            error[y, x] = error[y, x] * rest + seen * share + weight[y, x] * least_error
+    share, least = rule
+    (upper, lower), (before, after) = carried, seen
+    for x in range(len(error)):
+        weight = before[x, 3] + seen_down * (after[x, 3] - before[x, 3])
+        rest, known = one - weight, np.float32(0)
+        for c in range(3):
+            bend = upper[x, c] + down * (lower[x, c] - upper[x, c])
+            off = before[x, c] + seen_down * (after[x, c] - before[x, c])
+            known += abs(off)
+            colour = guide[x, c] + bend * rest + off
+            wide[x, c] = np.uint8(min(max(colour + half, np.float32(0)), white))
+        seam = upper[x, 3] + down * (lower[x, 3] - upper[x, 3])
+        error[x] = seam * rest + known * share + weight * least
 
 
 @njit(parallel=True, **FAST)
-def add_slope(slope, share, stretched, more, least, error):
-    """Let error (H, W) grow by a share of the picture's slope, and by more where stretched."""
-    for y in prange(error.shape[0]):
-        for x in range(error.shape[1]):
-            expected = max(error[y, x] + share * slope[y, x], least)
-            error[y, x] = (expected + more if stretched[y, x] else expected) / np.float32(255)
+def bend_colours(image, window, guide, carried, block, seen, of_seen, least_error, wide, error):
+    """
+    Join image and guide: bend the guide's colours, and tell the error that is left.
+
+    image uint8 (h, w, 3), whose first row and column in the wide view are `window`; guide float32
+    (H, W, 3); carried float32 (n, W, 4): the seam's correction and error, a row for every `block`
+    rows of the view; seen float32 (m, W, 4): differences and weights of `SeenBefore`, in m rows as
+    high as the view; of_seen: the share of the differences that is expected as error. Fills wide
+    uint8 (H, W, 3) and error float32 (H, W), 0 in the window.
+    """
+    height, width = error.shape
+    top, left = window
+    bottom, right = top + image.shape[0], left + image.shape[1]
+    rule = np.float32(of_seen / 3), least_error
+    scale, seen_scale = np.float32(1 / block), np.float32(len(seen) / height)
+    for y in prange(height):
+        inside = top <= y < bottom
+        a, b, down = _rows_at(y, scale, len(carried))
+        m, n, seen_down = _rows_at(y, seen_scale, len(seen))
+        for side in range(2 if inside else 1):
+            first, end = (right, width) if side else (0, left if inside else width)
+            _bend_row(guide[y, first:end], (carried[a, first:end], carried[b, first:end]), down,
+                      (seen[m, first:end], seen[n, first:end]), seen_down, rule,
+                      wide[y, first:end], error[y, first:end])
+        if inside:
+            wide[y, left:right] = image[y - top]
+            error[y, left:right] = 0
+
+
+@njit(parallel=True, **FAST)
+def shrink_known(image, known, times, mean, weight):
+    """
+    Average what is known of image, uint8 (H, W, 3), over squares of `times` by `times` pixels.
+
+    known bool (H, W). Fills mean float32 (h, w, 3), and weight float32 (h, w), 1 where any is
+    known; else both are 0.
+    """
+    height, width = known.shape
+    for row in prange(mean.shape[0]):
+        for column in range(mean.shape[1]):
+            total, count = np.zeros(3, np.int64), 0
+            for y in range(row * times, min((row + 1) * times, height)):
+                for x in range(column * times, min((column + 1) * times, width)):
+                    if known[y, x]:
+                        count += 1
+                        for c in range(3):
+                            total[c] += image[y, x, c]
+            weight[row, column] = min(count, 1)
+            for c in range(3):
+                mean[row, column, c] = total[c] / np.float32(max(count, 1))
+
+
+@njit(parallel=True, **FAST)
+def fill_unknown(image, known, times, coarse):
+    """Fill what is not known of image, uint8 (H, W, 3), from coarse, see `shrink_known`."""
+    scale, half = np.float32(1 / times), np.float32(0.5)
+    rows, columns = coarse.shape[:2]
+    for y in prange(known.shape[0]):
+        upper, lower, down = _rows_at(y, scale, rows)
+        for x in range(known.shape[1]):
+            if known[y, x]:
+                continue
+            left, right, across = _rows_at(x, scale, columns)
+            for c in range(3):
+                above = coarse[upper, left, c] + across * (
+                    coarse[upper, right, c] - coarse[upper, left, c])
+                below = coarse[lower, left, c] + across * (
+                    coarse[lower, right, c] - coarse[lower, left, c])
+                image[y, x, c] = np.uint8(above + down * (below - above) + half)
+
+
+@njit(**FAST)
+def _mirrored(index, count):
+    """Return an index at most one beyond the ends as OpenCV's BORDER_REFLECT_101 does."""
+    return min(abs(index), max(2 * count - 2 - index, 0))
+
+
+@njit(**FAST)
+def _slope_row(above, row, below, steep, sums):
+    """
+    Fill sums (w,) with the slope, eight times levels a pixel, of three neighbours of a grey row.
+
+    above, row, below uint8 (w,); steep float32 (w,), room for the slopes.
+    """
+    width = len(row)
+    for x in range(width):
+        b, a = _mirrored(x - 1, width), _mirrored(x + 1, width)
+        across = (np.int32(above[a]) - above[b] + below[a] - below[b]
+                  + 2 * (np.int32(row[a]) - row[b]))
+        down = (np.int32(below[b]) - above[b] + below[a] - above[a]
+                + 2 * (np.int32(below[x]) - above[x]))
+        steep[x] = np.sqrt(np.float32(across * across + down * down))
+    for x in range(width):
+        sums[x] = steep[_mirrored(x - 1, width)] + steep[x] + steep[_mirrored(x + 1, width)]
+
+
+@njit(parallel=True, **FAST)
+def add_slope(grey, share, stretched, more, least, error):
+    """
+    Let error (H, W) grow by a share of the picture's slope, and by more where stretched.
+
+    grey uint8 (H, W), whose slope is the mean over 3x3 pixels, levels a pixel; error: grey levels
+    before, of full brightness behind.
+    """
+    height, width = error.shape
+    times, white = np.float32(share / 72), np.float32(1 / 255)
+    for band in prange(BANDS):
+        low, high = band * height // BANDS, (band + 1) * height // BANDS
+        steep, sums = np.empty(width, np.float32), np.empty((3, width), np.float32)
+        for y in range(low - 1, high + 1):
+            middle = _mirrored(y, height)
+            _slope_row(grey[_mirrored(middle - 1, height)], grey[middle],
+                       grey[_mirrored(middle + 1, height)], steep, sums[y % 3])
+            if y <= low:
+                continue
+            own, soft = error[y - 1], stretched[y - 1]
+            for x in range(width):
+                slope = sums[0, x] + sums[1, x] + sums[2, x]
+                expected = max(own[x] + times * slope, least)
+                own[x] = (expected + more if soft[x] else expected) * white

@@ -69,38 +69,46 @@ def fuse(image: np.ndarray, guide: Guide, expansion: ViewExpansion,
     guide's edges, and from things that may have changed.
     """
     rows, columns = expansion.observed
-    correction, error = _carried_outward(image, guide, expansion, thresholds)
-    wide = np.empty(guide.image.shape, np.uint8)
-    difference, weight = guide.seen_before or (
-        np.zeros(guide.image.shape, np.float32), np.zeros(guide.known.shape, np.float32))
-    kernels.bend_colours(guide.image, correction, difference, weight,
-                         np.float32(thresholds.seen_before), np.float32(thresholds.least_error),
-                         wide, error)
-    wide[rows, columns] = image
+    carried, block = _carried_outward(image, guide, expansion, thresholds)
+    wide, error = np.empty(guide.image.shape, np.uint8), np.empty(guide.known.shape, np.float32)
+    kernels.bend_colours(image, (rows.start, columns.start), guide.image, carried, block,
+                         _seen_before(guide), np.float32(thresholds.seen_before),
+                         np.float32(thresholds.least_error), wide, error)
     known = guide.known.copy()
     known[rows, columns] = True
     if not known.all():
-        wide = _filled(wide, known)
-    kernels.add_slope(_slope(wide), np.float32(thresholds.slope), guide.stretched,
-                      np.float32(thresholds.stretched), np.float32(thresholds.least_error), error)
+        _fill(wide, known)
+    kernels.add_slope(cv2.cvtColor(wide, cv2.COLOR_RGB2GRAY), np.float32(thresholds.slope),
+                      guide.stretched, np.float32(thresholds.stretched),
+                      np.float32(thresholds.least_error), error)
     edges = _edges(guide, thresholds.leap)
     edges[rows, columns] = 0
     cv2.copyTo(cv2.GaussianBlur(wide, (3, 3), thresholds.edge_sigma), edges, wide)
     if guide.two_states is not None:
-        error += guide.two_states * (1 - weight) * np.float32(thresholds.two_states / 255)
+        seen = 0 if guide.seen_before is None else guide.seen_before.at(known.shape).weight
+        error += guide.two_states * (1 - seen) * np.float32(thresholds.two_states / 255)
     error[~known] = thresholds.gap_error / 255
     error[rows, columns] = 0
     return wide, error
 
 
+def _seen_before(guide: Guide) -> np.ndarray:
+    """Return differences and weight of the last images, float32 (n, W, 4), as fine as they are."""
+    width = guide.known.shape[1]
+    if guide.seen_before is None:
+        return np.zeros((1, width, 4), np.float32)
+    seen = np.dstack(guide.seen_before)
+    return cv2.resize(seen, (width, len(seen)), interpolation=cv2.INTER_LINEAR)
+
+
 def _carried_outward(image: np.ndarray, guide: Guide, expansion: ViewExpansion,
-                     thresholds: FusionThresholds) -> tuple[np.ndarray, np.ndarray]:
+                     thresholds: FusionThresholds) -> tuple[np.ndarray, int]:
     """
     Spread the differences of image and guide in the observed window over the wide view.
 
-    Returns what is to be added to the guide, float32 (H, W, 3): the mean of the nearest
-    differences, fading with the distance from the seam; and the error that the nearest absolute
-    differences let expect, float32 (H, W), which does not fade.
+    Returns float32 (n, W, 4), and for how many rows of the view each of its n rows stands: what is
+    to be added to the guide, the mean of the nearest differences, fading with the distance from
+    the seam; and the error that the nearest absolute differences let expect, which does not fade.
     """
     rows, columns = expansion.observed
     target = expansion.target
@@ -117,25 +125,10 @@ def _carried_outward(image: np.ndarray, guide: Guide, expansion: ViewExpansion,
     # Far from the seam nothing is known of the difference: the correction fades, the error stays.
     mean[..., :3] *= np.minimum(2 * spread[..., -1:], 1)
     seam = mean[..., 3]
-    expected = thresholds.seam * seam + thresholds.contradicted * np.maximum(
+    mean[..., 3] = thresholds.seam * seam + thresholds.contradicted * np.maximum(
         seam - thresholds.contradiction, 0)
-    return (_from_blocks(mean[..., :3], expansion, block),
-            _from_blocks(expected, expansion, block))
-
-
-def _from_blocks(coarse: np.ndarray, expansion: ViewExpansion, block: int) -> np.ndarray:
-    """Interpolate between the middles of the blocks of the wide view."""
-    size = (coarse.shape[1] * block, coarse.shape[0] * block)
-    fine = cv2.resize(coarse, size, interpolation=cv2.INTER_LINEAR)
-    return fine[:expansion.target.height, :expansion.target.width]
-
-
-def _slope(image: np.ndarray) -> np.ndarray:
-    """Return how steep the grey of RGB uint8 (H, W, 3) is, levels a pixel, float32 (H, W)."""
-    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-    across, down = (cv2.Sobel(grey, cv2.CV_32F, *order, scale=1 / 8) for order in ((1, 0), (0, 1)))
-    # Not cv2.magnitude, whose last bits depend on where in memory its arguments lie.
-    return cv2.blur(np.sqrt(across * across + down * down), (3, 3))
+    across = cv2.resize(mean, (small[0] * block, small[1]), interpolation=cv2.INTER_LINEAR)
+    return np.ascontiguousarray(across[:, :target.width]), block
 
 
 def _edges(guide: Guide, leap: float) -> np.ndarray:
@@ -149,15 +142,12 @@ def _edges(guide: Guide, leap: float) -> np.ndarray:
     return cv2.bitwise_or(edges, cv2.compare(farthest, (1 + leap) * nearest, cv2.CMP_GT))
 
 
-def _filled(image: np.ndarray, known: np.ndarray) -> np.ndarray:
+def _fill(image: np.ndarray, known: np.ndarray) -> None:
     """Fill what is not known, bool (H, W), with the mean of the known colours around it."""
     height, width = known.shape
-    small = (-(-width // SHRUNK), -(-height // SHRUNK))
-    seen = cv2.bitwise_and(image, image, mask=known.view(np.uint8)).astype(np.float32)
-    result = cv2.resize(seen, small, interpolation=cv2.INTER_AREA)
-    weight = cv2.resize(known.astype(np.float32), small, interpolation=cv2.INTER_AREA)
-    result = result / np.maximum(weight, 1e-6)[..., None]
-    weight = (weight > 0).astype(np.float32)
+    result = np.empty((-(-height // SHRUNK), -(-width // SHRUNK), 3), np.float32)
+    weight = np.empty(result.shape[:2], np.float32)
+    kernels.shrink_known(image, known, SHRUNK, result, weight)
     for side in GAPS:
         if weight.all():
             break
@@ -166,6 +156,4 @@ def _filled(image: np.ndarray, known: np.ndarray) -> np.ndarray:
         colours = cv2.blur(result, (side, side))
         result[gap] = colours[gap] / around[gap][:, None]
         weight[gap] = 1
-    fine: np.ndarray = cv2.resize(result, (width, height))
-    fine += 0.5
-    return cv2.copyTo(image, known.view(np.uint8), fine.astype(np.uint8))
+    kernels.fill_unknown(image, known, SHRUNK, result)

@@ -37,12 +37,20 @@ class SeenBefore(NamedTuple):
     """
     By how much the last images differ from the memory, in the wide view of the present one.
 
-    weight float32 (H, W) in [0, 1], 0 where none of them saw the surface, never 0 all over;
-    difference float32 (H, W, 3), the weight times grey levels in the present image's exposure.
+    weight float32 (h, w) in [0, 1], 0 where none of them saw the surface, never 0 all over;
+    difference float32 (h, w, 3), the weight times grey levels in the present image's exposure.
+    They are as fine as the images that were kept, and show the whole view.
     """
 
     difference: np.ndarray
     weight: np.ndarray
+
+    def at(self, shape: tuple[int, ...]) -> 'SeenBefore':
+        """Return it for every pixel of the view of (H, W) pixels."""
+        if self.weight.shape == shape:
+            return self
+        return SeenBefore(*(cv2.resize(one, shape[::-1], interpolation=cv2.INTER_LINEAR)
+                            for one in self))
 
 
 class RecentImages:
@@ -54,7 +62,6 @@ class RecentImages:
         scale = min(1.0, thresholds.widest / expansion.source.width)
         self._source, self._target = expansion.source.scaled(scale), expansion.target.scaled(scale)
         self._observed = expansion.observed
-        self._size = (expansion.target.width, expansion.target.height)
         self._rays = self._target.pixel_rays()
         self._ring = cv2.resize(expansion.extrapolated_mask.view(np.uint8),
                                 (self._target.width, self._target.height),
@@ -140,12 +147,7 @@ class RecentImages:
         seen = SeenImages(self._differences, self._depths, self._trusts, np.array(order),
                           T[:, :3, :3].astype(np.float32), T[:, :3, 3].astype(np.float32))
         bring_differences(self._rays, small, gain, seen, self._twins, camera, brought, weight)
-        if not weight.any():
-            return None
-        if size == self._size:
-            return SeenBefore(brought, weight)
-        return SeenBefore(cv2.resize(brought, self._size, interpolation=cv2.INTER_LINEAR),
-                          cv2.resize(weight, self._size, interpolation=cv2.INTER_LINEAR))
+        return SeenBefore(brought, weight) if weight.any() else None
 
 
 def _sharpness(image: np.ndarray) -> float:

@@ -156,8 +156,10 @@ class SceneGuide:
         """Have decoded what will be drawn if the camera moves on as it does."""
         step = (pose.T_world_cam @ self._motion)[:3, 3] - pose.position
         soon = pose.position + self.thresholds.decoded_ahead * step
-        self._memory.decode_ahead(map(int, self.renderer.nearest(soon, self.thresholds.shown)),
-                                  self.expansion.target.fx)
+        nearest = [int(index) for index in self.renderer.nearest(soon, self.thresholds.shown)]
+        # In the order in which an image needs them: it is aligned before the wide view is drawn.
+        for camera in (self.aligner.levels[0], self.expansion.target):
+            self._memory.decode_ahead(nearest, camera.fx)
 
     def _search_is_due(self, best: Sight | None) -> bool:
         if best is None:

@@ -60,8 +60,9 @@ def ramp_error(expansion: ViewExpansion, count: int) -> float:
     shown = grey.copy()
     shown[expansion.observed] += np.rint(image) - image  # So that nothing is rounded.
     recent.keep(np.rint(image).astype(np.uint8), shown, depth_at(BEFORE, target), BEFORE, ONE)
-    seen = recent.bring(depth_at(NOW, target), NOW, ONE)
-    assert seen is not None and seen.weight.shape == (target.height, target.width)
+    brought = recent.bring(depth_at(NOW, target), NOW, ONE)
+    assert brought is not None
+    seen = brought.at((target.height, target.width))
     where = there(expansion, NOW, BEFORE)
     expected = (where[..., 0] - middle) / step
     sure = (seen.weight > 0.55) & (np.abs(expected) < 9)

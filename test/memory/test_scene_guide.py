@@ -1,5 +1,4 @@
 """Finding and following a camera in the box room, whose poses are known."""
-from collections.abc import Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 import time
 from typing import Any
@@ -165,17 +164,17 @@ def test_keyframes_are_decoded_before_the_camera_comes_to_them(
     guide = SceneGuide(memory, EXPANSION, thresholds=GuideThresholds(shown=1))
     there = next(int(index) for index in np.argsort(memory.positions[:, 0])[::-1])
     end = memory.positions[there]
-    walk = [planar(end[0] - 0.6 + 0.03 * step, end[1], 180) for step in range(4)]
-    asked: list[int] = []
+    walk = [planar(end[0] - 0.3 + 0.06 * step, end[1], 180) for step in range(4)]
+    asked: list[tuple[int, float]] = []
     decode_ahead = memory.decode_ahead
 
-    def watched(indices: Iterable[int], focal: float) -> None:
-        asked.extend(indices := list(indices))
+    def watched(indices: list[int], focal: float) -> None:
+        asked.extend((index, focal) for index in indices)
         decode_ahead(indices, focal)
     monkeypatch.setattr(memory, 'decode_ahead', watched)
     for pose in walk:
         assert guide.guide(photo_at(pose)) is not None
-    assert asked[-1] == there
+    assert asked[-2:] == [(there, guide.aligner.levels[0].fx), (there, EXPANSION.target.fx)]
 
 
 def test_a_jump_is_no_motion(monkeypatch: pytest.MonkeyPatch) -> None:
