@@ -116,16 +116,19 @@ def shrink_known(image, known, times, mean, weight):
     height, width = known.shape
     for row in prange(mean.shape[0]):
         for column in range(mean.shape[1]):
-            total, count = np.zeros(3, np.int64), 0
+            red, green, blue, count = 0, 0, 0, 0
             for y in range(row * times, min((row + 1) * times, height)):
                 for x in range(column * times, min((column + 1) * times, width)):
                     if known[y, x]:
                         count += 1
-                        for c in range(3):
-                            total[c] += image[y, x, c]
+                        red += image[y, x, 0]
+                        green += image[y, x, 1]
+                        blue += image[y, x, 2]
             weight[row, column] = min(count, 1)
-            for c in range(3):
-                mean[row, column, c] = total[c] / np.float32(max(count, 1))
+            share = np.float32(1 / max(count, 1))
+            mean[row, column, 0] = red * share
+            mean[row, column, 1] = green * share
+            mean[row, column, 2] = blue * share
 
 
 @njit(parallel=True, **FAST)

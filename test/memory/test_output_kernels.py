@@ -1,10 +1,11 @@
-"""What the kernels of pose and depth tell, against the plain formulas that they stand for."""
+"""What kernels of pose, depth and colour tell, against the plain formulas they stand for."""
 from concurrent.futures import ThreadPoolExecutor
 
 import cv2
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.memory.alignment_kernels import (
     equations_in_place, GuideLevel, normal_equations, PhotoLevel, Warp)
+from neo_ros.memory.colour_kernels import add_slope, bend_colours
 from neo_ros.memory.kernels import Pinhole
 from neo_ros.memory.pose_covariance import aligned_covariance
 from neo_ros.memory.recent_images import SeenBefore
@@ -117,3 +118,39 @@ def test_threads_may_ask_at_once():
         for _ in range(5):
             found = pool.map(lambda one: one[0].trusted_depth(*one[1:]), asked)
             assert all(np.array_equal(*pair, equal_nan=True) for pair in zip(found, expected))
+
+
+@pytest.mark.parametrize('shape', [(99, 123), (8, 5), (1, 2)])
+def test_slopes_are_those_of_sobel(shape: tuple[int, int]) -> None:
+    random = np.random.default_rng(0)
+    grey = random.integers(0, 256, shape, np.uint8)
+    error, stretched = random.uniform(0, 30, shape).astype(np.float32), random.random(shape) < 0.2
+    across, down = (cv2.Sobel(grey, cv2.CV_32F, *order, scale=1 / 8)
+                    for order in ((1, 0), (0, 1)))
+    slope = cv2.blur(np.hypot(across, down), (3, 3))
+    expected = np.maximum(error + 0.4 * slope, 20) + 4 * stretched
+    add_slope(grey, np.float32(0.4), stretched, np.float32(4), np.float32(20), error)
+    assert np.allclose(255 * error, expected, rtol=0, atol=1e-3)
+
+
+@pytest.mark.parametrize('seen_rows', [99, 40, 1])
+def test_colours_are_bent_by_what_lies_between_the_rows(seen_rows: int) -> None:
+    random = np.random.default_rng(0)
+    block, height, width = 8, 99, 123
+    guide = random.uniform(0, 255, (height, width, 3)).astype(np.float32)
+    carried = random.uniform(-9, 9, (13, width, 4)).astype(np.float32)
+    seen = random.uniform(0, 1, (seen_rows, width, 4)).astype(np.float32)
+    image = random.integers(0, 256, (40, 61, 3), np.uint8)
+    wide, error = np.empty(guide.shape, np.uint8), np.empty(guide.shape[:2], np.float32)
+    bend_colours(image, (30, 20), guide, carried, block, seen, np.float32(0.5), np.float32(1),
+                 wide, error)
+    bend = cv2.resize(carried, (width, 13 * block))[:height]
+    fine = cv2.resize(seen, (width, height))
+    off, weight = fine[..., :3], fine[..., 3]
+    colours = np.clip(guide + bend[..., :3] * (1 - weight[..., None]) + off + 0.5, 0, 255)
+    expected = bend[..., 3] * (1 - weight) + 0.5 * np.abs(off).mean(-1) + weight
+    colours[30:70, 20:81], expected[30:70, 20:81] = image, 0
+    # Of a colour that lies on a step rounding may take either side.
+    off_by = np.abs(wide.astype(int) - colours.astype(np.uint8))
+    assert off_by.max() <= 1 and (off_by > 0).mean() < 1e-3
+    assert np.allclose(error, expected, rtol=0, atol=1e-4)
