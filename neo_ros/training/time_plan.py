@@ -147,7 +147,7 @@ class TimeLeft:
                  clock: Callable[[], float] = time.monotonic,
                  rules: PlanRules = PlanRules()) -> None:
         self._plan, self._progress, self._clock, self._rules = plan, progress, clock, rules
-        self._fitted, self._scores = False, 0.0
+        self._fitted, self._points, self._scores = False, 0.0, 0.0
         self._field = rules.field  # Of the minutes: none where a geometry takes its place.
         self._began: dict[str, float] = {}
         self._first: dict[str, tuple[float, int]] = {}  # report of a stage: when, how much
@@ -163,11 +163,15 @@ class TimeLeft:
         self._fitted |= stage in ('field', 'tiles', 'geometry')
         if stage == 'geometry':
             self._field = 0.0
-        # The field needs the points that the memory's landmarks are made of, too.
+        # The field needs the points that the memory's landmarks are made of, too; what they take
+        # is neither the field's nor the memory's, but the network's.
+        if stage in self.POINTS and not self._fitted:
+            now = self._clock()
+            self._points = (now - self._began.setdefault('points', now)) / 60
         if stage in ('plan', 'photos') or stage in self.POINTS and not self._fitted:
-            return minutes
+            return minutes - self._given()
         if stage in ('field', 'tiles'):
-            return minutes * (1 - self._field * done / total)
+            return minutes * (1 - self._field * done / total) - self._given()
         if stage in ('geometry', 'joining tiles'):
             return minutes * (1 - self._field)
         if stage == 'outpainter':  # It counts in seconds.
@@ -182,9 +186,16 @@ class TimeLeft:
         part = 'memory' if stage in self.MEMORY else 'rest'
         spent = (self._clock() - self._began.setdefault(part, self._clock())) / 60
         if part == 'memory':
-            return max(minutes * (1 - self._field) - spent, self._stage_left(stage, done, total)
+            left = minutes * (1 - self._field) - self._given() - spent
+            return max(left, self._stage_left(stage, done, total)
                        + minutes * (rules.least_network + rules.rest))
         return max(minutes * rules.rest - spent, 0.0)
+
+    def _given(self) -> float:
+        """Return the minutes that the network has given for the points."""
+        rules = self._rules
+        return min(self._points, self._plan.minutes * (
+            1 - self._field - rules.rest - rules.least_network))
 
     def _stage_left(self, stage: str, done: int, total: int) -> float:
         """Return the minutes that a stage still needs, as fast as it was so far."""

@@ -177,14 +177,28 @@ def test_scores_and_report_take_as_long_as_they_do_and_not_what_the_plan_leaves_
     assert [note.split(' of ')[0] for note in shown[1:]] == ['11', '3', '3', '1']
 
 
-def test_points_before_the_field_take_nothing_of_the_memorys_time() -> None:
+def test_points_before_the_field_take_the_networks_time_and_nothing_of_the_memorys() -> None:
     tell, now, shown = telling(30)
     tell('features', 1, 9)
-    now[0] = 60
+    now[0] = 240
+    tell('stereo', 9, 9)
+    tell('photos', 0, 9)
     tell('field', 0, 810)
-    now[0] = 900
-    tell('features', 9, 9)
-    assert [note.split(' of ')[0] for note in shown] == ['30', '30', '16']
+    now[0] = 1080
+    tell('field', 810, 810)
+    tell('keyframes', 1, 9)
+    now[0] = 1170
+    tell('keyframes', 9, 9)
+    assert [note.split(' of ')[0] for note in shown] == ['30', '26', '26', '26', '12', '12', '11']
+
+
+def test_points_that_take_longer_than_the_network_has_leave_it_its_least() -> None:
+    tell, now, shown = telling(10)
+    tell('stereo', 0, 9)
+    now[0] = 3600
+    tell('stereo', 9, 9)
+    tell('field', 81, 81)
+    assert [note.split(' of ')[0] for note in shown] == ['10', '6', '2']
 
 
 def test_tiles_are_the_field_and_where_a_geometry_is_given_none_is_fitted() -> None:
