@@ -69,6 +69,9 @@ def fuse(image: np.ndarray, guide: Guide, expansion: ViewExpansion,
     guide's edges, and from things that may have changed.
     """
     rows, columns = expansion.observed
+    # Of one kind wherever it is from: for another the kernels would be compiled anew, for seconds.
+    image = np.ascontiguousarray(image).view()
+    image.flags.writeable = False
     carried, block = _carried_outward(image, guide, expansion, thresholds)
     wide, error = np.empty(guide.image.shape, np.uint8), np.empty(guide.known.shape, np.float32)
     kernels.bend_colours(image, (rows.start, columns.start), guide.image, carried, block,

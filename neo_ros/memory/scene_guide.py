@@ -182,6 +182,7 @@ class SceneGuide:
             self._doubt.settle(image, None, *self._search(image))
             sight = self._looker.look(image, pose)
             wide, known = sight.view, sight.view.depth > 0
+            known[0, 0] = False  # For what fills gaps, which there may be none of.
             gain = self._expose(wide.image, known, image.pixels)
             self._recent.keep(image.pixels, wide.image, wide.depth, pose, gain)
             seen_before = self._recent.bring(wide.depth, pose, gain)

@@ -1,5 +1,9 @@
 """Fusing camera image and guide."""
 from dataclasses import replace
+import os
+from pathlib import Path
+import subprocess
+import sys
 
 from box_room import EXPANSION, planar, view
 from neo_ros.geometry import Intrinsics, ViewExpansion
@@ -35,6 +39,38 @@ def test_the_camera_pixels_are_never_touched() -> None:
     noise = np.random.default_rng(0).integers(0, 256, WIDE.shape).astype(np.uint8)
     wide, _ = fuse(NARROW, guide_of(noise), EXPANSION)
     assert np.array_equal(EXPANSION.crop(wide), NARROW)
+
+
+# In a process of its own: here other tests have compiled what they need.
+COMPILED = """
+from box_room import box_memory, EXPANSION
+from neo_ros.memory import colour_kernels
+from neo_ros.memory.fusion import fuse
+from neo_ros.memory.scene_guide import SceneGuide
+import numpy as np
+
+def fuse_in(wide, writeable=True):
+    image = EXPANSION.crop(wide)
+    image.flags.writeable = writeable
+    fuse(image, shown, EXPANSION)
+    return {name: len(kernel.signatures) for name, kernel in vars(colour_kernels).items()
+            if hasattr(kernel, 'signatures') and not name.startswith('_')}
+
+shown = SceneGuide(box_memory(), EXPANSION).warm_up()
+wide = shown.image.astype(np.uint8)
+before = fuse_in(wide)
+assert min(before.values()) > 0, before
+shown.known[40:, :9] = False
+for other in (fuse_in(wide.copy(), writeable=False), fuse_in(np.asfortranarray(wide))):
+    assert other == before, (before, other)
+"""
+
+
+@pytest.mark.slow
+def test_nothing_is_compiled_anew_for_gaps_or_images_of_another_kind() -> None:
+    helpers = Path(__file__).parents[1] / 'helpers'
+    subprocess.run([sys.executable, '-c', COMPILED], check=True,
+                   env={**os.environ, 'PYTHONPATH': f'{helpers}:{Path(__file__).parents[2]}'})
 
 
 def test_gaps_beside_the_camera_go_on_in_its_colours() -> None:
