@@ -153,7 +153,7 @@ def fill_unknown(image, known, times, coarse):
 @njit(**FAST)
 def _mirrored(index, count):
     """Return an index at most one beyond the ends as OpenCV's BORDER_REFLECT_101 does."""
-    return min(abs(index), max(2 * count - 2 - index, 0))
+    return min(abs(index), max(2 * count - 2 - index, 0), count - 1)
 
 
 @njit(**FAST)
