@@ -1,6 +1,6 @@
 """Compiled loops over the colours of a wide view: exposure, differences at the seam, blending."""
 from neo_ros.machine.compiled import njit
-from neo_ros.memory.kernels import BANDS, FAST
+from neo_ros.memory.kernels import FAST
 from numba import prange
 import numpy as np
 
@@ -49,11 +49,11 @@ def average_differences(image, guide, known, window, block, most, coarse):
 
 
 @njit(**FAST)
-def _rows_at(y, scale, rows):
-    """Return the two rows, of so many, that row y of a view lies between, and how far."""
-    at = max((y + np.float32(0.5)) * scale - np.float32(0.5), np.float32(0))
-    upper = min(int(at), rows - 1)
-    return upper, min(upper + 1, rows - 1), at - np.float32(upper)
+def _between(index, scale, count):
+    """Return the two, of `count` rows or columns, that one of a finer picture lies between."""
+    at = max((index + np.float32(0.5)) * scale - np.float32(0.5), np.float32(0))
+    first = min(int(at), count - 1)
+    return first, min(first + 1, count - 1), at - np.float32(first)
 
 
 @njit(**FAST)
@@ -93,8 +93,8 @@ def bend_colours(image, window, guide, carried, block, seen, of_seen, least_erro
     scale, seen_scale = np.float32(1 / block), np.float32(len(seen) / height)
     for y in prange(height):
         inside = top <= y < bottom
-        a, b, down = _rows_at(y, scale, len(carried))
-        m, n, seen_down = _rows_at(y, seen_scale, len(seen))
+        a, b, down = _between(y, scale, len(carried))
+        m, n, seen_down = _between(y, seen_scale, len(seen))
         for side in range(2 if inside else 1):
             first, end = (right, width) if side else (0, left if inside else width)
             _bend_row(guide[y, first:end], (carried[a, first:end], carried[b, first:end]), down,
@@ -137,11 +137,11 @@ def fill_unknown(image, known, times, coarse):
     scale, half = np.float32(1 / times), np.float32(0.5)
     rows, columns = coarse.shape[:2]
     for y in prange(known.shape[0]):
-        upper, lower, down = _rows_at(y, scale, rows)
+        upper, lower, down = _between(y, scale, rows)
         for x in range(known.shape[1]):
             if known[y, x]:
                 continue
-            left, right, across = _rows_at(x, scale, columns)
+            left, right, across = _between(x, scale, columns)
             for c in range(3):
                 above = coarse[upper, left, c] + across * (
                     coarse[upper, right, c] - coarse[upper, left, c])
@@ -150,52 +150,10 @@ def fill_unknown(image, known, times, coarse):
                 image[y, x, c] = np.uint8(above + down * (below - above) + half)
 
 
-@njit(**FAST)
-def _mirrored(index, count):
-    """Return an index at most one beyond the ends as OpenCV's BORDER_REFLECT_101 does."""
-    return min(abs(index), max(2 * count - 2 - index, 0), count - 1)
-
-
-@njit(**FAST)
-def _slope_row(above, row, below, steep, sums):
-    """
-    Fill sums (w,) with the slope, eight times levels a pixel, of three neighbours of a grey row.
-
-    above, row, below uint8 (w,); steep float32 (w,), room for the slopes.
-    """
-    width = len(row)
-    for x in range(width):
-        b, a = _mirrored(x - 1, width), _mirrored(x + 1, width)
-        across = (np.int32(above[a]) - above[b] + below[a] - below[b]
-                  + 2 * (np.int32(row[a]) - row[b]))
-        down = (np.int32(below[b]) - above[b] + below[a] - above[a]
-                + 2 * (np.int32(below[x]) - above[x]))
-        steep[x] = np.sqrt(np.float32(across * across + down * down))
-    for x in range(width):
-        sums[x] = steep[_mirrored(x - 1, width)] + steep[x] + steep[_mirrored(x + 1, width)]
-
-
 @njit(parallel=True, **FAST)
-def add_slope(grey, share, stretched, more, least, error):
-    """
-    Let error (H, W) grow by a share of the picture's slope, and by more where stretched.
-
-    grey uint8 (H, W), whose slope is the mean over 3x3 pixels, levels a pixel; error: grey levels
-    before, of full brightness behind.
-    """
-    height, width = error.shape
-    times, white = np.float32(share / 72), np.float32(1 / 255)
-    for band in prange(BANDS):
-        low, high = band * height // BANDS, (band + 1) * height // BANDS
-        steep, sums = np.empty(width, np.float32), np.empty((3, width), np.float32)
-        for y in range(low - 1, high + 1):
-            middle = _mirrored(y, height)
-            _slope_row(grey[_mirrored(middle - 1, height)], grey[middle],
-                       grey[_mirrored(middle + 1, height)], steep, sums[y % 3])
-            if y <= low:
-                continue
-            own, soft = error[y - 1], stretched[y - 1]
-            for x in range(width):
-                slope = sums[0, x] + sums[1, x] + sums[2, x]
-                expected = max(own[x] + times * slope, least)
-                own[x] = (expected + more if soft[x] else expected) * white
+def add_slope(slope, share, stretched, more, least, error):
+    """Let error (H, W) grow by a share of the picture's slope, and by more where stretched."""
+    for y in prange(error.shape[0]):
+        for x in range(error.shape[1]):
+            expected = max(error[y, x] + share * slope[y, x], least)
+            error[y, x] = (expected + more if stretched[y, x] else expected) / np.float32(255)

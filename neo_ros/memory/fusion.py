@@ -81,9 +81,8 @@ def fuse(image: np.ndarray, guide: Guide, expansion: ViewExpansion,
     known[rows, columns] = True
     if not known.all():
         _fill(wide, known)
-    kernels.add_slope(cv2.cvtColor(wide, cv2.COLOR_RGB2GRAY), np.float32(thresholds.slope),
-                      guide.stretched, np.float32(thresholds.stretched),
-                      np.float32(thresholds.least_error), error)
+    kernels.add_slope(_slope(wide), np.float32(thresholds.slope), guide.stretched,
+                      np.float32(thresholds.stretched), np.float32(thresholds.least_error), error)
     edges = _edges(guide, thresholds.leap)
     edges[rows, columns] = 0
     cv2.copyTo(cv2.GaussianBlur(wide, (3, 3), thresholds.edge_sigma), edges, wide)
@@ -132,6 +131,14 @@ def _carried_outward(image: np.ndarray, guide: Guide, expansion: ViewExpansion,
         seam - thresholds.contradiction, 0)
     across = cv2.resize(mean, (small[0] * block, small[1]), interpolation=cv2.INTER_LINEAR)
     return np.ascontiguousarray(across[:, :target.width]), block
+
+
+def _slope(image: np.ndarray) -> np.ndarray:
+    """Return how steep the grey of RGB uint8 (H, W, 3) is, levels a pixel, float32 (H, W)."""
+    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    across, down = (cv2.Sobel(grey, cv2.CV_32F, *order, scale=1 / 8) for order in ((1, 0), (0, 1)))
+    # Not cv2.magnitude, whose last bits depend on where in memory its arguments lie.
+    return cv2.blur(np.sqrt(across * across + down * down), (3, 3))
 
 
 def _edges(guide: Guide, leap: float) -> np.ndarray:

@@ -182,7 +182,7 @@ class SceneGuide:
             self._doubt.settle(image, None, *self._search(image))
             sight = self._looker.look(image, pose)
             wide, known = sight.view, sight.view.depth > 0
-            known[0, 0] = False  # For what fills gaps, which there may be none of.
+            known[0, 0] = False  # So that what fills gaps is compiled, too.
             gain = self._expose(wide.image, known, image.pixels)
             self._recent.keep(image.pixels, wide.image, wide.depth, pose, gain)
             seen_before = self._recent.bring(wide.depth, pose, gain)

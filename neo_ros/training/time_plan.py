@@ -166,9 +166,9 @@ class TimeLeft:
         # The field needs the points that the memory's landmarks are made of, too; what they take
         # is neither the field's nor the memory's, but the network's.
         if stage in self.POINTS and not self._fitted:
-            now = self._clock()
-            self._points = (now - self._began.setdefault('points', now)) / 60
-        if stage in ('plan', 'photos') or stage in self.POINTS and not self._fitted:
+            self._points = self._since('points')
+            return minutes - self._given()
+        if stage in ('plan', 'photos'):
             return minutes - self._given()
         if stage in ('field', 'tiles'):
             return minutes * (1 - self._field * done / total) - self._given()
@@ -184,12 +184,17 @@ class TimeLeft:
             return self._stage_left(stage, done, total) or (
                 self._scores * rules.report * (1 - done / total))
         part = 'memory' if stage in self.MEMORY else 'rest'
-        spent = (self._clock() - self._began.setdefault(part, self._clock())) / 60
+        spent = self._since(part)
         if part == 'memory':
             left = minutes * (1 - self._field) - self._given() - spent
             return max(left, self._stage_left(stage, done, total)
                        + minutes * (rules.least_network + rules.rest))
         return max(minutes * rules.rest - spent, 0.0)
+
+    def _since(self, part: str) -> float:
+        """Return the minutes since a part began, which is now where it is new."""
+        now = self._clock()
+        return (now - self._began.setdefault(part, now)) / 60
 
     def _given(self) -> float:
         """Return the minutes that the network has given for the points."""

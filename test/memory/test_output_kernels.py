@@ -5,7 +5,7 @@ import cv2
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.memory.alignment_kernels import (
     equations_in_place, GuideLevel, normal_equations, PhotoLevel, Warp)
-from neo_ros.memory.colour_kernels import add_slope, bend_colours
+from neo_ros.memory.colour_kernels import bend_colours
 from neo_ros.memory.kernels import Pinhole
 from neo_ros.memory.pose_covariance import aligned_covariance
 from neo_ros.memory.recent_images import SeenBefore
@@ -118,19 +118,6 @@ def test_threads_may_ask_at_once():
         for _ in range(5):
             found = pool.map(lambda one: one[0].trusted_depth(*one[1:]), asked)
             assert all(np.array_equal(*pair, equal_nan=True) for pair in zip(found, expected))
-
-
-@pytest.mark.parametrize('shape', [(99, 123), (8, 5), (1, 2)])
-def test_slopes_are_those_of_sobel(shape: tuple[int, int]) -> None:
-    random = np.random.default_rng(0)
-    grey = random.integers(0, 256, shape, np.uint8)
-    error, stretched = random.uniform(0, 30, shape).astype(np.float32), random.random(shape) < 0.2
-    across, down = (cv2.Sobel(grey, cv2.CV_32F, *order, scale=1 / 8)
-                    for order in ((1, 0), (0, 1)))
-    slope = cv2.blur(np.hypot(across, down), (3, 3))
-    expected = np.maximum(error + 0.4 * slope, 20) + 4 * stretched
-    add_slope(grey, np.float32(0.4), stretched, np.float32(4), np.float32(20), error)
-    assert np.allclose(255 * error, expected, rtol=0, atol=1e-3)
 
 
 @pytest.mark.parametrize('seen_rows', [99, 40, 1])

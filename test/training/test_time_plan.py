@@ -141,86 +141,57 @@ def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:
         plan_training(tmp_path, scene_of(64, 48, 10), Experiment(), 0, lambda text: None)
 
 
-def telling(minutes: float) -> tuple[TimeLeft, list[float], list[str]]:
-    """Return what tells of a plan, the time that its clock shows, and the notes that it shows."""
-    now, shown = [0.0], list[str]()
+def minutes_left(minutes: float, *reports: tuple[float, str, int, int]) -> list[int]:
+    """Return what is told of a plan's minutes by reports: second, stage, done, total."""
+    now, shown = [0.0], list[int]()
 
     def show(stage: str, done: int, total: int, note: str = '') -> None:
-        shown.append(note)
+        assert note.startswith('note; ') and note.endswith(f' of {minutes} min left in all')
+        shown.append(int(note.split()[1]))
 
-    return TimeLeft(TimePlan(minutes, Experiment()), show, clock=lambda: now[0]), now, shown
+    tell = TimeLeft(TimePlan(minutes, Experiment()), show, clock=lambda: now[0])
+    for now[0], stage, done, total in reports:
+        tell(stage, done, total, 'note')
+    return shown
 
 
 def test_the_minutes_left_in_all_are_told_at_every_stage() -> None:
-    tell, now, shown = telling(30)
-    tell('photos', 1, 9)
-    tell('field', 405, 810, '28 dB')
-    tell('features', 1, 400)
-    now[0] = 300
-    tell('keyframes', 10, 20)
-    tell('outpainter', 0, 600)
-    tell('outpainter', 600, 600)
-    tell('scoring', 0, 10)
-    assert [note.split(' of ')[0] for note in shown] == [
-        '30', '28 dB; 23', '16', '12', '13', '3', '3']
+    assert minutes_left(
+        30, (0, 'photos', 1, 9), (0, 'field', 405, 810), (0, 'features', 1, 400),
+        (300, 'keyframes', 10, 20), (300, 'outpainter', 0, 600), (300, 'outpainter', 600, 600),
+        (300, 'scoring', 0, 10)) == [30, 23, 16, 12, 13, 3, 3]
 
 
 def test_scores_and_report_take_as_long_as_they_do_and_not_what_the_plan_leaves_them() -> None:
-    tell, now, shown = telling(30)
-    tell('scoring', 0, 10)
-    now[0] = 300
-    tell('scoring', 5, 10)
-    tell('scoring', 10, 10)
-    tell('report', 1, 10)
-    now[0] = 420
-    tell('report', 7, 10)
-    assert [note.split(' of ')[0] for note in shown[1:]] == ['11', '3', '3', '1']
+    assert minutes_left(
+        30, (0, 'scoring', 0, 10), (300, 'scoring', 5, 10), (300, 'scoring', 10, 10),
+        (300, 'report', 1, 10), (420, 'report', 7, 10))[1:] == [11, 3, 3, 1]
 
 
 def test_points_before_the_field_take_the_networks_time_and_nothing_of_the_memorys() -> None:
-    tell, now, shown = telling(30)
-    tell('features', 1, 9)
-    now[0] = 240
-    tell('stereo', 9, 9)
-    tell('photos', 0, 9)
-    tell('field', 0, 810)
-    now[0] = 1080
-    tell('field', 810, 810)
-    tell('keyframes', 1, 9)
-    now[0] = 1170
-    tell('keyframes', 9, 9)
-    assert [note.split(' of ')[0] for note in shown] == ['30', '26', '26', '26', '12', '12', '11']
+    assert minutes_left(
+        30, (0, 'features', 1, 9), (240, 'stereo', 9, 9), (240, 'photos', 0, 9),
+        (240, 'field', 0, 810), (1080, 'field', 810, 810), (1080, 'keyframes', 1, 9),
+        (1170, 'keyframes', 9, 9)) == [30, 26, 26, 26, 12, 12, 11]
+    assert minutes_left(30, (0, 'field', 0, 810), (900, 'features', 9, 9)) == [30, 16]
 
 
 def test_points_that_take_longer_than_the_network_has_leave_it_its_least() -> None:
-    tell, now, shown = telling(10)
-    tell('stereo', 0, 9)
-    now[0] = 3600
-    tell('stereo', 9, 9)
-    tell('field', 81, 81)
-    assert [note.split(' of ')[0] for note in shown] == ['10', '6', '2']
+    assert minutes_left(10, (0, 'stereo', 0, 9), (3600, 'stereo', 9, 9),
+                        (3600, 'field', 81, 81)) == [10, 6, 2]
 
 
 def test_tiles_are_the_field_and_where_a_geometry_is_given_none_is_fitted() -> None:
-    tell, now, shown = telling(30)
-    tell('tiles', 2, 4)
-    tell('joining tiles', 0, 1)
-    tell('keyframes', 0, 9)
-    assert [note.split(' of ')[0] for note in shown] == ['23', '16', '16']
-    tell, now, shown = telling(30)
-    tell('geometry', 0, 1, 'room.ply')
-    tell('features', 1, 9)
-    tell('keyframes', 0, 9)
-    assert [note.split(' of ')[0] for note in shown] == ['room.ply; 30', '30', '30']
+    assert minutes_left(30, (0, 'tiles', 2, 4), (0, 'joining tiles', 0, 1),
+                        (0, 'keyframes', 0, 9)) == [23, 16, 16]
+    assert minutes_left(30, (0, 'geometry', 0, 1), (0, 'features', 1, 9),
+                        (0, 'keyframes', 0, 9)) == [30, 30, 30]
 
 
 def test_keyframes_that_take_longer_than_planned_are_told_of() -> None:
-    tell, now, shown = telling(6)
-    tell('keyframes', 1, 111)
-    now[0] = 270
-    tell('keyframes', 11, 111)  # One takes 27 s, which leaves 45 minutes for 100.
-    tell('keyframes', 11, 12)   # No more are made, for want of time.
-    assert [note.split(' of ')[0] for note in shown] == ['3', '46', '2']
+    # One takes 27 s, which leaves 45 minutes for 100; then no more are made, for want of time.
+    assert minutes_left(6, (0, 'keyframes', 1, 111), (270, 'keyframes', 11, 111),
+                        (270, 'keyframes', 11, 12)) == [3, 46, 2]
 
 
 @pytest.mark.slow
