@@ -310,8 +310,10 @@ def test_contrast_names_and_widths_while_looking(browser: Any, viewer: ServerPro
     page.wait_for_selector('#distance', state='visible')
     contrast = page.evaluate(CONTRAST)
     assert {name: ratio for name, ratio in contrast.items() if ratio < 4.5} == {}
-    boxes = [page.query_selector(name).bounding_box() for name in (
-        '#look-where', '#look-bar button', '#look-sign', '#picture', '.readings')]
+    # All at once: whatever comes meanwhile may move the page.
+    boxes = page.evaluate("""() => [
+        '#look-where', '#look-bar button', '#look-sign', '#picture', '.readings'
+    ].map((name) => document.querySelector(name).getBoundingClientRect().toJSON())""")
     assert not [(a, b) for i, a in enumerate(boxes) for b in boxes[i + 1:]
                 if a['x'] < b['x'] + b['width'] and b['x'] < a['x'] + a['width']
                 and a['y'] < b['y'] + b['height'] and b['y'] < a['y'] + a['height']]
