@@ -119,10 +119,11 @@ def run_demo(model: Path, out: Path, frames: int, rate: float,
     bag = out / (f'walk_{frames}_{rate:g}hz_'
                  + hashlib.sha256(shown.encode()).hexdigest()[:8])
     if not bag.exists():
-        partial = out / 'walk.partial'
-        shutil.rmtree(partial, ignore_errors=True)
+        partial = out / 'walk.partial' / bag.name  # The file in it is named as its folder.
+        shutil.rmtree(partial.parent, ignore_errors=True)
         make_demo_bag(partial, card.expansion, frames, rate, progress)
         partial.rename(bag)
+        partial.parent.rmdir()
     recorded = out / 'recorded'
     shutil.rmtree(recorded, ignore_errors=True)
     with _Graph(model, out / 'graph.log') as graph:

@@ -18,11 +18,22 @@ import numpy as np
 
 @dataclass
 class Hypothesis:
-    """A place that could be it; `against` is the most of an image that spoke for another one."""
+    """
+    A place that could be it.
+
+    motion: (4, 4), of the camera's last step there; against: the most of an image that spoke for
+    another place; refuted: (4, 4) each, from where the camera is, if it is here, to where it is
+    not though it looked alike, in world axes.
+    """
 
     sight: Sight
     motion: np.ndarray
     against: float = 0.0
+    refuted: tuple[np.ndarray, ...] = ()
+
+    def way_to(self, pose: CameraPose) -> np.ndarray:
+        """Return what takes the camera here to a pose, (4, 4) in world axes."""
+        return pose.T_world_cam @ np.linalg.inv(self.sight.pose.T_world_cam)
 
 
 class Doubt:
@@ -36,8 +47,6 @@ class Doubt:
     def forget(self) -> None:
         """Decide nothing, doubt nothing."""
         self._open: list[Hypothesis] = []
-        # From where the camera is to where it is not, though it looked alike, in world axes.
-        self._refuted: list[np.ndarray] = []
 
     @property
     def is_open(self) -> bool:
@@ -96,12 +105,12 @@ class Doubt:
             one.against = max(one.against, float(share))
         least = min(one.against for one in self._open)
         best = min(self._open, key=lambda one: one.against)
-        for one in self._open:
-            if one.against - least >= self._limits.decisive:
-                self._refuted.append(one.sight.pose.T_world_cam
-                                     @ np.linalg.inv(best.sight.pose.T_world_cam))
+        refuted = [one.sight.pose for one in self._open
+                   if one.against - least >= self._limits.decisive]
         self._open = [one for one in self._open
                       if one.against - least < self._limits.decisive]
+        for one in self._open:
+            one.refuted += tuple(map(one.way_to, refuted))
         if len(self._open) == 1:
             self._open += self._newly_doubted(image, self._open[0])
         if len(self._open) > 1:
@@ -124,7 +133,8 @@ class Doubt:
             twice = any(not self._is_elsewhere(sight, other.sight) for other in kept)
             jumped = is_elsewhere(pose, last if motion is None else expected, self._limits)
             if not twice and not jumped:
-                kept.append(Hypothesis(sight, last.inverse() @ pose.T_world_cam, one.against))
+                kept.append(replace(
+                    one, sight=sight, motion=last.inverse() @ pose.T_world_cam))
         least = 1 - max((one.sight.agreement for one in kept), default=1.0)
         return [one for one in kept if one.sight.believed or (
             any(other.sight.believed for other in kept)
@@ -133,12 +143,15 @@ class Doubt:
     def _newly_doubted(self, image: CameraImage, only: Hypothesis) -> list[Hypothesis]:
         """Find places that could be it but were not followed, before the last one is believed."""
         here = only.sight.pose.T_world_cam
-        refuted = [CameraPose.nearest(T @ here) for T in self._refuted]
+        refuted = [CameraPose.nearest(T @ here) for T in only.refuted]
         rivals = [rival for rival in self._rivals(image, only.sight, self._starts(
             image, only.sight)) if all(
                 is_elsewhere(rival.pose, pose, self._limits) for pose in refuted)]
-        return [Hypothesis(rival, np.eye(4), only.against + against)
-                for rival, against in self._equal(image, only.sight, rivals)]
+        found = [Hypothesis(rival, np.eye(4), only.against + against)
+                 for rival, against in self._equal(image, only.sight, rivals)]
+        for one in found:
+            one.refuted = tuple(map(one.way_to, refuted))
+        return found
 
     def equals(self, image: CameraImage, here: Sight, starts: Sequence[CameraPose]
                ) -> list[Sight]:
@@ -165,9 +178,10 @@ class Doubt:
         photo, tried = coarse.photo(image.pixels), list[tuple[float, CameraPose]]()
         for start in starts:
             pose = coarse.align(photo, start, rounds=1)
-            agrees = coarse.agreement(photo, pose)
-            if agrees > limits.least_coarse and is_elsewhere(pose, found.pose, limits):
-                tried.append((agrees, pose))
+            if is_elsewhere(pose, found.pose, limits):
+                agrees = coarse.agreement(photo, pose)
+                if agrees > limits.least_coarse:
+                    tried.append((agrees, pose))
         rivals = list[Sight]()
         for _, start in sorted(tried, key=lambda one: -one[0]):
             if len(rivals) == limits.most_rivals:
@@ -177,9 +191,10 @@ class Doubt:
             # Not as strictly as what is searched for: a little off, a twin agrees a little less.
             pose = looker.aligner.align(image.photo, start, rounds=1)
             pose = looker.aligner.align(image.photo, pose, rounds=1, near=True)
+            if any(not is_elsewhere(pose, other.pose, limits) for other in (found, *rivals)):
+                continue
             sight = replace(looker.look(image, pose), found='searched')
-            if sight.believed and all(self._is_elsewhere(sight, other)
-                                      for other in (found, *rivals)):
+            if sight.believed:
                 rivals.append(sight)
         return rivals
 

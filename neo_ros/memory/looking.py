@@ -63,7 +63,7 @@ class Looker:
 
     def _covariance(self, sight: Sight, photo: PhotoLevel) -> np.ndarray:
         limits, location = self.thresholds, sight.location
-        if location is not None and sight.pose is location.pose:  # Alignment had no say.
+        if location is not None and sight.led:
             return located_covariance(location, limits.covariance)
         camera, drawn = self.aligner.levels[0], sight.drawn
         # As it was drawn, but by now in the image's exposure.

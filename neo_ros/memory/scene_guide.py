@@ -104,6 +104,7 @@ class SceneGuide:
         elif pace != 1 and before is not None:
             self._motion = CameraPose(np.eye(4)).interpolated(
                 CameraPose(self._motion), pace).T_world_cam
+        led = self._led > 0
         best = followed = self._follow(image, before) if before is not None else None
         told = self._try(image, prior) if prior is not None else None
         if told is not None and told.believed and not (
@@ -121,6 +122,8 @@ class SceneGuide:
         if self._doubt.is_open or best is None or not best.believed:
             self._led = 0
             return None
+        if best.led and not led:
+            self._led = self.thresholds.landmarks_every
         if best is not followed:
             self._recent.forget()  # The poses before may have been wrong.
         # What was searched for has not moved there: it was taken there.
@@ -255,7 +258,7 @@ class SceneGuide:
         """Look from where landmarks say, aligned with the image if they allow that."""
         pose = self.aligner.align(image.photo, location.pose, 1, near=True)
         if not location.allows(pose):
-            pose, self._led = location.pose, self.thresholds.landmarks_every
+            pose = location.pose
         self._watch.forget()  # What is tracked next may be off, too.
         return self._located(self._looker.look(image, pose, pose), location, 'landmarks')
 

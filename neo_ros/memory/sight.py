@@ -245,6 +245,11 @@ class Sight:
     location: Location | None = None
     found: Found = 'tracked'
 
+    @property
+    def led(self) -> bool:
+        """Whether the pose is what landmarks say, and alignment had no say."""
+        return self.location is not None and self.pose is self.location.pose
+
     def rank(self) -> tuple[bool, bool, float]:
         """Return what tells the better of two sights."""
         return self.believed, self.located, self.agreement

@@ -9,7 +9,7 @@ from neo_ros.evaluation.metrics import psnr
 from neo_ros.field.radiance_field import RadianceField
 from neo_ros.field.rendering import render_view, to_uint8
 from neo_ros.machine.files import write_bytes
-from neo_ros.machine.progress import of_stage
+from neo_ros.machine.progress import no_progress, of_stage, Progress
 from neo_ros.pictures.exposure import exposure_gain
 from neo_ros.reports.report import Plot, Section, Series, Strip, Table, Text, write_report
 from neo_ros.reports.strips import error_label, error_map
@@ -56,7 +56,8 @@ def write_training_report(run: TrainingRun, field: RadianceField, scoring: Scori
     _compare_inputs(run, field, figures)
     confidence: dict[str, dict[str, float]] = {}
     if scoring is not None:
-        figures['oracle_whole_psnr'], figures['oracle_ring_psnr'] = _oracle(field, scoring)
+        figures['oracle_whole_psnr'], figures['oracle_ring_psnr'] = _oracle(
+            field, scoring, of_stage(run.progress, 'field at the true poses'))
         figures['ring_psnr'] = scoring.results[0].estimates['ring_psnr'].mean
         sections += evaluation_sections(run.scene.name, scoring.frames, scoring.results)
         confidence, judged = judge_confidence(run.model_path, scoring.frames,
@@ -111,6 +112,7 @@ def _held_out_strips(run: TrainingRun, field: RadianceField,
     camera = photos.intrinsics.scaled(scale)
     scores, strips = [], []
     for index, pose in enumerate(photos.poses):
+        run.progress('field on held-out photos', index, len(photos), '')
         photo, usable = photos.read_shown(index, scale)
         if not usable.any():
             continue
@@ -140,7 +142,8 @@ def _compare_inputs(run: TrainingRun, field: RadianceField, figures: dict[str, f
     network = FovExtrapolator.load(run.model_path, guided=False)
     expansion = run.expansion
     scores = []
-    for view, pose in zip(views, held_out_poses(run)):
+    for index, (view, pose) in enumerate(zip(views, held_out_poses(run))):
+        run.progress('network on held-out photos', index, len(views), '')
         ring = expansion.extrapolated_mask & (view[..., 3] > 127)
         photo = np.ascontiguousarray(expansion.crop(view[..., :3]))
         rendered = render_view(field, expansion.source, pose).image
@@ -152,12 +155,14 @@ def _compare_inputs(run: TrainingRun, field: RadianceField, figures: dict[str, f
         figures['from_photo_psnr'], figures['from_rendering_psnr'] = np.mean(scores, 0).tolist()
 
 
-def _oracle(field: RadianceField, scoring: Scoring) -> tuple[float, float]:
+def _oracle(field: RadianceField, scoring: Scoring,
+            progress: Progress = no_progress) -> tuple[float, float]:
     """Score the field at the true poses: mean PSNR of the whole image and of the ring."""
     frames, expansion = scoring.frames, scoring.frames.expansion
     ring = expansion.extrapolated_mask
     whole_scores, ring_scores = [], []
     for index in range(0, len(frames), ORACLE_EVERY):
+        progress(index, len(frames))
         photo, truth = frames.read(index)
         rendered = render_view(field, expansion.target, frames.images.poses[index]).image
         usable = frames.read_usable(index)

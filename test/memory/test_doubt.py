@@ -5,7 +5,7 @@ from box_room import (
     apart, AWAY, box_memory, EXPANSION, planar, SOURCE, twin_memory, view, view_with_picture)
 from neo_ros.baking.twin_search import find_twins
 from neo_ros.geometry import CameraPose
-from neo_ros.memory.doubt import Doubt, is_elsewhere, misfit, speaks_against
+from neo_ros.memory.doubt import Doubt, Hypothesis, is_elsewhere, misfit, speaks_against
 from neo_ros.memory.glancing import GlanceFinder
 from neo_ros.memory.local_features import find_features
 from neo_ros.memory.looking import Looker
@@ -164,3 +164,27 @@ def test_a_place_that_was_found_a_little_off_does_not_lose_to_its_twin(
         assert doubt.is_open == (not told)
         assert settled is None if not told else (
             settled is not None and apart(settled.pose, true)[0] < 0.05)
+
+
+def test_what_was_refuted_stays_where_it_is_whichever_place_is_left(
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three rooms in a row: the third is refuted first, then the first, to which it was told."""
+    memory = box_memory()
+    looker = Looker(memory, EXPANSION, GuideThresholds())
+    doubt = Doubt(looker, GlanceFinder(memory.glances, looker.thresholds))
+    rooms = [looker.look(_image(looker), planar(x, 1.7, 35)) for x in (1.9, 6.9, 11.9, 16.9)]
+    doubt._open = [Hypothesis(sight, np.eye(4)) for sight in rooms[:3]]
+    against = iter([[0.0, 0.01, 0.2], [0.2, 0.0], [0.0, 0.0]])
+    monkeypatch.setattr(doubt, '_followed', lambda *_: doubt._open)
+    monkeypatch.setattr(doubt, '_against', lambda *_: np.array(next(against)))
+    monkeypatch.setattr(doubt, '_starts', lambda *_: [])
+    monkeypatch.setattr(doubt, '_rivals', lambda *_: [rooms[2], rooms[3]])
+    assert doubt.follow(_image(looker), None) is None
+    # The fourth, which nothing has refuted, could be it still.
+    assert doubt.follow(_image(looker), None) is None
+    assert [one.sight for one in doubt._open] == [rooms[1], rooms[3]]
+
+
+def _image(looker: Looker) -> CameraImage:
+    pixels = photo_at(planar(1.9, 1.7, 35))
+    return CameraImage(pixels, looker.aligner.photo(pixels), find_features)

@@ -119,6 +119,22 @@ def test_landmarks_lead_where_alignment_is_drawn_aside(
 
 
 @pytest.mark.slow
+def test_landmarks_that_were_not_believed_do_not_lead(
+        shipped: tuple[SceneMemory, ViewExpansion], monkeypatch: pytest.MonkeyPatch) -> None:
+    guide = SceneGuide(*shipped)
+    here, there = walking_paths(FLAT, 1, 40, 5)[0][0], walking_paths(FLAT, 1, 40, 5)[0][25]
+    wrong, asked = Location(there, CAMERA, np.zeros((0, 3)), np.zeros((0, 2))), []
+    monkeypatch.setattr(Location, 'allows', lambda *_: False)
+    monkeypatch.setattr(guide._locator, 'search', lambda features: [wrong])
+    monkeypatch.setattr(guide._locator, 'locate', lambda *around: asked.append(around))
+    image = FLAT.render(shipped[1].source, here)[0]
+    for _ in range(2):  # It is found by its looks, and followed.
+        found = guide.guide(image)
+        assert found is not None and apart(found.pose, here)[0] < 0.03
+    assert len(asked) <= 1  # Beside the images, as for any camera that is followed.
+
+
+@pytest.mark.slow
 def test_landmarks_follow_a_camera_that_is_partly_hidden(
         shipped: tuple[SceneMemory, ViewExpansion]) -> None:
     guide = SceneGuide(*shipped)
