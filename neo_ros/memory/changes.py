@@ -1,5 +1,6 @@
 """What has changed since the memory was made, put into its keyframes as they are decoded."""
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property, lru_cache
 from itertools import groupby, product
 
@@ -11,7 +12,7 @@ from neo_ros.memory.kernels import Pinhole
 from neo_ros.memory.keyframe import code_of, depth_of
 from neo_ros.memory.patch import PARTS, Patch
 from neo_ros.memory.state_kernels import find_cells, keys_of
-from neo_ros.memory.turn import Record, Turn, turned_by
+from neo_ros.memory.turn import Record, turned_by
 import numpy as np
 
 # Of a patch every so many-th pixel is looked at, to tell whether others have replaced it; it is if
@@ -28,14 +29,15 @@ class Changes:
     Patches in the order in which they were seen; what is newer replaces what is older.
 
     Turns among the records tell which parts of them are shown; what is shown again is as new as
-    its turn. hidden int64 (PARTS * patches,): for each part the number of the record that hid it,
-    -1: it is shown. Never changed, so that several threads can decode: `with_more` makes others.
+    its turn. hidden, again int64 (PARTS * patches,): for each part the number of the record that
+    hid it, and that showed it again; -1: none. Never changed, so that several threads can decode:
+    `with_more` makes others.
     """
 
     def __init__(self, records: Sequence[Record]) -> None:
         self.records = tuple(records)
         self.patches = tuple(one for one in records if isinstance(one, Patch))
-        self.hidden, self._again = turned_by(records, len(self.patches))
+        self.hidden, self.again = turned_by(records, len(self.patches))
 
     def with_more(self, records: Sequence[Record]) -> 'Changes':
         """Return these and later ones."""
@@ -78,7 +80,7 @@ class Changes:
         found = []
         for number, patch, hidden, again in zip(
                 numbers, self.patches, self.hidden.reshape(-1, PARTS),
-                self._again.reshape(-1, PARTS)):
+                self.again.reshape(-1, PARTS)):
             for turn in np.unique(again[hidden < 0]).tolist():
                 found.append((max(turn, number), (turn, patch.batch), patch,
                               (hidden < 0) & (again == turn)))
@@ -124,14 +126,13 @@ def without_replaced(records: Sequence[Record]) -> list[Record]:
     """
     Leave out patches of which later visits have seen nearly all: they show what is there now.
 
-    What is left is in the order in which it was shown, and hidden parts stay.
+    What is left keeps its order, and turns where it was turned: it is shown as before.
     """
     changes = Changes(records)
-    hidden = changes.hidden.reshape(-1, PARTS)
-    index_of = {patch: index for index, patch in enumerate(changes.patches)}
     newest = {patch: place for place, (_, patch, _) in enumerate(changes.layers)}
-    kept: list[Patch] = []
-    for patch, parts in zip(changes.patches, hidden):
+    kept = np.zeros(len(changes.patches), bool)
+    for index, (patch, parts) in enumerate(zip(
+            changes.patches, changes.hidden.reshape(-1, PARTS))):
         _, depth, part = patch.pictures
         rows, columns = np.nonzero((depth > 0) & (parts < 0)[part])
         rows, columns = rows[::SAMPLED], columns[::SAMPLED]
@@ -144,14 +145,20 @@ def without_replaced(records: Sequence[Record]) -> list[Record]:
         for _, later, shown in changes.layers[newest.get(patch, 0) + 1:]:
             if later.batch != patch.batch and open_points.any():
                 open_points[open_points] = ~_reaches(later, shown, points[open_points])
-        if (parts >= 0).any() or (len(points) and open_points.mean() > 1 - REPLACED):
-            kept.append(patch)
-    kept.sort(key=lambda patch: newest.get(patch, -1))
-    # One turn for each that hides anything still: what it hid is shown again together.
-    turned = np.concatenate([hidden[index_of[patch]] for patch in kept] or [np.empty(0, int)])
-    return [*kept, *(
-        Turn(np.flatnonzero(turned == turn).astype(np.uint32), records[turn].stamp_ns,
-             records[turn].batch) for turn in np.unique(turned[turned >= 0]))]
+        kept[index] = (parts >= 0).any() or (
+            len(points) > 0 and open_points.mean() > 1 - REPLACED)
+    left = np.repeat(kept, PARTS)
+    hidden, again = changes.hidden[left], changes.again[left]
+    found, patches = list[Record](), iter(kept)
+    for number, record in enumerate(records):
+        if isinstance(record, Patch):
+            found += [record] * bool(next(patches))
+            continue
+        # What it showed again was hidden before: first that, and then both.
+        shown = (again == number) & (hidden < 0)
+        found += [replace(record, parts=np.flatnonzero(turned).astype(np.uint32))
+                  for turned in (shown | (hidden == number), shown) if turned.any()]
+    return found
 
 
 def _reaches(patch: Patch, shown: np.ndarray, points: np.ndarray) -> np.ndarray:

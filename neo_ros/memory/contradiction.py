@@ -30,8 +30,9 @@ def contradiction(image: np.ndarray, shown: np.ndarray, known: np.ndarray,
     """
     side = 2 * limits.aside + 1
     kernel = np.ones((side, side), np.uint8)
-    over = image - cv2.dilate(shown, kernel)
-    under = cv2.erode(shown, kernel) - image
+    # Both ways: what came is shown nowhere around there, and what left is seen nowhere.
+    over = np.maximum(image - cv2.dilate(shown, kernel), shown - cv2.dilate(image, kernel))
+    under = np.maximum(cv2.erode(shown, kernel) - image, cv2.erode(image, kernel) - shown)
     off = np.maximum.reduce(cv2.split(np.maximum(np.maximum(over, under), 0)))
     off[~known] = 0
     return cv2.blur(off, (limits.around, limits.around))

@@ -106,7 +106,10 @@ class Learner:
         (3,); depth float32 (H, W) metres, 0 = unknown. Nothing of it is kept. stamp_ns: when it
         was taken, which counts where images are learnt from at once; None: now.
         """
+        version = self._memory.version
         self._take_up()
+        if self._memory.version != version:
+            return  # It was drawn before that.
         limits = self.thresholds
         now = self._time_of(stamp_ns)
         if agreement < limits.least_agreement or (

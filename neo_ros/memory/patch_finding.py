@@ -21,6 +21,8 @@ class PatchThresholds:
     least_pixels: int = 12
     # Samples that tell what was there before, which a part has at least.
     least_samples: int = 2
+    # Another light changes the logarithms of all channels alike, to so much.
+    hue: float = 0.35
     contradiction: ContradictionThresholds = ContradictionThresholds()
     stereo: StereoThresholds = StereoThresholds()
     states: StateThresholds = StateThresholds()
@@ -45,7 +47,7 @@ def find_patches(shots: Sequence[Shot], new: int, camera: Intrinsics, rays: np.n
     patches = []
     for index in range(len(shots) - new, len(shots)):
         depth = confirm(shots, index, stacked, camera, rays, limits)
-        depth[_as_before(shots[index], known[shots[index]], thresholds.contradiction)] = 0
+        depth[_as_before(shots[index], known[shots[index]], thresholds)] = 0
         if (depth > 0).sum() < thresholds.least_pixels:
             continue
         rows, columns = (np.flatnonzero(depth.any(axis)) for axis in (1, 0))
@@ -81,7 +83,7 @@ def _parts(shot: Shot, depth: np.ndarray, rays: np.ndarray, thresholds: PatchThr
     return parts
 
 
-def _as_before(shot: Shot, depth: np.ndarray, limits: ContradictionThresholds) -> np.ndarray:
+def _as_before(shot: Shot, depth: np.ndarray, thresholds: PatchThresholds) -> np.ndarray:
     """
     Tell where a shot shows a surface of before, at the same depth (h, w): bool (h, w).
 
@@ -91,8 +93,11 @@ def _as_before(shot: Shot, depth: np.ndarray, limits: ContradictionThresholds) -
     """
     known = (shot.depth > 0) & (depth > 0)
     same = known & (np.abs(depth - shot.depth) < SAME * shot.depth)
-    lit = steadiness(log_ratio(shot.image, shot.shown), shot.depth > 0) > SURE
+    limits = thresholds.contradiction
+    square = (limits.around, limits.around)
+    ratio = log_ratio(shot.image, shot.shown)
+    lit = (steadiness(ratio, shot.depth > 0) > SURE) & (
+        np.ptp(cv2.blur(ratio, square), axis=-1) < thresholds.hue)
     # Scores are means: those beside something else are of it, too.
-    other = cv2.dilate((shot.contradicted & ~same).view(np.uint8),
-                       np.ones((limits.around, limits.around), np.uint8)) > 0
+    other = cv2.dilate((shot.contradicted & ~same).view(np.uint8), np.ones(square, np.uint8)) > 0
     return same & (lit | ~contradicted(np.where(same & ~other, shot.score, 0), limits))

@@ -127,7 +127,7 @@ def find_turn(shots: Sequence[Shot], changes: Changes, camera: Intrinsics, batch
     other[np.repeat(own, PARTS) & (hidden < 0)] = -1
     looks = [_look(shot) for shot in shots]
     votes = np.stack([_weigh(things, other, look, camera, limits)[0] for look in looks])
-    turned = _turned(votes, things.of, changes, limits)
+    turned = _turned(votes, things.of, changes, limits) & (other >= 0)
     if not turned.any():
         return None
     other[~turned] = -1

@@ -1,4 +1,5 @@
 """Photos out of a bag: images of which the scene memory knows where they were taken."""
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -66,8 +67,8 @@ def drive_through(bag: Path, extrapolator: FovExtrapolator, image_topic: str | N
     Follow a bag's camera through the memory, and keep photos a little apart.
 
     In another light than the training photos' the bag is gone through twice: the second time the
-    light is known, and the photos are brought into theirs. Raises BagError for bags and topics
-    that cannot be used, and where no image is believed.
+    light is known, and the photos are brought into theirs. Raises BagError for bags, topics and
+    images that cannot be used, and where no image is believed.
     """
     drive, other = _drive(bag, extrapolator, image_topic, info_topic, rectify, progress, limits)
     if other:
@@ -81,10 +82,11 @@ def _drive(bag: Path, extrapolator: FovExtrapolator, image_topic: str | None,
     """Return the drive, and whether a photo of it was taken in another light."""
     other, photos = False, list[tuple[np.ndarray, CameraPose, int]]()
     seen, metres, radians = 0, limits.metres, limits.radians
-    lost = _LostImages()
+    lost, rejected = _LostImages(), Counter[str]()
     extrapolator.reset()
     with BagReader(bag) as reader:
-        for frame in _frames(reader, extrapolator, image_topic, info_topic, rectify, progress):
+        for frame in _frames(reader, extrapolator, image_topic, info_topic, rectify, rejected,
+                             progress):
             seen += 1
             guide = cast(Guide | None, frame.guide)
             assert frame.image is not None
@@ -99,6 +101,9 @@ def _drive(bag: Path, extrapolator: FovExtrapolator, image_topic: str | None,
             photos.append((image, guide.pose, seen))
             if len(photos) == MOST_PHOTOS:
                 photos, metres, radians = photos[::2], 2 * metres, 2 * radians
+    if rejected.total() > seen:
+        raise BagError(f'{bag}: {rejected.total()} messages of the camera cannot be used, {seen} '
+                       f'can: {rejected.most_common(1)[0][0]}')
     if not photos and not any(one.pose for one in lost.kept):
         raise BagError(f'{bag}: of {seen} images none shows the scene of '
                        f'{extrapolator.card.scene_id}; give bags of the same place and camera')
@@ -130,10 +135,12 @@ def _in_photos_light(image: np.ndarray, light: np.ndarray) -> np.ndarray:
 
 
 def _frames(reader: BagReader, extrapolator: FovExtrapolator, image_topic: str | None,
-            info_topic: str | None, rectify: bool, progress: Progress) -> Iterator[WideFrame]:
-    """Yield the WideFrame of each image that can be read."""
+            info_topic: str | None, rectify: bool, rejected: Counter[str], progress: Progress
+            ) -> Iterator[WideFrame]:
+    """Yield the WideFrame of each image that can be read; count why others are rejected."""
     topics = find_camera(reader, extrapolator.expansion.source, image_topic, info_topic)
     processor, images, info = FrameProcessor(extrapolator, rectify), ImageReader(), None
+    calibrated = topics.info is not None and topics.info.count > 0
     names = [topic.name for topic in (topics.image, topics.info) if topic is not None]
     total = sum(topic.count for topic in (topics.image, topics.info) if topic is not None)
     for done, message in enumerate(reader.messages(names), 1):
@@ -142,7 +149,7 @@ def _frames(reader: BagReader, extrapolator: FovExtrapolator, image_topic: str |
             content = as_raw_image(message.read(), message.topic, images)
             if message.topic == topics.info:
                 info = camera_info_of(content, topics.image.name)
-            elif message.topic == topics.image:
+            elif info is not None or not calibrated:  # Else its lens is not known yet.
                 yield processor.process(content, info)
-        except (BagError, ImageRejected):
-            continue
+        except (BagError, ImageRejected) as error:
+            rejected[str(error)] += 1

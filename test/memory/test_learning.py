@@ -11,7 +11,7 @@ import time
 from box_board import DRIVE, with_board
 from box_room import box_memory, EXPANSION, planar, SOURCE, view, write_box_model
 from neo_ros.cli.main import app
-from neo_ros.geometry import CameraPose
+from neo_ros.geometry import Band, CameraPose
 from neo_ros.memory import learning
 from neo_ros.memory.changes import Changes, without_replaced
 from neo_ros.memory.contradiction import contradicted, contradiction, ContradictionThresholds
@@ -150,6 +150,26 @@ def test_what_later_visits_saw_is_left_out() -> None:
     assert without_replaced([second, same]) == [second, same]
 
 
+def test_what_was_shown_again_lies_under_what_came_later_even_when_compacted() -> None:
+    """Two halves: the left one goes and comes back, the right one is replaced meanwhile."""
+    halves = true_patch(DRIVE[10])
+    image, depth, _ = halves.pictures
+    parts = np.zeros(depth.shape, np.uint8)
+    parts[:, parts.shape[1] // 2:] = 1
+    halves = Patch.of(halves.pose, halves.camera, image, depth, 0, 0, parts=parts)
+    other = Patch.of(halves.pose, halves.camera, 255 - image, np.where(parts, depth, 0), 1, 1)
+    left = Turn(np.full(1, PARTS, np.uint32), 2, 2)
+    records = [true_patch(DRIVE[12]), halves, other, left, left]
+    compacted = without_replaced([*records, left, left])
+    assert len(compacted) < len(records) + 2
+    band, position = Band(1.0, -1.0), DRIVE[10].position
+    shown = [Changes(some).put_into(position, band, 1, np.full((256, 512, 3), 90, np.uint8),
+                                    np.zeros((128, 256), np.uint16))
+             for some in (records, compacted)]
+    assert not (shown[0][0] == 90).all()
+    assert np.array_equal(shown[0][0], shown[1][0]) and np.array_equal(shown[0][1], shown[1][1])
+
+
 def checksum(model: Path) -> str:
     memory = read_model_card(model).memory
     assert memory is not None
@@ -217,19 +237,31 @@ def test_killed_at_any_moment_it_holds_whole_patches(tmp_path: Path, after: floa
     assert kill_once(tmp_path, after) >= 0
 
 
+def test_a_thin_thing_that_left_contradicts_as_one_that_came() -> None:
+    wall = np.full((40, 40, 3), 200, np.float32)
+    bar, aside = wall.copy(), wall.copy()
+    bar[:, 20:23], aside[:, 18:21] = 40, 40
+    known = np.ones((40, 40), bool)
+    for image, shown, found in ((bar, wall, True), (wall, bar, True), (bar, aside, False)):
+        off = contradicted(contradiction(image, shown, known))
+        assert off[:, 20:23].all() == found and off.any() == found
+
+
 @pytest.mark.parametrize('made, same_depth, stays', [
-    ('brighter', True, True), ('brighter', False, False), ('repainted', True, False)], ids=str)
+    ('brighter', True, True), ('brighter', False, False), ('repainted', True, False),
+    ('of another hue', True, False)], ids=str)
 def test_a_surface_in_the_sun_is_no_change(made: str, same_depth: bool, stays: bool) -> None:
     pose = planar(1.9, 1.7, 35)
     shown, depth = (one.astype(np.float32) for one in view(pose, SOURCE))
     part = (slice(20, 44), slice(16, 48))
     image = shown.copy()
-    image[part] = 1.5 * shown[part] if made == 'brighter' else np.random.default_rng(0).uniform(
-        0, 255, shown[part].shape)
+    image[part] = {'brighter': 1.5 * shown[part],
+                   'of another hue': shown[part] * np.float32([0.4, 1, 1.5]),
+                   'repainted': np.random.default_rng(0).uniform(0, 255, shown[part].shape)}[made]
     seen = np.zeros_like(depth)
     seen[part] = depth[part] if same_depth else 0.7 * depth[part]
     # Where the window ends neighbours differ.
-    found = _as_before(compared(pose, image, shown, depth), seen, LIMITS)[24:40, 20:44]
+    found = _as_before(compared(pose, image, shown, depth), seen, PatchThresholds())[24:40, 20:44]
     assert (found.mean() > 0.95) if stays else (found.mean() < 0.3)
 
 
@@ -245,7 +277,7 @@ def test_a_shelf_beside_somebody_is_no_change_if_it_is_only_blurred(repainted: b
         image[20:40, 50:] = random.choice([0, 255], image[20:40, 50:].shape)
     shot = compared(pose, image, shown, depth)
     assert shot.contradicted.all()  # It goes together with who stands before it.
-    found = _as_before(shot, seen, LIMITS)
+    found = _as_before(shot, seen, PatchThresholds())
     assert found[:, :30].all() and not found[:, 30:40].any()
     assert found[22:38, 52:62].mean() == (0 if repainted else 1)
 
@@ -362,6 +394,18 @@ def test_images_that_waited_for_a_turn_are_no_witnesses_even_if_more_came_than_a
     learner._pending.set_result(Learnt(learner._changes, {}, others=False, turned=True))
     learner._take_up()
     assert learner._shots == [] and learner._new == 0
+
+
+def test_an_image_drawn_before_the_memory_changed_is_no_witness(tmp_path: Path) -> None:
+    memory = box_memory()
+    learner = learner_of(memory, tmp_path / 'a.journal')
+    learner._pending = Future()
+    learner._pending.set_result(Learnt(
+        Changes([true_patch(DRIVE[10])]), {}, others=False, turned=True))
+    drive_past(learner, memory, DRIVE[:1])
+    assert memory.changes is not None and learner._shots == []
+    drive_past(learner, memory, DRIVE[1:2])
+    assert len(learner._shots) == 1
 
 
 @pytest.mark.parametrize('beside, pause_s, kept', [

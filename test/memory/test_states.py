@@ -88,6 +88,12 @@ def test_what_this_visit_has_just_learnt_does_not_turn(learnt_ns: int, turns: bo
         assert (turn is not None) == expected
 
 
+def test_what_has_just_been_learnt_stays_where_the_state_before_it_goes() -> None:
+    patches = [*PATCHES, replace(learnt(DRIVE[10], slice(34, 64)), stamp_ns=LATER, batch=4)]
+    turn = find_turn(shots(NOWHERE, 1.8, LOOKS), Changes(patches), SOURCE, 7, 4)
+    assert turn is not None and set(turn.parts // PARTS) == {0, 1, 2}
+
+
 @pytest.mark.parametrize('made', ['as shown', 'something else', 'one image', 'moved on'])
 def test_it_does_not_turn(made: str) -> None:
     looks = {'as shown': lambda: shots(1.8, 1.8, LOOKS),

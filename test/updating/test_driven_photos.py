@@ -3,7 +3,11 @@ from pathlib import Path
 
 from box_room import box_walk, EXPANSION, view, write_box_model
 from neo_ros.bags import write_demo_bag
+from neo_ros.bags.demo_bag import RobotFrame, write_robot_bag
+from neo_ros.errors import BagError
 from neo_ros.geometry import CameraPose
+from neo_ros.messages.camera_info import camera_info_fields
+from neo_ros.messages.image import image_fields
 from neo_ros.runtime import FovExtrapolator
 from neo_ros.updating.driven_photos import drive_through
 import numpy as np
@@ -35,3 +39,14 @@ def test_photos_are_brought_into_the_light_of_the_training(tmp_path: Path, slope
             ratio = np.median(truth / np.maximum(shown, 1))  # One exposure is as good as another.
             errors.append(np.abs(ratio * shown - truth).mean())
     assert np.mean(off) < (0.5 * np.mean(before) if slope else 1.01 * np.mean(before))
+
+
+def test_a_bag_of_a_lens_that_bends_says_what_to_do(tmp_path: Path) -> None:
+    """Else nothing of it would be seen, and the scene would count as up to date."""
+    info = {**camera_info_fields(EXPANSION.source), 'd': np.array([-0.2, 0, 0, 0, 0])}
+    write_robot_bag(tmp_path / 'drive', [
+        RobotFrame(number * 10 ** 8, image_fields(EXPANSION.crop(view(pose, EXPANSION.target)[0])),
+                   info, np.eye(4), pose.T_world_cam) for number, pose in enumerate(
+                       box_walk(4), 1)])
+    with pytest.raises(BagError, match='4 messages of the camera cannot be used.*rectify'):
+        drive_through(tmp_path / 'drive', FovExtrapolator.load(write_box_model(tmp_path)))
