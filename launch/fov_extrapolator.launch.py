@@ -12,7 +12,7 @@ from launch.actions import DeclareLaunchArgument, ExecuteProcess, OpaqueFunction
 from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
-
+from neo_ros.node.model_place import find_model
 
 # Name: default and description. Empty: what params_file says.
 ARGUMENTS = {
@@ -57,6 +57,11 @@ def start_node(context: LaunchContext) -> list[Node | ExecuteProcess]:
         parameters['model'] = given['model']
     namespace = given.get('namespace', '').strip('/')
     wide_image = '/'.join(['', *([namespace] if namespace else []), 'wide/image'])
+    view = ['neo', 'view', '--topic', wide_image]
+    if 'model' in given:  # Its memory has a map.
+        view += ['--model', find_model(given['model'])]
+    if parameters.get('use_sim_time'):
+        view.append('--sim-time')
     return [
         Node(
             package='neo_ros', executable='fov_extrapolator', output='screen',
@@ -64,7 +69,7 @@ def start_node(context: LaunchContext) -> list[Node | ExecuteProcess]:
             parameters=[given.get('params_file', str(shipped)), parameters],
             remappings=[(name, given[name]) for name in ('image', 'camera_info')
                         if name in given]),
-        ExecuteProcess(cmd=['neo', 'view', '--topic', wide_image], output='screen',
+        ExecuteProcess(cmd=view, output='screen',
                        condition=IfCondition(LaunchConfiguration('viewer')))]
 
 

@@ -58,6 +58,11 @@ class CameraTopics:
     info: BagTopic | None
     wide: str
 
+    def first_info(self, reader: BagReader) -> Any | None:
+        """Return what the first camera_info says of the images, those before it, too."""
+        first = reader.first(self.info) if self.info is not None else None
+        return None if first is None else camera_info_of(first, self.image.name)
+
 
 def find_camera(reader: BagReader, source: Intrinsics, name: str | None,
                 info_name: str | None = None) -> CameraTopics:
@@ -95,11 +100,15 @@ def made_topics(reader: BagReader) -> set[str]:
     """
     Return the names of what a model made of a camera, raw or compressed: it is no camera itself.
 
-    They are told by one another: an image in a name space `wide`, and the mask of what is made up.
+    They are told by one another: an image in a name space `wide`, and the mask of what is made up,
+    or the camera beside that name space.
     """
     bases = {base_name(topic) for topic in reader.topics if topic.msgtype in IMAGE_TYPES}
-    spaces = {base.removesuffix('/mask') for base in bases if base.endswith('/wide/mask')}
-    return {f'{space}/{name}' for space in spaces if f'{space}/image' in bases
+    parents = {base.rpartition('/')[0] for base in bases}
+    spaces = {base.removesuffix('/image') for base in bases if base.endswith('/wide/image')}
+    spaces = {space for space in spaces
+              if f'{space}/mask' in bases or space.removesuffix('/wide') in parents}
+    return {f'{space}/{name}' for space in spaces
             for name in ('image', 'mask', 'confidence', 'depth', 'panorama', 'panorama_mask')}
 
 

@@ -23,6 +23,8 @@ from rosbags.typesys.store import Typestore
 import zstandard
 
 FOREVER_NS = 1 << 64
+# Nothing is recorded for so long: where more lies between messages, the clock was set.
+LONGEST_GAP_NS = 86_400 * 10 ** 9
 # The record in which rosbag2 keeps a copy of metadata.yaml.
 ROSBAG2_METADATA = 'rosbag2'
 PACKET = 'ffmpeg_image_transport_msgs/msg/FFMPEGPacket'

@@ -97,6 +97,7 @@ def replay(bag: Path | str, extrapolator: FovExtrapolator, out: Path | str,
             run = _Replay(writer, behind, FrameProcessor(extrapolator, rectify),
                           extrapolator.expansion, camera, truth, result)
             run.write_memory(outputs, extrapolator.card)
+            run.camera_info = camera.first_info(reader)
             run.every, run.on_frame, run.on_pair = section.every, on_frame, on_pair
             if copy:
                 _copy_all_but_messages(reader, writer, run.outputs)
@@ -173,7 +174,7 @@ class _Replay:
         self._expansion = expansion
         self._types = writer.typestore.types
         self._camera, self._truth = camera, truth
-        self._camera_info: Any = None
+        self.camera_info: Any = None
         self._processor = processor
         self.every = 1
         self._images = 0
@@ -218,7 +219,7 @@ class _Replay:
                 if self._images % self.every == 1 % self.every:
                     self._take_image(entry)
             elif topic == self._camera.info:
-                self._camera_info = camera_info_of(entry.content, self._camera.image.name)
+                self.camera_info = camera_info_of(entry.content, self._camera.image.name)
             if topic == self._truth:
                 self._take_truth(entry.content)
         except ImageRejected as error:
@@ -229,7 +230,7 @@ class _Replay:
     def _take_image(self, entry: _Decoded) -> None:
         """Write the outputs of one image, as the node would publish them."""
         content, stamp_ns = entry.content, entry.message.stamp_ns
-        frame = self._processor.process(content, self._camera_info)
+        frame = self._processor.process(content, self.camera_info)
         self._result.expand_seconds += frame.stages_ms['infer'] / 1e3
         assert frame.image is not None and frame.confidence is not None
         whole = self._types['sensor_msgs/msg/RegionOfInterest'](

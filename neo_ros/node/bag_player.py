@@ -5,6 +5,7 @@ import threading
 import time
 
 from neo_ros.bags import BagReader, BagTopic
+from neo_ros.bags.reading import LONGEST_GAP_NS
 from neo_ros.bags.topic import CDR, describe_topics
 from neo_ros.errors import BagError
 from neo_ros.node.message_types import find_message_class
@@ -44,7 +45,7 @@ class BagPlayer:
         if names is not None and (missing := sorted(set(names) - known)):
             raise BagError(f'{bag.path}: expected the topics {", ".join(missing)}, the bag has '
                            f'{", ".join(sorted(known))}')
-        self._bag = bag
+        self._bag, self._report = bag, report
         self._clock = node.create_publisher(Clock, CLOCK, 10) if clock else None
         # What /clock told last, and when it is due again.
         self._told_ns: int | None = None
@@ -81,17 +82,23 @@ class BagPlayer:
         """
         if not rate > 0:
             raise BagError(f'rate: expected a number > 0, got {rate}')
-        started = time.monotonic()
+        started = counted_from = time.monotonic()
         first_ns: int | None = None
+        last_ns: int | None = None
         self._told_ns = None
         count = 0
         for message in self._bag.messages({topic.name for topic in self._publishers}):
             publisher = self._publishers.get(message.topic)
             if publisher is None:
                 continue
+            if last_ns is not None and message.stamp_ns - last_ns > LONGEST_GAP_NS:
+                days = (message.stamp_ns - last_ns) / LONGEST_GAP_NS
+                self._report(f'{days:.0f} days without a message are left out: a clock was set')
+                counted_from, first_ns = time.monotonic(), message.stamp_ns
+            last_ns = message.stamp_ns
             if first_ns is None:
                 first_ns = message.stamp_ns
-            due = started + (message.stamp_ns - first_ns) / 1e9 / rate
+            due = counted_from + (message.stamp_ns - first_ns) / 1e9 / rate
             if not self._wait_until(due, message.stamp_ns, rate, stop):
                 break
             # Fast DDS copies a message even where nobody listens, and a wide truth is a large one.

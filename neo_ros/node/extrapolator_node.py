@@ -2,7 +2,7 @@
 import time
 from typing import Any
 
-from neo_ros.errors import NeoError
+from neo_ros.errors import ConfigError, NeoError
 from neo_ros.node.camera_inputs import CameraInputs
 from neo_ros.node.diagnosing import Diagnosing, NodeState
 from neo_ros.node.frame_statistics import Statistics
@@ -14,6 +14,7 @@ from neo_ros.node.manager_bond import form_bond
 from neo_ros.node.map_publisher import MapPublisher
 from neo_ros.node.parameters import (
     declare_parameters,
+    FRAME_PARAMETERS,
     INPUT_PARAMETERS,
     MODEL_PARAMETERS,
     NodeParameters,
@@ -229,10 +230,12 @@ class ExtrapolatorNode(LifecycleNode):
         assert self._model and self._outputs and self._pose_inputs
         self._use_frame()
         self._model.processor.hints = self._pose_inputs.hints
+        self._pose_inputs.metric = not self._model.arbitrary_scale
         if self._model.arbitrary_scale:
             self.get_logger().warning(
                 'nobody knows the scale of this scene: poses, depth and points are not in metres; '
-                f'their frame is {self._outputs.scene_frame}')
+                f'their frame is {self._outputs.scene_frame}; odometry is not used, and nothing '
+                'is said of base_frame and odom_frame')
 
     def _use_frame(self) -> None:
         """Let map and priors be in the frame of the poses."""
@@ -260,12 +263,21 @@ class ExtrapolatorNode(LifecycleNode):
         self._candidate = None
         try:
             values: NodeParameters = read_parameters(self, parameters)
+            self._refuse_frames(parameters)
             changes_model = any(parameter.name in MODEL_PARAMETERS for parameter in parameters)
             if self._model is not None and changes_model:
                 self._candidate = self._loader.load(values)
         except Exception as error:  # What leaves a callback ends the node.
             return SetParametersResult(successful=False, reason=_reason(error))
         return SetParametersResult(successful=True)
+
+    def _refuse_frames(self, parameters: list[Parameter]) -> None:
+        """Raise ConfigError where what only configure takes changes after it."""
+        for one in parameters:
+            if self._model is not None and one.name in FRAME_PARAMETERS and (
+                    one.value != self.get_parameter(one.name).value):
+                raise ConfigError(f'{one.name}: expected to be set before the node is configured, '
+                                  f'it is {self.state_label}; clean it up, set it and configure')
 
     def _use_parameters(self, parameters: list[Parameter]) -> None:
         """Put accepted values to use."""

@@ -14,6 +14,8 @@ from rclpy.parameter import Parameter
 # A change of these loads a model, of those subscribes anew, where somebody listens.
 MODEL_PARAMETERS = ('model', 'threads', 'providers', 'learn')
 INPUT_PARAMETERS = ('image_transport', 'reliable')
+# What configure takes.
+FRAME_PARAMETERS = ('base_frame', 'odom_frame', 'publish_tf')
 TRANSPORTS = ('raw', 'compressed')
 
 
@@ -90,7 +92,7 @@ def parameters() -> list[tuple[str, Any, ParameterDescriptor]]:
              'Frame of the poses; empty: map, or scene where the scale of the scene is arbitrary'),
         _row('base_frame', '',
              "The robot's frame, such as base_link: then its pose is published, too, and priors "
-             'and odometry are of it. Needs tf2_ros; configure takes it, as the next two'),
+             'and odometry are of it. Needs tf2_ros; set it before configure, as the next two'),
         _row('odom_frame', 'odom', 'What publish_tf places in scene_frame'),
         _row('publish_tf', False,
              'Send the transform from scene_frame to odom_frame. Needs base_frame and tf2_ros'),

@@ -28,7 +28,7 @@ class PoseInputs:
 
     def __init__(self, node: Node, scene_frame: str, base_frame: str,
                  frames: RobotFrames | None) -> None:
-        self.hints = PoseHints()
+        self.hints, self.metric = PoseHints(), True
         self.scene_frame, self.camera_frame = scene_frame, ''
         self._node, self._frames, self._base_frame = node, frames, base_frame
         self._told: dict[str, float] = {}
@@ -54,7 +54,7 @@ class PoseInputs:
             self.hints.set_prior(pose)
 
     def _on_odometry(self, message: Odometry) -> None:
-        if not self.camera_frame:
+        if not self.camera_frame or not self.metric:  # Its metres say nothing of the scene.
             return
         child = message.child_frame_id.lstrip('/')
         T_camera: np.ndarray | None = np.eye(4)

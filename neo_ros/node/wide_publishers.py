@@ -8,6 +8,7 @@ from neo_ros.messages import image_fields, jpeg_fields
 from neo_ros.messages.frame_processor import WideFrame
 from neo_ros.messages.memory_messages import MEMORY_OUTPUTS, MemoryMessages, MemorySettings
 from neo_ros.messages.scene_outputs import default_scene_frame, pose_message
+from neo_ros.messages.stamps import stamp_of
 from neo_ros.node.frame_worker import Wanted
 from neo_ros.node.interface import OUTPUTS
 from neo_ros.node.message_types import as_array, make_message
@@ -18,7 +19,6 @@ from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.lifecycle import LifecycleNode
 from rclpy.qos import qos_policy_name_from_kind, QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
-from rclpy.time import Time
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 # Reliable: Fast DDS loses large best-effort messages. Ten, so that a recorder may fall behind.
@@ -52,6 +52,7 @@ class WidePublishers:
     def use(self, values: NodeParameters, arbitrary_scale: bool) -> None:
         """Go by these parameters, and by the scale of the model's scene, from now on."""
         self._jpeg_quality, self._learn = values.jpeg_quality, values.learn
+        self._metric = not arbitrary_scale
         self.scene_frame = values.scene_frame or default_scene_frame(arbitrary_scale)
         self._memory = MemoryMessages(make_message, MemorySettings(
             self.scene_frame, self._node.get_fully_qualified_name(), values.points_every,
@@ -59,7 +60,7 @@ class WidePublishers:
 
     def wanted(self) -> Wanted:
         """Say which topics have subscribers, and what else images are widened for."""
-        sends = self._frames is not None and self._frames.sends
+        sends = self._frames is not None and self._frames.sends and self._metric
         return Wanted(transform=sends, learn=self._learn, **{
             name: publisher.get_subscription_count() > 0
             for name, publisher in self._publishers.items()})
@@ -95,12 +96,12 @@ class WidePublishers:
 
     def _age_ms(self, header: Any) -> float:
         now = self._node.get_clock().now().nanoseconds
-        return (now - Time.from_msg(header.stamp).nanoseconds) / 1e6
+        return (now - stamp_of(header)) / 1e6
 
     def _publish_base(self, header: Any, frame: WideFrame, wanted: Wanted) -> None:
         guide = frame.guide
-        if guide is None or self._frames is None:
-            return
+        if guide is None or self._frames is None or not self._metric or header.stamp.sec < 0:
+            return  # Time cannot be negative, to tf.
         found = self._frames.base_pose(header, guide.pose, guide.covariance)
         if found is None:
             return

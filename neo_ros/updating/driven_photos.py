@@ -139,8 +139,8 @@ def _frames(reader: BagReader, extrapolator: FovExtrapolator, image_topic: str |
             ) -> Iterator[WideFrame]:
     """Yield the WideFrame of each image that can be read; count why others are rejected."""
     topics = find_camera(reader, extrapolator.expansion.source, image_topic, info_topic)
-    processor, images, info = FrameProcessor(extrapolator, rectify), ImageReader(), None
-    calibrated = topics.info is not None and topics.info.count > 0
+    processor, images = FrameProcessor(extrapolator, rectify), ImageReader()
+    info = topics.first_info(reader)
     names = [topic.name for topic in (topics.image, topics.info) if topic is not None]
     total = sum(topic.count for topic in (topics.image, topics.info) if topic is not None)
     for done, message in enumerate(reader.messages(names), 1):
@@ -149,7 +149,7 @@ def _frames(reader: BagReader, extrapolator: FovExtrapolator, image_topic: str |
             content = as_raw_image(message.read(), message.topic, images)
             if message.topic == topics.info:
                 info = camera_info_of(content, topics.image.name)
-            elif info is not None or not calibrated:  # Else its lens is not known yet.
+            else:
                 yield processor.process(content, info)
         except (BagError, ImageRejected) as error:
             rejected[str(error)] += 1

@@ -6,9 +6,9 @@ from typing import Any
 
 from neo_ros.bags import BagReader, BagTopic
 from neo_ros.bags.camera_topics import COMPRESSED, find_camera, find_truth_topic, first_size, IMAGE
-from neo_ros.bags.reading import BagMessage
+from neo_ros.bags.reading import BagMessage, LONGEST_GAP_NS
 from neo_ros.errors import BagError, ConfigError, GeometryError, ImageRejected
-from neo_ros.messages import camera_info_of, FrameProcessor
+from neo_ros.messages import FrameProcessor
 from neo_ros.messages.stamps import NS_PER_S
 from neo_ros.runtime import FovExtrapolator
 from neo_ros.viewer.bag_moments import Companion, picture_at, picture_before
@@ -75,9 +75,7 @@ class BagSource:
         self._processor = FrameProcessor(extrapolator, self._rectify)
         self._camera = find_camera(reader, extrapolator.expansion.source, topic)
         image, info = self._camera.image, self._camera.info
-        first = reader.first(info) if info is not None else None
-        self._info = ('' if info is None else info.name,
-                      None if first is None else camera_info_of(first, image.name))
+        self._info = '' if info is None else info.name, self._camera.first_info(reader)
         return image.name, find_truth_topic(reader, image, (target.width, target.height))
 
     def _make_pictures(self) -> BagPictures:
@@ -125,6 +123,7 @@ class _Run:
         self._anchor: tuple[float, int, float] | None = None
         self._owed = False
         self._viewers = 0
+        self._rejected: set[int] = set()
         self._make_companions()
         self._pictures.forget(hub)
         self._report()
@@ -179,6 +178,8 @@ class _Run:
                 ahead = 0 if self._anchor is None else (
                     stamp_ns - self._shown_ns) / NS_PER_S / player.rate
                 self._anchor = clock.now() + max(ahead, 0), stamp_ns, player.rate
+            if stamp_ns - self._shown_ns > LONGEST_GAP_NS:  # The robot's clock was set.
+                self._anchor = clock.now(), stamp_ns, player.rate
             at, at_ns, rate = self._anchor
             due = at + (stamp_ns - at_ns) / NS_PER_S / rate
             if clock.now() >= due:
@@ -202,7 +203,9 @@ class _Run:
             picture = self._pictures.take(message, due, self._hub)
         except (ImageRejected, GeometryError, BagError) as error:
             if self._source.model is not None and message.topic == self._pictures.image:
-                self._player.timeline.reject(message.stamp_ns)
+                if message.stamp_ns not in self._rejected:  # It may have been played before.
+                    self._player.timeline.reject(message.stamp_ns)
+                self._rejected.add(message.stamp_ns)
             self._hub.report(replace(self._described(), level=1, message=str(error)))
             return
         if picture is not None:

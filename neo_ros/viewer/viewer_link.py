@@ -127,6 +127,9 @@ class ViewerLink:
         if 'round_trip' in asked:
             self._pace.round_trip_s = min(max(
                 float(asked['round_trip']) / 1e3, 0.0), MOST_ROUND_TRIP_S)
+        if 'thin' in asked:
+            self._pace.small = True
+            self._on_change()
         if 'player' in asked:
             self._command(dict(asked['player']))
         if not {'confidence', 'paused', 'beside'}.isdisjoint(asked):

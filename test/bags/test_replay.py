@@ -170,6 +170,14 @@ def test_images_of_another_camera_are_rejected_until_it_is_the_right_one(
     assert (result.frames, result.rejected) == (2, {'camera': 3})
 
 
+def test_images_before_the_first_camera_info_are_of_its_camera(tmp_path, extrapolator) -> None:
+    narrow = camera_info_fields(Intrinsics.from_hfov(32, 24, 1.0))
+    bag = _write_images(tmp_path / 'bag', [(START_NS, _good(0)), (START_NS + 2, _good(1))],
+                        infos=[(START_NS + 1, narrow)])
+    result = replay(bag, extrapolator, tmp_path / 'out')
+    assert (result.frames, result.rejected) == (0, {'camera': 2})
+
+
 def test_rectified_images_beside_the_camera_info_of_the_raw_ones_are_taken(
         tmp_path, extrapolator) -> None:
     straight = camera_info_fields(EXPANSION.source)

@@ -148,6 +148,20 @@ def test_truth_is_found_by_its_size_but_not_in_what_a_model_made(
         assert truth is not None and truth.name == '/camera/wide/image_raw'
 
 
+def test_what_a_model_made_is_no_truth_without_its_mask(tmp_path) -> None:
+    with CameraBag(tmp_path / 'bag') as bag:
+        bag.image(IMAGE, 1, np.zeros((24, 32, 3), np.uint8))
+        bag.image('/camera/wide/image', 1, np.zeros((48, 64, 3), np.uint8))
+    with BagReader(tmp_path / 'bag') as reader:
+        camera = find_camera(reader, EXPANSION.source, None).image
+        assert find_truth_topic(reader, camera, (64, 48)) is None
+    # A camera that is called wide is one.
+    with CameraBag(tmp_path / 'other') as bag:
+        bag.image('/front/wide/image', 1, np.zeros((24, 32, 3), np.uint8))
+    with BagReader(tmp_path / 'other') as reader:
+        assert find_camera(reader, EXPANSION.source, None).image.name == '/front/wide/image'
+
+
 def test_an_error_of_a_callback_ends_the_replay(tmp_path, walk_bag, extrapolator) -> None:
     def fail(stamp_ns: int, image: np.ndarray, wide_image: np.ndarray) -> None:
         raise NeoError('disk full')

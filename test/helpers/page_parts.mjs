@@ -19,9 +19,10 @@ async function connected(ahead) {
     static OPEN = 1;
     readyState = 1;
     send(text) { said.push(JSON.parse(text)); }
+    close() {}
   };
   const { Link } = await load('link.js');
-  const link = new Link({ onOpen() {}, onHello() {}, onStatus() {}, onPicture() {} });
+  const link = new Link({ onOpen() {}, onClosed() {}, onHello() {}, onStatus() {}, onPicture() {} });
   const server = { ahead };
   const hear = (message) => link.socket.onmessage({ data: JSON.stringify(message) });
   // Let a ping take `there` ms there and `back` ms back.
@@ -88,6 +89,45 @@ const tests = {
     await both[0];
     assert.equal(timeline.known.of, 'the new camera');
     assert.deepEqual([planned.length, changes], [1, 1]);
+  },
+  async silence() {
+    const { link, said } = await connected(1000);
+    assert.ok(!said.some((message) => message.thin), 'a good link needs no small pictures');
+    let retry = null;
+    globalThis.setTimeout = (call) => { retry = call; };
+    globalThis.fetch = async () => ({ status: 200 });
+    here += 4000;
+    link.watch();
+    await retry();
+    said.length = 0;
+    link.socket.onmessage({ data: JSON.stringify({ type: 'hello', now: here }) });
+    assert.deepEqual(said[0], { thin: true });
+  },
+  async overtaken() {
+    const decoded = [];
+    const closed = [];
+    globalThis.createImageBitmap = () => new Promise((made) => {
+      decoded.push(() => made({ close: () => closed.push(1) }));
+    });
+    globalThis.WebSocket = class { static OPEN = 1; readyState = 1; send() {} };
+    const { AroundLink } = await load('around_link.js');
+    const places = [];
+    const looks = [];
+    const around = new AroundLink({ onLook: (look) => looks.push(look.seq),
+      onPlace: (place) => places.push(place.seq) }, () => 0);
+    around.open();
+    const message = (seq) => {
+      const about = new TextEncoder().encode(JSON.stringify({ seq }));
+      const buffer = new ArrayBuffer(12 + about.length + 2);
+      const view = new DataView(buffer);
+      [about.length, 1, 1].forEach((length, at) => view.setUint32(4 * at, length, true));
+      new Uint8Array(buffer).set(about, 12);
+      return around.receive(around.socket, buffer);
+    };
+    const both = [message(1), message(2)];
+    decoded.reverse().forEach((make) => make());
+    await Promise.all(both.reverse());
+    assert.deepEqual([looks, places, closed.length], [[2], [2], 2]);
   },
 };
 await tests[name]();

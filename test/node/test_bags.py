@@ -129,6 +129,19 @@ def test_what_nobody_hears_is_not_published(graph, tmp_path, subscribers, latche
     assert publisher.sent == sent
 
 
+def test_days_without_a_message_are_left_out(graph, tmp_path):
+    """As where a robot without a battery for its clock hears the time after a minute."""
+    with BagWriter(tmp_path / 'bag') as writer:
+        topic = writer.add_topic('/image', 'sensor_msgs/msg/Image', (LATCHED,))
+        for stamp_ns in (0, 10**8, 1_700_000_000 * 10**9, 1_700_000_000 * 10**9 + 10**8):
+            writer.write_cdr(topic, stamp_ns, bytes(64))
+    reports: list[str] = []
+    with BagReader(tmp_path / 'bag') as reader:
+        played = BagPlayer(graph.node, reader, report=reports.append).play(threading.Event())
+    assert played.messages == 4 and 0.2 <= played.seconds < 10
+    assert reports == ['19676 days without a message are left out: a clock was set']
+
+
 def test_topics_without_an_installed_type_are_named(graph, bag):
     reports: list[str] = []
     with BagReader(bag) as reader:

@@ -324,6 +324,16 @@ def test_integers_do_for_doubles_and_nothing_else_does(graph, model):
         assert node.get_parameter('max_fps').value == 25.0
 
 
+def test_frames_are_set_before_it_is_configured(graph, model):
+    with node_beside(graph, model) as node:
+        refused = set_parameter(graph, 'odom_frame', 'world')
+        assert not refused.successful and 'clean it up, set it and configure' in refused.reason
+        assert set_parameter(graph, 'odom_frame', 'odom').successful  # As it is.
+        node.trigger_deactivate()
+        node.trigger_cleanup()
+        assert set_parameter(graph, 'odom_frame', 'world').successful
+
+
 def test_a_package_that_is_not_there_is_named(graph, model):
     camera = Camera(graph)
     camera.start_node('package://nowhere/models/tiny.onnx')

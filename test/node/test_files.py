@@ -6,6 +6,7 @@ from pathlib import Path
 import signal
 import subprocess
 import sys
+from types import SimpleNamespace
 import xml.etree.ElementTree as ElementTree
 
 from ament_index_python.packages import get_package_prefix, PackageNotFoundError
@@ -153,6 +154,36 @@ def test_launch_file_describes_its_arguments(launch_file):
              launch_file.generate_launch_description().get_launch_arguments()}
     assert names == {'namespace', 'image', 'camera_info', 'model', 'params_file', 'viewer',
                      'autostart', 'use_sim_time'}
+
+
+@pytest.mark.parametrize('given, more', [
+    ({}, []), ({'use_sim_time': 'false'}, []),
+    ({'model': 'file:///a.onnx', 'use_sim_time': 'true'}, ['--model', '/a.onnx', '--sim-time']),
+], ids=['nothing', 'no simulation', 'a model in simulated time'])
+def test_the_viewer_of_the_launch_file_has_its_model_and_its_time(given, more, monkeypatch):
+    made, launch_file = launch_stand_in(monkeypatch, given)
+    launch_file.start_node(None)
+    assert made['ExecuteProcess']['cmd'] == ['neo', 'view', '--topic', '/wide/image', *more]
+
+
+def launch_stand_in(monkeypatch, given):
+    """Return what the launch file makes, and it, with stand-ins for launch: it is not on PyPI."""
+    made = {}
+    names = {'launch': ['LaunchContext', 'LaunchDescription'],
+             'launch.actions': ['DeclareLaunchArgument', 'ExecuteProcess', 'OpaqueFunction'],
+             'launch.conditions': ['IfCondition'], 'launch.substitutions': [],
+             'launch_ros': [], 'launch_ros.actions': ['Node']}
+    for module, classes in names.items():
+        monkeypatch.setitem(sys.modules, module, SimpleNamespace(**{
+            name: type(name, (), {'__init__': lambda self, *_, **said: made.__setitem__(
+                type(self).__name__, said)}) for name in classes}))
+    sys.modules['launch.substitutions'].LaunchConfiguration = lambda name: SimpleNamespace(
+        perform=lambda context: given.get(name, ''))
+    specification = importlib.util.spec_from_file_location('launch_file', LAUNCH)
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    monkeypatch.setattr(module, 'get_package_share_directory', lambda package: str(share_dir()))
+    return made, module
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from box_room import apart, EXPANSION, planar, view, write_box_model
-from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from live_node import Camera, node_beside
 from nav_msgs.msg import Odometry
@@ -93,6 +93,45 @@ def test_tf_hears_where_odom_is_in_the_map_though_nobody_subscribes(tmp_path, gr
             assert transition() == TransitionCallbackReturn.SUCCESS
         assert TransformListener.listening == 0
         graph.spin_until(lambda: not graph.node.count_publishers('/tf'))
+
+
+def test_a_stamp_before_time_began_costs_the_base_alone(tmp_path, graph, tf2):
+    Buffer.known['base_link', 'camera_optical'] = T_BASE_CAMERA
+    images = graph.node.create_publisher(Image, '/robot/image', 10)
+    bases = graph.collect(PoseWithCovarianceStamped, '/robot/wide/base_pose')
+    poses = graph.collect(PoseWithCovarianceStamped, '/robot/wide/pose')
+    states = graph.collect(DiagnosticArray, '/robot/wide/status')
+    with node_beside(graph, write_box_model(tmp_path), '-p', 'base_frame:=base_link'):
+        graph.spin_until(images.get_subscription_count)
+        graph.spin_for(0.3)
+        send(images, planar(2.1, 1.6, 40), -1)
+        graph.spin_until(lambda: poses and states)
+        send(images, planar(2.1, 1.6, 40))
+        graph.spin_until(lambda: bases)
+        assert bases[0].header.stamp.sec == STAMP_S
+
+
+def test_where_nobody_knows_the_scale_nothing_is_said_in_metres(tmp_path, graph, tf2):
+    for pair in (('base_link', 'camera_optical'), ('odom', 'base_link')):
+        Buffer.known[pair] = T_BASE_CAMERA
+    images = graph.node.create_publisher(Image, '/robot/image', 10)
+    odometry = graph.node.create_publisher(Odometry, '/robot/odom', 10)
+    bases = graph.collect(PoseWithCovarianceStamped, '/robot/wide/base_pose')
+    poses = graph.collect(PoseWithCovarianceStamped, '/robot/wide/pose')
+    with node_beside(graph, write_box_model(tmp_path, arbitrary_scale=True),
+                     '-p', 'base_frame:=base_link', '-p', 'publish_tf:=true') as node:
+        graph.spin_until(images.get_subscription_count)
+        graph.spin_until(odometry.get_subscription_count)
+        graph.spin_for(0.3)
+        send(images, planar(2.1, 1.6, 40))
+        graph.spin_until(lambda: poses)
+        for stamp_s in (STAMP_S - 1, STAMP_S + 1):
+            message = Odometry(child_frame_id='base_link')
+            message.header.stamp.sec = stamp_s
+            odometry.publish(message)
+        graph.spin_for(0.5)
+        assert poses[0].header.frame_id == 'scene' and not bases
+        assert not TransformBroadcaster.sent and not node._pose_inputs.hints._odometry
 
 
 def test_a_transform_that_is_missing_is_told(tmp_path, graph, tf2, monkeypatch):

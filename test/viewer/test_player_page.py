@@ -159,6 +159,23 @@ def test_a_link_leads_to_its_moment(page: Any, browser: Any, viewer: BagViewer) 
         wait_for(page, lambda: moment(page) == 5.0)
 
 
+def test_a_link_that_was_lost_turns_no_time_back(browser: Any, viewer: BagViewer) -> None:
+    with opened_page(browser) as page:
+        page.add_init_script("""const Socket = window.WebSocket;
+            window.WebSocket = class extends Socket {
+                constructor(...address) { super(...address); window.newest ??= this; }
+            };""")
+        page.goto(f'{viewer.url}#t=4.50')
+        page.wait_for_selector('#connection[data-state=paused]')
+        wait_for_moment(page, 4.5)
+        page.keyboard.press(' ')
+        wait_for(page, lambda: moment(page) > 6)
+        page.evaluate('window.newest.close()')
+        page.wait_for_timeout(1500)
+        page.wait_for_selector('#connection[data-state=recording]')
+        assert moment(page) > 6
+
+
 def test_truth_and_camera_stand_beside_the_picture(page: Any) -> None:
     pause(page, 3.0)
     page.select_option('#beside-choice', 'truth')

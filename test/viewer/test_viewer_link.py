@@ -247,6 +247,19 @@ def test_a_thin_link_gets_smaller_pictures_and_a_good_one_full_ones_again():
     run(test)
 
 
+def test_a_page_that_lost_its_link_behind_a_picture_gets_small_ones_first():
+    async def test():
+        async with opened() as bench:
+            socket = await bench.watch(socket=ThinSocket(bench.clock, 250e3 / 8, 0.02))
+            socket.say(thin=True)
+            await bench.turn(0.1)
+            assert bench.hub.wanted.small
+            await bench.publish(ROOM)
+            await bench.turn(1.0)
+            assert socket.ages[0][1]
+    run(test)
+
+
 def test_one_stall_makes_nothing_smaller():
     pace = Pace()
     for took_s in (0.1, 5.0, 0.1, 5.0, 0.1):

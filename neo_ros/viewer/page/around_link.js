@@ -67,11 +67,14 @@ export class AroundLink {
       if (meta.seq > this.newest) {  // Decoding may overtake.
         this.newest = meta.seq;
         this.events.onLook({ ...meta, bitmap, kinds });
+        this.events.onPlace(meta);
+      } else {
+        bitmap.close();
+        kinds.close();
       }
     } catch {
       // What the browser cannot decode; without its confirmation no other would come.
     }
     this.confirm(meta.seq);
-    this.events.onPlace(meta);
   }
 }

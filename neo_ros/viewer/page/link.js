@@ -23,6 +23,7 @@ export class Link {
     this.asked = { confidence: false, beside: '', paused: true };
     this.answers = 0;
     this.attempt = 0;
+    this.thin = false;
     this.checking = false;
     this.offset = null;
     this.roundTrip = Infinity;
@@ -71,6 +72,7 @@ export class Link {
     this.heard = performance.now();
     if (message.type === 'hello') {
       this.attempt = 0;
+      if (this.thin) this.send({ thin: true });
       this.offset = message.now - performance.now();
       this.events.onOpen();
       this.events.onHello(message);
@@ -131,6 +133,7 @@ export class Link {
     const busy = this.socket.readyState <= WebSocket.OPEN;
     if (busy && !document.hidden && performance.now() - this.heard > SILENCE_MS) {
       const dead = this.socket;
+      this.thin = true;  // A picture that takes so long looks the same: the next ones are smaller.
       this.lost('lost');
       dead.close();
     }

@@ -15,6 +15,7 @@ export class Player {
   constructor({ ask, redraw, say }) {
     Object.assign(this, { ask, redraw, say });
     this.status = null;
+    this.followed = false;
     this.asked = { at: 0, until: 0 };
     this.beside = 'none';
     this.camera = null;
@@ -121,7 +122,8 @@ export class Player {
       this.timeline.load();
     }
     if (first) {
-      this.follow();
+      if (!this.followed) this.follow();  // Once: a link that was lost must not turn time back.
+      this.followed = true;
       this.choose(this.beside);
     }
     this.showMoment();
