@@ -33,7 +33,7 @@ from neo_ros.speed.model import count_flops
 from neo_ros.training.checkpoint import (
     begin_as, read_notes, train_with_checkpoints, write_notes)
 from neo_ros.training.checks import check_training
-from neo_ros.training.folder import claim, drop_made_of_a_field, take_field
+from neo_ros.training.folder import begin_run, claim, drop_made_of_a_field, take_field
 from neo_ros.training.memory import memory_step, name_memory
 from neo_ros.training.photo_depth import photos_with_depth
 from neo_ros.training.pose_map import COUNTS_FILE
@@ -71,6 +71,8 @@ def train(scene_folder: Path, experiment: Experiment, out: Path,
     """
     scene = read_upright_scene(scene_folder)
     with process_group() as rank:
+        if rank == 0:
+            begin_run(out, minutes)
         if rank == 0 and minutes is not None:
             make_output_folder(out)
             plan_training(out, scene, experiment, minutes,
@@ -96,11 +98,12 @@ def train(scene_folder: Path, experiment: Experiment, out: Path,
         network = fit_outpainter_step(run, field, held_out, rank)
     if rank > 0:
         return run
-    export_step(run, network, calibration_views(run, field, held_out))
+    views = calibration_views(run, field, held_out)
+    export_step(run, network, views)
     if plan is None:  # Where it cannot be made, the model is there and works alone.
         memory_step(run, field)
     name_memory(run)
-    run.figures = write_training_report(run, field, score_step(run))
+    run.figures = write_training_report(run, field, score_step(run), views)
     return run
 
 

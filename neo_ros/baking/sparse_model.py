@@ -70,6 +70,9 @@ def read_sparse_model(bank: PhotoBank, folder: Path,
         points, flat = _triangulate(bank, folder, progress, rules)
         with whole_file(cache) as partial, partial.open('wb') as file:
             np.savez(file, points=points, point_of=flat)
+    if not len(points):
+        raise SceneError(f'{folder}: no point could be triangulated from the photos; landmarks '
+                         'need textured photos that overlap, with poses that fit them')
     if len(flat) != sum(counts):
         raise SceneError(f'{cache}: expected the points of {sum(counts)} features, got '
                          f'{len(flat)}; delete the folder to triangulate again')
@@ -126,9 +129,6 @@ def _triangulate(bank: PhotoBank, folder: Path,
     model = pycolmap.triangulate_points(known, database, folder, folder, options=options)
     points, flat = points_of(model, bank.features)
     database.unlink()
-    if not len(points):
-        raise SceneError(f'{folder}: no point could be triangulated from the photos; '
-                         'B3 needs textured photos that overlap, with poses that fit them')
     return points, flat
 
 

@@ -4,10 +4,9 @@ What the parts of a scene memory are made of: files, of which each reads what it
 All photos of a scene may be larger than memory, and Ray's workers see the same files.
 """
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from itertools import chain
 from pathlib import Path
 from typing import BinaryIO
 from zipfile import BadZipFile
@@ -47,15 +46,20 @@ class SharedScene:
     @classmethod
     def unpack(cls, field: Path, photos: PosedImages, scale: float, folder: Path
                ) -> 'SharedScene':
-        """Write the photos' files, one photo after the other; NeoError where there is no room."""
-        each = range(len(photos))
-        images = _keep_rows(folder / 'images.npy', len(photos),
+        """
+        Write the photos' files, one photo after the other; NeoError where there is no room.
+
+        They may be gigabytes: whole ones that a run left which was broken off are taken.
+        """
+        each, camera = range(len(photos)), photos.intrinsics.scaled(scale)
+        shape = (len(photos), camera.height, camera.width)
+        images = _keep_rows(folder / 'images.npy', (*shape, 3), np.uint8,
                             (photos.read_image(index, scale) for index in each))
-        usable = _keep_rows(folder / 'usable.npy', len(photos), (
-            photos.read_shown(index, scale)[1] for index in each)
+        usable = _keep_rows(folder / 'usable.npy', shape, bool, (
+            np.ones(shape[1:], bool) if one is None else one
+            for one in (photos.read_usable(index, scale) for index in each))
             ) if any(photos.mask_paths) else None
-        return cls(field.absolute(), Photos(
-            _NONE, photos.intrinsics.scaled(scale), photos.T_world_cam), images, usable)
+        return cls(field.absolute(), Photos(_NONE, camera, photos.T_world_cam), images, usable)
 
     def read_photos(self) -> Photos:
         """Return the photos; their pixels are read when they are looked at."""
@@ -85,15 +89,20 @@ def keep_array(path: Path, array: np.ndarray) -> Path:
     return path
 
 
-def _keep_rows(path: Path, count: int, rows: Iterable[np.ndarray]) -> Path:
-    """Write an array row by row, as `keep_array` does."""
-    path, rows = path.absolute(), iter(rows)
-    first = next(rows)
+def _keep_rows(path: Path, shape: tuple[int, ...], dtype: type, rows: Iterable[np.ndarray]
+               ) -> Path:
+    """Write an array row by row, as `keep_array` does, where it is not there."""
+    path = path.absolute()
+    with suppress(OSError, ValueError):
+        there = _mapped(path)
+        if (there.shape, there.dtype) == (shape, dtype):
+            return path
+    path.unlink(missing_ok=True)  # There may be room for one.
     with kept_file(path) as file:
         np.lib.format.write_array_header_1_0(file, {
-            'descr': np.lib.format.dtype_to_descr(first.dtype), 'fortran_order': False,
-            'shape': (count, *first.shape)})
-        for row in chain([first], rows):
+            'descr': np.lib.format.dtype_to_descr(np.dtype(dtype)), 'fortran_order': False,
+            'shape': shape})
+        for row in rows:
             file.write(np.ascontiguousarray(row).data)
     return path
 

@@ -5,6 +5,8 @@ from typing import Annotated, Any, Optional
 from neo_ros.errors import ConfigError
 import typer
 
+# Photos that are trained on in their full size without --minutes, pixels.
+SMALL = 256
 FORMATS = ('scene, transforms, colmap, scannet, 7scenes, tum, euroc, record3d, polycam, '
            'trajectory, bag, photos or video')
 
@@ -177,7 +179,8 @@ def _tell(scene: Path, found: Any, notes: list[str]) -> None:
     out = Path('out', found.name)
     if out.resolve() == scene.resolve():  # A training wants a folder of its own.
         out = Path('out', f'{found.name}_model')
-    tell_next('neo', 'train', scene, '--out', out)
+    large = ['--minutes', 30] if max(photo.width, photo.height) > SMALL else []
+    tell_next('neo', 'train', scene, '--out', out, *large)
 
 
 def _named_format(name: str) -> Any:

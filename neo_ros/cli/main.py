@@ -80,8 +80,9 @@ def main() -> None:
         if error.name == 'rclpy':
             sys.exit(_fail('rclpy is not installed; this command needs ROS 2 Jazzy: source it, or '
                            'make setup in a checkout'))
-        extra = {'torch': 'train', 'scipy': 'train', 'onnx': 'train',
-                 'pycolmap': 'train', 'aiohttp': 'viewer', 'yarl': 'viewer', 'av': 'video'}.get(
+        extra = {**dict.fromkeys(('torch', 'scipy', 'onnx', 'onnxscript', 'pycolmap', 'pydantic'),
+                                 'train'),
+                 'aiohttp': 'viewer', 'yarl': 'viewer', 'av': 'video'}.get(
             (error.name or '').split('.')[0])
         if extra is None:
             raise

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Annotated, Any, Optional
 
 from neo_ros.cli.options import ImageTopic, InfoTopic, Rectify
+from neo_ros.errors import ConfigError
 import typer
 
 
@@ -81,6 +82,9 @@ def _replay_one(bag: Path, model: Path, out: Path, options: Any, side_by_side: P
     import rich
     from rich.markup import escape
 
+    if side_by_side is not None and out.resolve() in side_by_side.resolve().parents:
+        raise ConfigError(f'--side-by-side: expected a file outside of {out}, which --out makes '
+                          f'anew, got {side_by_side}')
     replayer = BagReplayer(model, learn=learn)
     with ExitStack() as stack:
         on_frame = None

@@ -26,9 +26,9 @@ def train(
     geometry: Annotated[Optional[Path], typer.Option(
         help='A mesh with colours (.ply, .obj, .glb) or splats (.ply) of the scene, in the world '
         'of the photos: it is taken instead of fitting a field.')] = None,
-    geometry_axes: Annotated[str, typer.Option(
+    geometry_axes: Annotated[Optional[str], typer.Option(
         help='What x, y and z of the world of the photos are in axes and unit of --geometry, '
-        'such as 0.01x,-0.01z,0.01y.')] = 'x,y,z',
+        'such as 0.01x,-0.01z,0.01y; default: x,y,z.')] = None,
     cluster: Annotated[bool, typer.Option(
         '--cluster',
         help='Fit the tiles of a large floor and make keyframes side by side on Ray: on the '
@@ -53,11 +53,13 @@ def train(
 
     if geometry is not None:
         refuse('--geometry takes the place of a field', field_of=field_of)
+    else:
+        refuse('expected only with --geometry', geometry_axes=geometry_axes)
     experiment = read_experiment(config) if config is not None else Experiment()
     with stage_progress() as show:
         run = run_pipeline(scene, experiment, out, show, cache_gb, field_of, minutes,
-                           None if geometry is None else GivenGeometry(geometry, geometry_axes),
-                           cluster)
+                           None if geometry is None else GivenGeometry(
+                               geometry, geometry_axes or 'x,y,z'), cluster)
     for name, value in run.figures.items():
         rich.print(f'{name}: {value:.2f} dB')
     files = [run.model_path, run.model_path.with_suffix('.memory')]

@@ -38,7 +38,7 @@ class SideBySide:
         self._stream = self._file.add_stream('libx264', rate=30, options=_QUALITY)
         target = expansion.target
         # Colours are stored for two by two pixels.
-        self._stream.width = 2 * target.width + 2 * target.width % 2
+        self._stream.width = 2 * target.width
         self._stream.height = target.height + target.height % 2
         self._stream.pix_fmt = 'yuv420p'
         self._stream.time_base = Fraction(1, _TICKS_PER_S)

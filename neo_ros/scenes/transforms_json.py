@@ -55,6 +55,10 @@ def read_transforms(path: Path) -> PosedImages:
         if not image_path.is_file():
             missing.append(frame['file_path'])
             continue
+        for key, beside in (('depth_file_path', depth_path), ('mask_path', mask_path)):
+            if beside is not None and not beside.is_file():
+                raise SceneError(f'{path}: frames[{index}]: {key}: there is no file '
+                                 f'{frame[key]}; copy it there, or leave the key out')
         image_paths.append(image_path)
         poses.append(pose)
         path_ids.append(path_id)

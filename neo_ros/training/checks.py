@@ -1,4 +1,5 @@
 """What can be found wrong with a training before any of its work is done."""
+from importlib.util import find_spec
 
 from neo_ros.errors import ConfigError, ModelError
 from neo_ros.field.device import chosen_device
@@ -23,6 +24,8 @@ def check_training(run: TrainingRun) -> None:
     except ModelError:
         raise ConfigError('scene: expected a folder whose name has no backslash or control '
                           f'character, got {run.scene.name!r}; rename it') from None
+    if find_spec('onnxscript') is None:  # Torch asks for it when all else is done.
+        raise ModuleNotFoundError("No module named 'onnxscript'", name='onnxscript')
     rank, world = processes()
     config = run.experiment.outpaint
     chosen_device(run.experiment.field.device)

@@ -13,7 +13,7 @@ from neo_ros.scenes.digests import files_digest, floors_digest, list_digest
 from neo_ros.scenes.scene import Scene
 from neo_ros.training.memory import NOTES, WORK
 from neo_ros.training.tiles import TILES
-from neo_ros.training.time_plan import PLAN_FILE
+from neo_ros.training.time_plan import PLAN_FILE, read_plan
 
 RUN_FILE = 'run.json'
 
@@ -48,6 +48,23 @@ def claim(out: Path, scene: Scene, experiment: Experiment,
     if folder is not None:
         note['folder'] = str(folder.resolve())
     write_bytes(path, json.dumps(note).encode())
+
+
+def begin_run(out: Path, minutes: float | None) -> None:
+    """
+    Forget the plan of a run that was refused before it began.
+
+    Raises ConfigError where `out` holds a run of --minutes, and none are given.
+    """
+    plan = out / PLAN_FILE
+    if not plan.exists():
+        return
+    if not (out / RUN_FILE).exists():
+        plan.unlink()
+    elif minutes is None:
+        before = read_plan(out).minutes
+        raise ConfigError(f'--minutes: {out} holds a run of {before:g} minutes; give --minutes '
+                          f'{before:g} again, or choose another folder')
 
 
 def note_update(out: Path, run: Path, scene: Scene) -> None:

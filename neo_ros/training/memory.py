@@ -19,6 +19,7 @@ from neo_ros.machine.files import sha256_of, write_bytes
 from neo_ros.machine.progress import of_stage
 from neo_ros.runtime.model_card import MemoryFile, read_model_card, write_model_card
 from neo_ros.training.run import TrainingRun
+from neo_ros.training.time_plan import most_memory_seconds
 from neo_ros.training.views import make_sampler
 
 # What is made on the way to the memory, and how long it took, in the output folder.
@@ -38,8 +39,10 @@ def memory_step(run: TrainingRun, field: RadianceField) -> None:
         landmarks = find_landmarks(run.fitted, scale, run.expansion.source, run.out / WORK,
                                    run.progress)
         scene = SharedScene.unpack(run.out / 'field.npz', run.fitted, scale, run.out / WORK)
-        left = math.inf if config.minutes is None else (
-            60 * config.minutes - (time.monotonic() - started))
+        spent = time.monotonic() - started
+        left = math.inf if config.minutes is None else 60 * config.minutes - spent
+        if run.plan is not None:  # Matches and stereo before the field may have taken more.
+            left = min(left, most_memory_seconds(run.plan, run.seconds + spent))
         memory = bake_memory(
             field, scene.read_photos(), run.expansion, make_sampler(run, field), config,
             run.experiment.seed, run.out / WORK / f'keyframes_{config.distance}',

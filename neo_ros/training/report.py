@@ -17,7 +17,7 @@ from neo_ros.runtime import FovExtrapolator
 from neo_ros.training.look_alikes import look_alike_sections
 from neo_ros.training.pose_map import pose_sections
 from neo_ros.training.run import TrainingRun
-from neo_ros.training.views import held_out_poses, held_out_wide_views
+from neo_ros.training.views import held_out_poses
 import numpy as np
 
 STRIPS = 4
@@ -41,10 +41,11 @@ class Scoring:
 
 
 def write_training_report(run: TrainingRun, field: RadianceField, scoring: Scoring | None,
-                          ) -> dict[str, float]:
+                          views: np.ndarray | None) -> dict[str, float]:
     """
     Write report.html (and scores.json, if the scene has test frames) into the run's folder.
 
+    views: of `calibration_views`.
     Returns the figures at its top: on held-out photos field_psnr, and the ring PSNR of the
     network from_photo_psnr and from_rendering_psnr; with test frames oracle_ring_psnr (the field
     at the true pose) and the model's ring_psnr. The field is shown at each photo's exposure.
@@ -53,7 +54,7 @@ def write_training_report(run: TrainingRun, field: RadianceField, scoring: Scori
     sections: list[Section] = [
         *_curves(run), *_held_out_strips(run, field, figures), *pose_sections(run.out)]
     sections += look_alike_sections(run)
-    _compare_inputs(run, field, figures)
+    _compare_inputs(run, field, views, figures)
     confidence: dict[str, dict[str, float]] = {}
     if scoring is not None:
         figures['oracle_whole_psnr'], figures['oracle_ring_psnr'] = _oracle(
@@ -129,14 +130,14 @@ def _held_out_strips(run: TrainingRun, field: RadianceField,
     return [Text('Photos that the field was not shown.', 'The field against photos'), *strips]
 
 
-def _compare_inputs(run: TrainingRun, field: RadianceField, figures: dict[str, float]) -> None:
+def _compare_inputs(run: TrainingRun, field: RadianceField, views: np.ndarray | None,
+                    figures: dict[str, float]) -> None:
     """
     Score the network on photos that nothing was trained on, and on the field's views there.
 
     It learns mostly from renderings: what real images cost is the difference. The truth around
     both is what the field shows.
     """
-    views = held_out_wide_views(run, field)
     if views is None or run.held_out is None:
         return
     network = FovExtrapolator.load(run.model_path, guided=False)

@@ -35,6 +35,7 @@ class PlanRules:
     memory: float = 0.3            # at most; what it leaves is the network's
     rest: float = 0.1              # export, scores and report, and reading the photos
     least_network: float = 0.1
+    least_memory: float = 0.1
     report: float = 0.6            # of the time that the scores take
     network_side: int = 160        # pixels that the network's image is at most wide and high
     passes: float = 1.0            # of the fit over the pixels that it is shown
@@ -133,6 +134,14 @@ def share_network_minutes(out: Path, spent_seconds: float, rank: int = 0,
     if rank == 0:
         _write_plan(out, replace(plan, network_minutes=minutes))
     return minutes
+
+
+def most_memory_seconds(plan: TimePlan, spent_seconds: float, rules: PlanRules = PlanRules()
+                        ) -> float:
+    """Return what the memory may take where so much is spent: the network's least is kept."""
+    return 60 * plan.minutes * max(
+        1 - rules.rest - rules.least_network - spent_seconds / 60 / plan.minutes,
+        rules.least_memory)
 
 
 class TimeLeft:

@@ -243,6 +243,15 @@ def test_a_replay_that_is_refused_leaves_the_video_of_the_last_one(
     assert video.read_bytes() == content and not list(tmp_path.glob('*.partial'))
 
 
+def test_a_video_does_not_lie_in_the_new_bag(tmp_path, walk_bag) -> None:
+    model_file, out = write_tiny_model(tmp_path / 'm.onnx', EXPANSION), tmp_path / 'out'
+    result = CliRunner().invoke(app, [
+        'replay', str(walk_bag), '--model', str(model_file), '--out', str(out),
+        '--side-by-side', str(out / 'video' / 'walk.mp4')])
+    assert '--side-by-side: expected a file outside of' in str(result.exception)
+    assert not out.exists()
+
+
 def test_the_share_that_the_memory_guided_is_told(tmp_path) -> None:
     poses = box_room.box_walk(3)
     wide = [box_room.view(pose, box_room.EXPANSION.target)[0] for pose in poses]

@@ -118,6 +118,12 @@ def test_photos_in_files_are_those_in_memory_and_are_not_read_at_once(
     assert found.intrinsics == photos.intrinsics.scaled(0.5)
     found.images[:] = 0  # It changes no file.
     assert scene.read_photos().images.any()
+    # A run that goes on takes them as they are; of another size they are written anew.
+    written = scene.images.stat().st_mtime_ns
+    SharedScene.unpack(Path('field.npz'), photos, 0.5, tmp_path / 'work')
+    assert scene.images.stat().st_mtime_ns == written
+    SharedScene.unpack(Path('field.npz'), photos, 0.25, tmp_path / 'work')
+    assert scene.images.stat().st_mtime_ns != written
 
 
 def test_a_run_on_a_cluster_hands_its_keyframes_over(

@@ -4,6 +4,8 @@ from dataclasses import replace
 from typing import Any
 
 from corner_photos import CAMERA, EXPANSION, write_corner
+import cv2
+from neo_ros.baking import sparse_model
 from neo_ros.baking.photo_bank import read_photo_bank
 from neo_ros.baking.sparse_model import epipolar_distance, read_sparse_model
 from neo_ros.benchmark.field_view import FieldView, Oracle
@@ -14,11 +16,12 @@ from neo_ros.benchmark.warping import (
 from neo_ros.errors import SceneError
 from neo_ros.evaluation.evaluate import score_frames
 from neo_ros.flat.demo_flat import build_demo_flat
-from neo_ros.geometry import Intrinsics, ViewExpansion
+from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
 from neo_ros.geometry.camera_pose import rotation_from_vector
 from neo_ros.memory.local_features import find_features, match_features
 from neo_ros.pictures.filling import blend_bands, extend_edges
 from neo_ros.pictures.usable import write_usable
+from neo_ros.scenes.posed_images import PosedImages
 import numpy as np
 from plain_field import room_field, standing
 import pytest
@@ -165,6 +168,21 @@ def test_features_and_points_are_read_again_from_their_files(corner, bank):
     first = read_sparse_model(bank, folder / 'sparse')
     np.testing.assert_array_equal(read_sparse_model(again, folder / 'sparse').points,
                                   first.points)
+
+
+def test_photos_that_show_nothing_in_common_are_matched_once(tmp_path, monkeypatch):
+    photos = PosedImages(CAMERA, tuple(tmp_path / f'{i}.png' for i in range(4)), tuple(
+        CameraPose.from_planar(0.3 * i, 0, 1.5, 0) for i in range(4)), (0,) * 4)
+    random = np.random.default_rng(0)
+    for path in photos.image_paths:
+        cv2.imwrite(str(path), random.integers(0, 256, (CAMERA.height, CAMERA.width, 3), np.uint8))
+    bank, matched = read_photo_bank(photos, 1.0, tmp_path / 'features.npz'), []
+    verified = sparse_model._verified
+    monkeypatch.setattr(sparse_model, '_verified', lambda *of: matched.append(1) or verified(*of))
+    for _ in range(2):
+        with pytest.raises(SceneError, match='no point could be triangulated .*; landmarks need'):
+            read_sparse_model(bank, tmp_path / 'sparse')
+    assert matched == [1]
 
 
 def test_the_oracle_renders_at_the_true_pose_and_refuses_without():

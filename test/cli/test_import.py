@@ -50,6 +50,13 @@ def test_the_next_command_is_on_one_line_and_trains_elsewhere(
         assert result.output.splitlines()[-1] == f'Next: {command}'
 
 
+def test_large_photos_are_trained_on_in_minutes(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source = write_seven_scenes(tmp_path / 'source', demo_photos())
+    monkeypatch.setattr('neo_ros.cli.import_scene.SMALL', 32)
+    assert run(source, tmp_path / 'hall').endswith('--minutes 30')
+
+
 def test_keyframes_are_chosen_on_the_way(tmp_path: Path) -> None:
     output = run(write_bag(tmp_path / 'bag', demo_photos()), tmp_path / 'scene',
                  '--keyframe-distance', '0.25', '--keyframe-angle', '90')

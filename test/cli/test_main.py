@@ -102,6 +102,8 @@ def test_what_train_cannot_do_is_one_clear_line(
     (['view', '--rectify'], '--rectify: expected only with --bag; leave it out'),
     (['train', 'x', '--out', 'y', '--geometry', 'x.ply', '--field-of', 'z'],
      '--field-of: --geometry takes the place of a field; leave it out'),
+    (['train', 'x', '--out', 'y', '--geometry-axes', 'x,y,z'],
+     '--geometry-axes: expected only with --geometry; leave it out'),
     (['view', '--bag', 'x', '--sim-time'], '--sim-time: expected only without --bag'),
     (['floor', 'scene', 'map.yaml', '--origin', '0', '0', '1'], '--origin: expected with an'),
     (['import', 'demo', 'x', '--level'], '--level: the demo has its own'),
@@ -152,6 +154,8 @@ def test_wrong_usage_is_exit_code_2(
 
 @pytest.mark.parametrize('module, message', [
     ('torch', 'torch is not installed; this command needs the extra train: make train-setup, or'),
+    ('pydantic', 'pydantic is not installed; this command needs the extra train: make'),
+    ('onnxscript', 'onnxscript is not installed; this command needs the extra train: make'),
     ('rclpy', 'this command needs ROS 2 Jazzy: source it'),
 ], ids=str)
 def test_a_missing_extra_is_named(

@@ -23,7 +23,7 @@ from neo_ros.memory.patch_finding import _as_before, PatchThresholds
 from neo_ros.memory.rendering import MemoryRenderer
 from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.memory.stereo import Shot
-from neo_ros.memory.turn import Turn
+from neo_ros.memory.turn import Record, Turn
 from neo_ros.runtime import FovExtrapolator, read_model_card
 import numpy as np
 import pytest
@@ -159,7 +159,7 @@ def test_what_was_shown_again_lies_under_what_came_later_even_when_compacted() -
     halves = Patch.of(halves.pose, halves.camera, image, depth, 0, 0, parts=parts)
     other = Patch.of(halves.pose, halves.camera, 255 - image, np.where(parts, depth, 0), 1, 1)
     left = Turn(np.full(1, PARTS, np.uint32), 2, 2)
-    records = [true_patch(DRIVE[12]), halves, other, left, left]
+    records: list[Record] = [true_patch(DRIVE[12]), halves, other, left, left]
     compacted = without_replaced([*records, left, left])
     assert len(compacted) < len(records) + 2
     band, position = Band(1.0, -1.0), DRIVE[10].position
@@ -256,7 +256,7 @@ def test_a_surface_in_the_sun_is_no_change(made: str, same_depth: bool, stays: b
     part = (slice(20, 44), slice(16, 48))
     image = shown.copy()
     image[part] = {'brighter': 1.5 * shown[part],
-                   'of another hue': shown[part] * np.float32([0.4, 1, 1.5]),
+                   'of another hue': shown[part] * np.array([0.4, 1, 1.5], np.float32),
                    'repainted': np.random.default_rng(0).uniform(0, 255, shown[part].shape)}[made]
     seen = np.zeros_like(depth)
     seen[part] = depth[part] if same_depth else 0.7 * depth[part]

@@ -140,13 +140,17 @@ def launch_system():
     pytest.importorskip('launch_ros')
 
 
-@pytest.fixture
-def launch_file(launch_system):
+def load_launch_file():
     specification = importlib.util.spec_from_file_location('launch_file', LAUNCH)
     assert specification and specification.loader
     module = importlib.util.module_from_spec(specification)
     specification.loader.exec_module(module)
     return module
+
+
+@pytest.fixture
+def launch_file(launch_system):
+    return load_launch_file()
 
 
 def test_launch_file_describes_its_arguments(launch_file):
@@ -168,22 +172,23 @@ def test_the_viewer_of_the_launch_file_has_its_model_and_its_time(given, more, m
 
 def launch_stand_in(monkeypatch, given):
     """Return what the launch file makes, and it, with stand-ins for launch: it is not on PyPI."""
-    made = {}
+    made: dict[str, dict] = {}
+
+    def stand_in(name):
+        return type(name, (), {'__init__': lambda self, *_, **said: made.update({name: said})})
+
     names = {'launch': ['LaunchContext', 'LaunchDescription'],
              'launch.actions': ['DeclareLaunchArgument', 'ExecuteProcess', 'OpaqueFunction'],
-             'launch.conditions': ['IfCondition'], 'launch.substitutions': [],
+             'launch.conditions': ['IfCondition'], 'launch.substitutions': ['LaunchConfiguration'],
              'launch_ros': [], 'launch_ros.actions': ['Node']}
     for module, classes in names.items():
-        monkeypatch.setitem(sys.modules, module, SimpleNamespace(**{
-            name: type(name, (), {'__init__': lambda self, *_, **said: made.__setitem__(
-                type(self).__name__, said)}) for name in classes}))
-    sys.modules['launch.substitutions'].LaunchConfiguration = lambda name: SimpleNamespace(
-        perform=lambda context: given.get(name, ''))
-    specification = importlib.util.spec_from_file_location('launch_file', LAUNCH)
-    module = importlib.util.module_from_spec(specification)
-    specification.loader.exec_module(module)
-    monkeypatch.setattr(module, 'get_package_share_directory', lambda package: str(share_dir()))
-    return made, module
+        monkeypatch.setitem(sys.modules, module, SimpleNamespace(
+            **{name: stand_in(name) for name in classes}))
+    launch_file = load_launch_file()
+    monkeypatch.setattr(launch_file, 'LaunchConfiguration', lambda name: SimpleNamespace(
+        perform=lambda context: given.get(name, '')))
+    monkeypatch.setattr(launch_file, 'get_package_share_directory', lambda _: str(share_dir()))
+    return made, launch_file
 
 
 @pytest.fixture

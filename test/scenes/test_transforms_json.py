@@ -66,6 +66,15 @@ def test_missing_images_are_named_and_skipped(
     assert '1 listed images are missing and skipped: images/1.png' in caplog.text
 
 
+@pytest.mark.parametrize('key', ['depth_file_path', 'mask_path'])
+def test_what_is_listed_beside_an_image_has_to_be_there(file: Path, key: str) -> None:
+    frames = json.loads(file.read_text())['frames']
+    frames[1][key] = 'beside/1.png'
+    change(file, frames=frames)
+    with pytest.raises(SceneError, match=rf'frames\[1\]: {key}: there is no file beside/1.png'):
+        read_transforms(file)
+
+
 def test_a_capture_without_any_image_is_refused(file: Path) -> None:
     for path in (file.parent / 'images').iterdir():
         path.unlink()

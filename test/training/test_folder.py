@@ -7,8 +7,9 @@ from neo_ros.errors import ConfigError
 from neo_ros.geometry import ViewExpansion
 from neo_ros.pipeline import fit_field_step, train
 from neo_ros.scenes.upright import read_upright_scene
-from neo_ros.training.folder import claim, take_field
+from neo_ros.training.folder import begin_run, claim, take_field
 from neo_ros.training.run import TrainingRun
+from neo_ros.training.time_plan import plan_training, read_plan
 import pytest
 from tiny_training import graph_of, TINY
 
@@ -19,6 +20,30 @@ def test_a_folder_holds_one_run(tiny_run: TrainingRun) -> None:
     with pytest.raises(ConfigError, match='settings.* got a run of .*choose another'):
         train(scene, replace(TINY, seed=4), tiny_run.out)
     assert {path: path.stat().st_mtime_ns for path in tiny_run.out.iterdir()} == before
+
+
+def test_a_plan_that_was_refused_is_forgotten(
+        tiny_run: TrainingRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(run: TrainingRun) -> None:
+        raise ConfigError('no GPU')
+
+    monkeypatch.setattr('neo_ros.pipeline.check_training', refuse)
+    scene, out = tiny_run.out.parent / 'scene', tmp_path / 'out'
+    with pytest.raises(ConfigError, match='no GPU'):
+        train(scene, TINY, out, minutes=0.01)
+    assert (out / 'plan.json').exists()
+    begin_run(out, None)
+    assert not (out / 'plan.json').exists()
+
+
+def test_a_run_of_minutes_goes_on_with_them(tiny_run: TrainingRun, tmp_path: Path) -> None:
+    scene = read_upright_scene(tiny_run.out.parent / 'scene')
+    plan_training(tmp_path, scene, TINY, 2, lambda words: None)
+    claim(tmp_path, scene, read_plan(tmp_path).experiment)
+    with pytest.raises(ConfigError, match='run of 2 minutes; give --minutes 2 again, or'):
+        train(tiny_run.out.parent / 'scene', TINY, tmp_path)
+    begin_run(tmp_path, 2)
+    assert read_plan(tmp_path).minutes == 2
 
 
 @pytest.mark.parametrize('name, content, message', [

@@ -13,8 +13,8 @@ from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.scene import Scene
 from neo_ros.training import time_plan
 from neo_ros.training.time_plan import (
-    PLAN_FILE, plan_training, PlanRules, read_plan, settings_of, share_network_minutes, TimeLeft,
-    TimePlan)
+    most_memory_seconds, PLAN_FILE, plan_training, PlanRules, read_plan, settings_of,
+    share_network_minutes, TimeLeft, TimePlan)
 import numpy as np
 import pytest
 from tiny_training import TINY
@@ -54,6 +54,13 @@ def test_any_camera_gets_a_field_and_a_network_that_the_minutes_allow(
     assert max(view.source.width, view.source.height) <= 160 * experiment.network.shrink
     assert view.source.width > 0.9 * size[0]
     assert min(minutes) > 0 and sum(minutes) < 30
+
+
+@pytest.mark.parametrize('spent_minutes, left_minutes', [(4.5, 3.5), (6.4, 1.6), (9.0, 1.0)])
+def test_what_came_before_the_field_is_the_memorys_too(
+        spent_minutes: float, left_minutes: float) -> None:
+    plan = TimePlan(10, TINY)
+    assert most_memory_seconds(plan, 60 * spent_minutes) == pytest.approx(60 * left_minutes)
 
 
 def test_steps_that_compile_do_not_count_in_how_fast_the_machine_is(
