@@ -130,6 +130,7 @@ def _map(features: Sequence[Features], poses: Sequence[CameraPose],
     options.random_seed, options.num_threads = 0, 1  # Threads would add in another order.
     options.fix_existing_frames, options.multiple_models = True, False
     options.extract_colors = False
+    options.load_all_images = True  # A known one that matches no other is looked up, too.
     options.structure_less_registration_fallback = False
     options.ba_refine_focal_length = options.ba_refine_extra_params = False
     options.constant_cameras = {1}

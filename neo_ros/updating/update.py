@@ -196,16 +196,18 @@ def _photos_that_see(run: UpdateRun, old: VoxelField, field: VoxelField, space: 
                      drive: Drive, compared: ComparedPhotos
                      ) -> tuple[Photos, np.ndarray, np.ndarray, list[int]]:
     """
-    Return photos that see changed space, how far, gains, and which ones; last are all new ones.
+    Return photos that see changed space, how far, gains, and which ones; last are the new ones.
 
     Pixels of photos of before that show what is there no more are not usable. Those that show what
-    is behind something new are.
+    is behind something new are. Pixels of new ones that show what did not become part of the
+    scene, such as somebody who walked by, are not.
     """
     rules, small = BakingRules(), compared.photos.intrinsics
     reached = space.reached_by(field, compared, rules.one_surface)
-    assert compared.photos.usable is not None
-    reached[compared.old:] = compared.photos.usable[compared.old:]
     chosen = [index for index, pixels in enumerate(reached) if pixels.any()]
+    assert compared.photos.usable is not None
+    passing = (compared.depth > 0) & ~compared.agrees & ~reached
+    reached[compared.old:] = compared.photos.usable[compared.old:] & ~passing[compared.old:]
     agree = still_right(old, field, space, compared, reached)
     camera, seen = run.camera, compared.depth[chosen]
     # They may be gigabytes: each is read into its place.
@@ -225,7 +227,10 @@ def _photos_that_see(run: UpdateRun, old: VoxelField, field: VoxelField, space: 
                 field, origin + depth[outside][:, None] * rays[outside])
             wrong &= ~outside
             seen[place][outside], seen[place][wrong] = depth[outside], 0
-            usable[place] &= ~_enlarged(wrong, camera.width, camera.height)
+        else:
+            wrong = passing[index]
+            seen[place][wrong] = 0
+        usable[place] &= ~_enlarged(wrong, camera.width, camera.height)
     return (Photos(images, camera, compared.photos.T_world_cam[chosen], usable), seen,
             compared.gains[chosen], chosen)
 

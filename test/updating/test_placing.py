@@ -64,3 +64,10 @@ def test_a_room_that_no_known_photo_looks_into_is_not_placed() -> None:
     # The drive through the door is missing: nothing ties the second room to the first.
     drive = a_drive([True] * 15 + [False] * 40, poses[:15] + poses[60:100])
     assert not place_lost(drive, SOURCE).images
+
+
+def test_a_known_photo_that_matches_no_other_does_no_harm() -> None:
+    poses = drive_through_door()
+    drive = a_drive([pose.position[0] < 3.2 for pose in poses], poses)
+    drive.images[-1] = np.random.default_rng(0).integers(0, 256, (80, 80, 3), np.uint8)
+    assert len(place_lost(drive, SOURCE).images) > 0.8 * len(drive.lost)

@@ -15,6 +15,7 @@ from neo_ros.memory.rendering import MemoryRenderer
 from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.pipeline import train
 from neo_ros.runtime import FovExtrapolator, read_model_card
+from neo_ros.scenes.scene import read_scene
 from neo_ros.training.checkpoint import read_checkpoint
 from neo_ros.updating import update as update_module
 from neo_ros.updating.update import update, UpdateOptions
@@ -109,6 +110,30 @@ def test_the_card_tells_where_it_comes_from(base: Path) -> None:
     assert entry.bag == 'moved' and 10 < entry.photos <= 60
     assert 'photos that say so' in (base / 'new' / 'report.html').read_text()
     assert not list((base / 'new').glob('*.journal'))
+
+
+def test_new_photos_are_those_that_show_the_change_without_who_walked_by(
+        base: Path, tmp_path: Path) -> None:
+    poses, walked = drive(), (slice(2, 18), slice(2, 14))  # Away from what changed.
+    poses += [CameraPose.from_planar(*pose.position, pose.yaw + np.pi) for pose in poses[::3]]
+    rows, columns = (part.start for part in WIDE.observed)
+    frames = []
+    for number, pose in enumerate(poses):
+        image = look(pose, WIDE.target, AFTER)[0]
+        if number % 6 == 0:
+            image[rows:, columns:][walked] = (255, 0, 255)
+        frames.append((10 ** 9 + number * 10 ** 8, image, pose))
+    write_demo_bag(tmp_path / 'walked', frames, WIDE)
+    update(base / 'run', [tmp_path / 'walked'], tmp_path / 'new', experiment=ROOM)
+    old, new = (read_scene(folder).train for folder in (base / 'room', tmp_path / 'new' / 'room'))
+    added = range(len(old), len(new))
+    # Those that look away add nothing.
+    assert 10 < len(added) <= read_model_card(tmp_path / 'new/room.onnx').updates[0].photos - 10
+    shown = [new.read_shown(index) for index in added]
+    pink = np.array([(image[walked] == (255, 0, 255)).all() for image, _ in shown])
+    there, all_of_it = (np.array([usable[part].mean() for _, usable in shown])
+                        for part in (walked, slice(None)))
+    assert pink.sum() > 3 and there[pink].mean() < 0.4 and all_of_it[~pink].mean() > 0.9
 
 
 def test_an_updated_run_can_be_updated_again(base: Path, tmp_path: Path) -> None:
