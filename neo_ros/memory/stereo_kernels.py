@@ -216,7 +216,8 @@ def confirm(reference, rays, depth, views, camera, same, most_error, confirmed, 
     reference float32 (h, w, 3), depth (h, w) metres, 0 = nothing. An image votes for a point if
     it has it at the same depth, to a share of `same`, and the same colour, to three times
     `most_error` grey levels; against it if it sees through it, or another colour there. Where it
-    does not contradict the memory, what it sees is as far as the memory says.
+    does not contradict the memory, what it sees is as far as the memory says; of another colour,
+    or it says nothing.
     Fills confirmed (h, w), the mean of the depths that agree, and votes int8 (h, w, 2).
     """
     images, depths, remembered, contradicted, R, t = views
@@ -244,6 +245,8 @@ def confirm(reference, rays, depth, views, camera, same, most_error, confirmed, 
                 off = np.float32(0)
                 for c in range(3):
                     off = max(off, abs(images[k, row, column, c] - reference[y, x, c]))
+                if not own and there > z * (1 + same) and off <= most_error:
+                    continue  # What came may have the colour of what is behind it.
                 if there > z * (1 + same) or off > 3 * most_error:
                     votes[y, x, 1] += 1
                     continue

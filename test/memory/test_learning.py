@@ -22,7 +22,7 @@ from neo_ros.memory.patch import PARTS, Patch
 from neo_ros.memory.patch_finding import _as_before, PatchThresholds
 from neo_ros.memory.rendering import MemoryRenderer
 from neo_ros.memory.scene_memory import SceneMemory
-from neo_ros.memory.stereo import Shot
+from neo_ros.memory.stereo import confirm, Shot, StereoThresholds
 from neo_ros.memory.turn import Record, Turn
 from neo_ros.runtime import FovExtrapolator, read_model_card
 import numpy as np
@@ -245,6 +245,23 @@ def test_a_thin_thing_that_left_contradicts_as_one_that_came() -> None:
     for image, shown, found in ((bar, wall, True), (wall, bar, True), (bar, aside, False)):
         off = contradicted(contradiction(image, shown, known))
         assert off[:, 20:23].all() == found and off.any() == found
+
+
+@pytest.mark.parametrize('behind, stands', [(90, True), (200, False)])
+def test_what_came_in_the_colour_of_what_is_behind_it_is_not_seen_through(
+        behind: int, stands: bool) -> None:
+    shape = (SOURCE.height, SOURCE.width)
+    depths, shots = [], []
+    for number in range(6):  # Three see something two metres away, three the wall at four.
+        came = number < 3
+        image = np.full((*shape, 3), 90 if came else behind, np.float32)
+        depths.append(np.full(shape, 2.0 if came else 0, np.float32))
+        shots.append(Shot(planar(1.9, 1.5 + 0.1 * number, 0), image, image,
+                          np.full(shape, 4, np.float32), np.full(shape, came),
+                          np.zeros(shape, np.float32), 0))
+    found = confirm(shots, 0, np.stack(depths), SOURCE, SOURCE.pixel_rays(), StereoThresholds())
+    middle = found[20:40, 28:36]
+    assert (middle > 0).all() == stands and middle.any() == stands
 
 
 @pytest.mark.parametrize('made, same_depth, stays', [
