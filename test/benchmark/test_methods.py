@@ -178,7 +178,12 @@ def test_photos_that_show_nothing_in_common_are_matched_once(tmp_path, monkeypat
         cv2.imwrite(str(path), random.integers(0, 256, (CAMERA.height, CAMERA.width, 3), np.uint8))
     bank, matched = read_photo_bank(photos, 1.0, tmp_path / 'features.npz'), []
     verified = sparse_model._verified
-    monkeypatch.setattr(sparse_model, '_verified', lambda *of: matched.append(1) or verified(*of))
+
+    def watched(*of):
+        matched.append(1)
+        return verified(*of)
+
+    monkeypatch.setattr(sparse_model, '_verified', watched)
     for _ in range(2):
         with pytest.raises(SceneError, match='no point could be triangulated .*; landmarks need'):
             read_sparse_model(bank, tmp_path / 'sparse')

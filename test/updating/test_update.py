@@ -6,7 +6,7 @@ from neo_ros.bags import write_demo_bag
 from neo_ros.benchmark.killing import digests
 from neo_ros.benchmark.kills import ROOM
 from neo_ros.benchmark.small_room import (
-    AFTER, BEFORE, cast_with_post, drive, HALF, look, WIDE, write_drive, write_room)
+    AFTER, BEFORE, cast_with_post, drive, HALF, HEIGHT, look, WIDE, write_drive, write_room)
 from neo_ros.cli.main import app
 from neo_ros.errors import BagError, ConfigError, NeoError, SceneError
 from neo_ros.field.voxel_field import VoxelField
@@ -115,7 +115,8 @@ def test_the_card_tells_where_it_comes_from(base: Path) -> None:
 def test_new_photos_are_those_that_show_the_change_without_who_walked_by(
         base: Path, tmp_path: Path) -> None:
     poses, walked = drive(), (slice(2, 18), slice(2, 14))  # Away from what changed.
-    poses += [CameraPose.from_planar(*pose.position, pose.yaw + np.pi) for pose in poses[::3]]
+    poses += [CameraPose.from_planar(pose.position[0], pose.position[1], HEIGHT, pose.yaw + np.pi)
+              for pose in poses[::3]]
     rows, columns = (part.start for part in WIDE.observed)
     frames = []
     for number, pose in enumerate(poses):
