@@ -93,6 +93,18 @@ def test_it_stops_at_the_end_and_says_so(folder: Path) -> None:
     assert ended == sorted(ended) and not ended[0]
 
 
+def test_years_in_which_a_clock_was_set_are_not_waited_for(folder: Path, tmp_path: Path) -> None:
+    with BagReader(folder / 'wide') as reader, BagWriter(tmp_path / 'set') as writer:
+        first_ns, _ = reader.span_ns
+        for message in reader.messages():
+            writer.copy_topic(message.topic)
+            late = message.stamp_ns > first_ns + 10 ** 9
+            writer.copy(message, message.stamp_ns + 10 ** 18 * late)
+    hub = play(BagSource(tmp_path / 'set', None, folder / 'box.onnx'), 99, {}, seconds=20.0)
+    assert len(hub.pictures) == FRAMES
+    assert hub.times[-1] - hub.times[0] < LAST + 1
+
+
 @pytest.mark.parametrize('rate', [0.5, 4.0])
 def test_speed_changes_on_the_way(folder: Path, rate: float) -> None:
     hub = play(wide(folder), 12, {0.45: {'rate': rate}})
