@@ -155,7 +155,7 @@ def run_graph(model: Path, images: np.ndarray, seconds: float,
                 [sys.executable, '-m', 'neo_ros.node.camera_probe',
                  '--images', str(Path(folder) / 'images.npy'), '--rate', str(rate),
                  '--seconds', str(seconds), '--pid', str(node.pid),
-                 *(['--everything'] if everything else [])],
+                 *(['--everything'] if everything else []), *(['--learns'] if learn else [])],
                 env=environment, stdout=subprocess.PIPE, stderr=log, text=True,
                 timeout=seconds + 90, check=False)
             ended = node.poll()

@@ -3,6 +3,7 @@ from pathlib import Path
 import subprocess
 import sys
 
+from box_room import box_walk, SOURCE, view, write_box_model
 from neo_ros.cli.bench import bench
 from neo_ros.errors import ConfigError, ModelError
 from neo_ros.geometry import Intrinsics, ViewExpansion
@@ -265,3 +266,10 @@ def test_the_command_shows_a_table_and_writes_the_file(tmp_path):
     assert all(f'{record["median_ms"]:.3g}' in result.output for record in records)
     assert set(BENCHMARKS) == {
         'expand', 'messages', 'networks', 'guided', 'replay', 'field', 'gpu', 'node'}
+
+
+def test_a_node_that_learns_is_measured_though_it_hears_the_camera_unwatched(tmp_path):
+    images = np.stack([view(pose, SOURCE)[0] for pose in box_walk(4)])
+    record = measure_graph(
+        write_box_model(tmp_path), MACHINE, Effort(graph_s=1.0), images, learn=True)
+    assert record.n > 5 and record.details['unwatched_cpu_percent'] > 0
