@@ -2,7 +2,7 @@
 import time
 from typing import Any
 
-from neo_ros.errors import ConfigError, NeoError
+from neo_ros.errors import NeoError
 from neo_ros.node.camera_inputs import CameraInputs
 from neo_ros.node.diagnosing import Diagnosing, NodeState
 from neo_ros.node.frame_statistics import Statistics
@@ -14,11 +14,11 @@ from neo_ros.node.manager_bond import form_bond
 from neo_ros.node.map_publisher import MapPublisher
 from neo_ros.node.parameters import (
     declare_parameters,
-    FRAME_PARAMETERS,
     INPUT_PARAMETERS,
     MODEL_PARAMETERS,
     NodeParameters,
     read_parameters,
+    refuse_late,
 )
 from neo_ros.node.pose_inputs import PoseInputs
 from neo_ros.node.robot_frames import RobotFrames
@@ -263,21 +263,14 @@ class ExtrapolatorNode(LifecycleNode):
         self._candidate = None
         try:
             values: NodeParameters = read_parameters(self, parameters)
-            self._refuse_frames(parameters)
+            if self._model is not None:
+                refuse_late(self, parameters, self.state_label)
             changes_model = any(parameter.name in MODEL_PARAMETERS for parameter in parameters)
             if self._model is not None and changes_model:
                 self._candidate = self._loader.load(values)
         except Exception as error:  # What leaves a callback ends the node.
             return SetParametersResult(successful=False, reason=_reason(error))
         return SetParametersResult(successful=True)
-
-    def _refuse_frames(self, parameters: list[Parameter]) -> None:
-        """Raise ConfigError where what only configure takes changes after it."""
-        for one in parameters:
-            if self._model is not None and one.name in FRAME_PARAMETERS and (
-                    one.value != self.get_parameter(one.name).value):
-                raise ConfigError(f'{one.name}: expected to be set before the node is configured, '
-                                  f'it is {self.state_label}; clean it up, set it and configure')
 
     def _use_parameters(self, parameters: list[Parameter]) -> None:
         """Put accepted values to use."""

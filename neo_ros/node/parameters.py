@@ -131,6 +131,14 @@ def read_parameters(node: Node, changed: Sequence[Parameter] = ()) -> NodeParame
     return NodeParameters(**values)
 
 
+def refuse_late(node: Node, changed: Sequence[Parameter], state: str) -> None:
+    """Raise ConfigError where what only configure takes would change after it."""
+    for one in changed:
+        if one.name in FRAME_PARAMETERS and one.value != node.get_parameter(one.name).value:
+            raise ConfigError(f'{one.name}: expected to be set before the node is configured, it '
+                              f'is {state}; clean it up, set it and configure')
+
+
 def override_of(node: Node, name: str) -> Any | None:
     """Return what was given for a parameter that nobody has declared yet; None: nothing."""
     if node.has_parameter(name):
