@@ -36,7 +36,7 @@ bench: train-setup  ## speed of every part on this machine, into results/bench.j
 	$(BIN)/neo bench
 
 soak: setup  ## an hour of the node at 30 Hz: does it grow or fall behind?
-	$(BIN)/neo soak
+	$(BIN)/neo soak --out results/soak.json
 
 fuzz: dev-setup  ## 100,000 broken messages for the message layer, 5,000 for a live node
 	$(BIN)/python test/helpers/message_fuzzer.py

@@ -50,6 +50,8 @@ from torch import nn
 
 # Photos that tell the node later what images of the scene look like.
 REFERENCE_PHOTOS = 300
+# Steps of an export that are shown.
+EXPORTS = 4
 
 
 def train(scene_folder: Path, experiment: Experiment, out: Path,
@@ -98,6 +100,7 @@ def train(scene_folder: Path, experiment: Experiment, out: Path,
         network = fit_outpainter_step(run, field, held_out, rank)
     if rank > 0:
         return run
+    run.progress('export', 0, EXPORTS, 'views of held-out photos')
     views = calibration_views(run, field, held_out)
     export_step(run, network, views)
     if plan is None:  # Where it cannot be made, the model is there and works alone.
@@ -240,6 +243,7 @@ def export_step(run: TrainingRun, network: nn.Module,
     else:
         run.progress('without calibration', 0, 1, 'no photo is held out of fewer than '
                      f'{run.hold_out.least_photos}: how true the confidence is, nobody measured')
+    run.progress('export', 1, EXPORTS, 'the model file')
     function = export_onnx(network, run.expansion, path, factor)
     # Until it is measured, the card says the worst of the export.
     card = ModelCard(
@@ -250,16 +254,19 @@ def export_step(run: TrainingRun, network: nn.Module,
         trained_seconds=run.seconds, neo_ros_version=neo_ros.__version__,
         arbitrary_scale=run.scene.train.arbitrary_scale)
     write_model_card(path, card)
+    run.progress('export', 2, EXPORTS, 'is it what was trained?')
     extrapolator = FovExtrapolator.load(path, guided=False)
     frames = real_frames(run, 8)
     worst, share = check_parity(function, extrapolator.expand, frames)
     require_parity(path, worst, share)
+    run.progress('export', 3, EXPORTS, 'what images of the scene look like')
     write_model_card(path, replace(
         card, parity=Parity(max_abs_error=worst, share_within_1=share),
         scene_reference=fit_scene_reference(
             RealFrames.of(run, REFERENCE_PHOTOS, run.scene.train),
             lambda image: extrapolator.expand(image).confidence, run.expansion,
             real_usable(run, REFERENCE_PHOTOS, run.scene.train))))
+    run.progress('export', EXPORTS, EXPORTS, '')
 
 
 def score_step(run: TrainingRun) -> Scoring | None:

@@ -14,6 +14,8 @@ import numpy as np
 
 REPORT_FILE = 'capture.html'
 FEW_PHOTOS = 50
+# Photos so near to the one before, metres and radians, show nothing new.
+HARDLY_APART = 0.03, 0.05
 # A side of the wide view that was seen less than this is worth recording more of.
 WELL_SEEN = 0.8
 PLACE = 1.0
@@ -74,6 +76,11 @@ def describe(measures: CaptureMeasures) -> tuple[list[tuple[str, str]], list[str
     advice = []
     if len(photos) < FEW_PHOTOS:
         advice.append(f'{len(photos)} photos are few: {FEW_PHOTOS} to 1000 make a good scene.')
+    still = _hardly_apart(measures)
+    if still > 0.5 * len(photos):
+        advice.append(f'{still} photos are hardly apart from the one before, and take the time of '
+                      'a training from the others: import again with --keyframe-distance 0.1 '
+                      '--keyframe-angle 10.')
     if overlapping < 0.9:
         alone = int((measures.overlap < GOOD_OVERLAP).sum())
         advice.append(f'{alone} photos have no neighbour that sees the same: take photos closer '
@@ -88,6 +95,15 @@ def describe(measures: CaptureMeasures) -> tuple[list[tuple[str, str]], list[str
         advice.append(f'{1 - measures.walkable_near:.0%} of the walkable floor is more than 1 m '
                       'from any photo: walk there too (see the map).')
     return facts, advice
+
+
+def _hardly_apart(measures: CaptureMeasures) -> int:
+    """Count photos that show nothing that the one before does not."""
+    poses = measures.photos.poses
+    if measures.photos.arbitrary_scale:
+        return 0
+    return sum(not pose.is_apart(before, *HARDLY_APART)
+               for before, pose in zip(poses, poses[1:]))
 
 
 def _units(measures: CaptureMeasures) -> tuple[str, str]:

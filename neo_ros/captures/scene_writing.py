@@ -14,7 +14,7 @@ from neo_ros.captures.masks import FOLDER as MASK_FOLDER, write_masks
 from neo_ros.errors import SceneError
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.geometry.lens import common_pinhole, Lens, Straightener
-from neo_ros.machine.files import whole_file
+from neo_ros.machine.files import what_to_do, whole_file
 from neo_ros.machine.names import listed
 from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.pictures.photo import heic_advice, HEIC_SUFFIXES, photo_size
@@ -184,7 +184,7 @@ def _write_image(frame: CapturedFrame, image: np.ndarray, straightener: Straight
                 partial.write_bytes(cv2.imencode('.png', straight[..., ::-1])[1].tobytes())
     except OSError as error:
         raise SceneError(f'{target}: cannot write: {error.strerror}; '
-                         'choose another scene folder') from error
+                         + what_to_do(error, 'choose another scene folder')) from error
 
 
 def _where(frame: CapturedFrame) -> str:
@@ -222,7 +222,7 @@ def _claim(folder: Path, capture: Capture, pinhole: Intrinsics) -> None:
         note.write_text(json.dumps(wanted))
     except OSError as error:
         raise SceneError(f'{folder}: cannot write: {error.strerror}; '
-                         'choose another scene folder') from error
+                         + what_to_do(error, 'choose another scene folder')) from error
 
 
 def check_own(folder: Path, names: Iterable[str]) -> None:

@@ -2,7 +2,6 @@
 from pathlib import Path
 from typing import Annotated, Optional
 
-from neo_ros.machine.progress import no_stage_progress
 import typer
 
 
@@ -20,6 +19,7 @@ def export(
     training. fp16 is for GPUs. int8 needs a CPU with int8 instructions (VNNI) to be fast and
     as good as it is measured here.
     """
+    from neo_ros.cli.progress import stage_progress
     from neo_ros.experiment import read_experiment
     from neo_ros.scenes.upright import read_upright_scene
     from neo_ros.training.run import TrainingRun
@@ -30,8 +30,9 @@ def export(
     from rich.table import Table
 
     experiment = settings_of(out, read_experiment(config) if config is not None else None)
-    run = TrainingRun(read_upright_scene(scene), experiment, out, no_stage_progress)
-    variants = export_variants(run, threads=threads)
+    with stage_progress() as show:
+        variants = export_variants(TrainingRun(
+            read_upright_scene(scene), experiment, out, show), threads=threads)
     table = Table('format', 'file', 'MB', 'ms', 'ring dB', 'loss dB')
     best = max(variant.ring_psnr for variant in variants)
     for variant in variants:

@@ -17,7 +17,7 @@ def field_curve(
         min=1, help='Test frames, and held-out photos, to look at, evenly spread.')] = 25,
     out: Annotated[Path, typer.Option(
         help='JSON file of the rows; those that it has are not measured again.')] = Path(
-        'results/field_curve.json'),
+        'out/field_curve.json'),
 ) -> None:
     """
     Train a field for several times, and score each on held-out photos and wide test views.

@@ -24,6 +24,7 @@ from neo_ros.cli.train import train
 from neo_ros.cli.update import update
 from neo_ros.cli.view import view
 from neo_ros.errors import NeoError
+from neo_ros.machine.files import FULL, what_to_do
 import typer
 
 HELP = """
@@ -35,7 +36,6 @@ Your own scene:  neo import (photos with poses) > neo train (a model file) > neo
 (scores and pictures) > neo replay (a recorded bag) or the node fov_extrapolator (a live robot).
 """
 # What the user can mend, wherever in the work it comes.
-FULL = {errno.ENOSPC, errno.EDQUOT}
 FORBIDDEN = {errno.EACCES, errno.EPERM, errno.EROFS}
 PREPARE, RUN = 'From photos to a model', 'Use a model'
 
@@ -73,8 +73,7 @@ def main() -> None:
     except OSError as error:
         if error.errno not in FULL | FORBIDDEN:
             raise
-        advice = ('make room, and give the same command again' if error.errno in FULL
-                  else 'choose a place where you may read and write')
+        advice = what_to_do(error, 'choose a place where you may read and write')
         sys.exit(_fail(f'{error.filename or "the disk"}: {error.strerror}; {advice}'))
     except ModuleNotFoundError as error:
         if error.name == 'rclpy':

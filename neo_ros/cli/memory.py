@@ -30,8 +30,9 @@ def info(model: Model) -> None:
     table.add_row('its size', f'{memory_file.stat().st_size / 1e6:.2f} MB')
     table.add_row('journal', escape(str(journal)) if size else 'none: nothing was learnt')
     if size:
-        table.add_row('its size', f'{size / 1e6:.2f} MB, at most '
-                      f'{most_bytes(memory_file.stat().st_size) / 1e6:.2f} MB')
+        most = most_bytes(memory_file.stat().st_size)
+        table.add_row('its size', f'{size / 1e6:.2f} MB, at most {most / 1e6:.2f} MB' + (
+            ': full, neo memory compact makes room' if size >= most else ''))
         table.add_row('patches', f'{len(patches)}, of {len({one.batch for one in patches})} times')
         table.add_row('shown in another state', f'{len(records) - len(patches)} times')
     for name, patch in zip(('first learnt', 'last learnt'), (*patches[:1], *patches[-1:])):
@@ -88,4 +89,7 @@ def _places(model: Path) -> tuple[Path, Path, str]:
         raise ModelError(f'{model}: expected a model with a scene memory; it has none, so it '
                          'cannot learn')
     path = memory_path(model, card.memory)
+    if not path.exists():
+        raise ModelError(f'{path}: expected the scene memory of {model.name}, there is none; copy '
+                         'it beside the model')
     return path, journal_path(path), card.memory.sha256

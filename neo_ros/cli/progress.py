@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.progress import (
     BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn,
     TimeRemainingColumn)
+from rich.table import Column
 
 LINE_EVERY_S = 30.0
 
@@ -20,10 +21,18 @@ def stage_progress() -> Iterator[StageProgress]:
         yield _Lines(console)
         return
     tasks: dict[str, TaskID] = {}
-    with Progress(TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn(),
-                  TimeElapsedColumn(), TimeRemainingColumn(),
-                  TextColumn('{task.fields[note]}'), console=console) as bar:
+    # Of a narrow terminal the note takes what is left, on several lines.
+    whole = Column(no_wrap=True)
+    with Progress(TextColumn('{task.description}', table_column=whole),
+                  BarColumn(bar_width=20, table_column=whole),
+                  MofNCompleteColumn(table_column=whole), TimeElapsedColumn(table_column=whole),
+                  TimeRemainingColumn(table_column=whole),
+                  TextColumn('{task.fields[note]}', markup=False, table_column=Column()),
+                  console=console) as bar:
         def show(stage: str, done: int, total: int, note: str = '') -> None:
+            if note and total == 1 and stage not in tasks:  # A remark, nothing to wait for.
+                bar.console.print(f'{stage}: {note}', markup=False, highlight=False)
+                return
             if stage not in tasks:
                 tasks[stage] = bar.add_task(stage, total=total, note='')
             elif done < bar.tasks[tasks[stage]].completed:  # The same for another model.

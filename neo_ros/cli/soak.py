@@ -13,7 +13,7 @@ def soak(
     model: Annotated[Optional[Path], typer.Option(
         help='Model file (.onnx); default: the shipped demo_flat.onnx.')] = None,
     out: Annotated[Path, typer.Option(help='JSON file of the results.')] = Path(
-        'results/soak.json'),
+        'out/soak.json'),
 ) -> None:
     """
     Run the node for a long time, to see if it grows, falls silent, or falls behind.

@@ -40,8 +40,8 @@ def train(
     Fit the scene, render wide views of it, train the outpainter, make the memory, export.
 
     With --minutes 30 it is done in half an hour, whatever the camera. Leaves SCENE.onnx,
-    SCENE.memory and report.html in OUT. Broken off? Run the same command again: it goes on from
-    the last minute.
+    SCENE.memory and report.html in OUT. Broken off? Run the same command again: it goes on
+    after the last part that was done.
     """
     from neo_ros.cli.options import refuse
     from neo_ros.cli.progress import stage_progress

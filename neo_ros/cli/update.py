@@ -54,11 +54,15 @@ def update(
         places = update_run(run, bags, out, options, scene,
                             None if config is None else read_experiment(config), show)
     for bag, count in zip(bags, places):
-        what = f'{count} changed or new places' if count else 'nothing has changed'
+        what = ('not used' if count is None else 'nothing has changed' if count == 0
+                else f'{count} changed or new places')
         rich.print(f'{escape(bag.name)}: {what}')
     if not any(places):
         rich.print('Nothing is written: the run is up to date.')
         return
     model, = out.glob('*.onnx')
     rich.print(f'Written: {escape(str(model))}, its memory and report.html')
-    tell_next('neo', 'replay', bags[-1], '--model', model, '--out', 'WIDE')
+    topics = {'--image-topic': image_topic, '--info-topic': info_topic}
+    tell_next('neo', 'replay', bags[-1], '--model', model, '--out', 'WIDE',
+              *(word for name, topic in topics.items() if topic is not None
+                for word in (name, topic)), *['--rectify'] * rectify)

@@ -23,6 +23,8 @@ import numpy as np
 
 # Share of the fit at which the grid is refined, and the share of voxels it then has.
 STAGES = ((0.0, 1 / 64), (0.06, 1 / 64), (0.18, 1 / 8), (0.4, 1.0))
+# Of an update: pixels that are a smaller share of all are drawn out of a list of them.
+FEW_USABLE = 0.05
 
 
 @dataclass(frozen=True)
@@ -74,6 +76,7 @@ class FieldTrainer:
             config.shell, config.sh_degree, near=fit_near(config.near))
         self.view_near = self.field.near if config.near is None else config.near
         self._fixed: np.ndarray | None = None
+        self._few: np.ndarray | None = None  # The usable pixels, where they are too few to meet.
         self._allocate()
 
     def change_only(self, field: VoxelField, points: np.ndarray) -> None:
@@ -82,6 +85,9 @@ class FieldTrainer:
         self._allocate()
         self._fixed = np.ones(len(field.grid), bool)
         self._fixed[field.row_of[points.ravel() & (field.row_of >= 0)]] = False
+        self._few = None
+        if self.usable is not None and self.shares is None and self.usable.mean() < FEW_USABLE:
+            self._few = np.flatnonzero(self.usable)
 
     @property
     def placed(self) -> FittedField:
@@ -114,9 +120,11 @@ class FieldTrainer:
         pixels, the mean of four is fitted to it; they follow one another.
         """
         across = self.rays_across
-        photo, row, column = draw_usable(
-            self.random, self.config.rays_per_step // across ** 2, self.images.shape[:3],
-            self.usable, self.shares)
+        count, shape = self.config.rays_per_step // across ** 2, self.images.shape[:3]
+        photo, row, column = (
+            draw_usable(self.random, count, shape, self.usable, self.shares)
+            if self._few is None else np.unravel_index(
+                self._few[self.random.integers(len(self._few), size=count)], shape))
         target = self.images[photo, row, column].astype(np.float32) / 255
         part = np.arange(across)
         rows = (across * row[:, None] + part.repeat(across)).ravel()

@@ -11,6 +11,8 @@ import tempfile
 from neo_ros.errors import NeoError
 
 PACKAGE = 'neo_ros'
+# The disk is, or what a user may have of it.
+FULL = {errno.ENOSPC, errno.EDQUOT}
 
 
 def share_dir() -> Path:
@@ -110,5 +112,11 @@ def share_file(source: Path, target: Path) -> None:
         raise _cannot_write(target, error) from error
 
 
+def what_to_do(error: OSError, otherwise: str) -> str:
+    """Return what a user can do where a file cannot be written."""
+    return 'make room, and give the same command again' if error.errno in FULL else otherwise
+
+
 def _cannot_write(path: Path, error: OSError) -> NeoError:
-    return NeoError(f'{path}: cannot write: {error.strerror}; choose another output folder')
+    advice = what_to_do(error, 'choose another output folder')
+    return NeoError(f'{path}: cannot write: {error.strerror}; {advice}')

@@ -89,7 +89,7 @@ class Aligner:
         """
         pose, coarsest = start, len(self.levels) - 1
         for _ in range(rounds):
-            guide, drawn = drawn or self._draw(pose), None
+            guide, drawn = drawn or self.draw(pose), None
             levels = self._levels(guide)
             warp = Warp(pose.inverse() @ guide.pose.T_world_cam,
                         self._first_gain(photo[-1], levels[-1]), 0.0)
@@ -99,7 +99,8 @@ class Aligner:
             coarsest = min(coarsest, 1)
         return pose
 
-    def _draw(self, pose: CameraPose) -> Drawn:
+    def draw(self, pose: CameraPose) -> Drawn:
+        """Draw what `align` aligns with at this pose."""
         view = self.renderer.render(pose, self.levels[0], self.thresholds.aligned_with)
         return Drawn(pose, grey_of(view.image), view.depth)
 
@@ -112,8 +113,8 @@ class Aligner:
         """Return the correlation of image and memory at a pose, in [-1, 1]."""
         level = min(1, len(self.levels) - 1)
         guide = self.renderer.render(pose, self.levels[level], self.thresholds.aligned_with)
-        return agreement(photo[level].grey, grey_of(guide.image), guide.depth > 0,
-                         self.thresholds)[0]
+        return whole_agreement(photo[level].grey, grey_of(guide.image), guide.depth > 0,
+                               self.thresholds)
 
     def _first_gain(self, photo: PhotoLevel, guide: GuideLevel) -> float:
         """Return what takes the photo to the guide's exposure, if they show the same."""
@@ -170,9 +171,9 @@ def agreement(image: np.ndarray, guide: np.ndarray, known: np.ndarray,
     lens is a gradient, too, and so is many a wall. image, guide: float (h, w); known: bool
     (h, w). Both are -1 where too little is known, and 0 if one of the images is of one colour.
     """
-    if known.mean() < thresholds.least_overlap:
+    whole = whole_agreement(image, guide, known, thresholds)
+    if whole == -1:
         return -1.0, -1.0
-    whole = detail_correlation(image, guide, known)
     a, b = image[known], guide[known]
     fits, most = np.ones(len(a), bool), int((1 - thresholds.occluded) * (len(a) - 1))
     for _ in range(3):
@@ -181,6 +182,14 @@ def agreement(image: np.ndarray, guide: np.ndarray, known: np.ndarray,
     kept = known.copy()
     kept[known] = fits
     return whole, detail_correlation(image, guide, kept) if slope > 0 else 0.0
+
+
+def whole_agreement(image: np.ndarray, guide: np.ndarray, known: np.ndarray,
+                    thresholds: AlignmentThresholds = AlignmentThresholds()) -> float:
+    """Return the first correlation of `agreement`, without the second."""
+    if known.mean() < thresholds.least_overlap:
+        return -1.0
+    return detail_correlation(image, guide, known)
 
 
 def detail_correlation(a: np.ndarray, b: np.ndarray, kept: np.ndarray) -> float:

@@ -11,6 +11,7 @@ import cv2
 from neo_ros.geometry import CameraPose
 from neo_ros.memory.glancing import GlanceFinder
 from neo_ros.memory.looking import Looker
+from neo_ros.memory.parallel import on_one_core
 from neo_ros.memory.sight import AmbiguityThresholds, better, CameraImage, Sight
 from neo_ros.memory.twins import NO_TWINS, Twins
 import numpy as np
@@ -80,8 +81,10 @@ class Doubt:
             candidates += self._rivals(image, winner, self._twins.of(winner.pose))
             against = self._against(image, candidates)
             best = int(np.argmin(against))
-        left = [index for index, share in enumerate(against)
-                if share - against[best] < self._limits.decisive]
+        # What led to the best may be a little off it, the same place.
+        left = [index for index, share in enumerate(against) if index == best or (
+            share - against[best] < self._limits.decisive
+            and self._is_elsewhere(candidates[index], candidates[best]))]
         if len(left) == 1:
             return candidates[best]
         if stays is not None:
@@ -176,25 +179,32 @@ class Doubt:
         """Return what is seen from other places that explain an image, each place once."""
         looker, limits, coarse = self._looker, self._limits, self._looker.coarse_aligner
         photo, tried = coarse.photo(image.pixels), list[tuple[float, CameraPose]]()
-        for start in starts:
-            pose = coarse.align(photo, start, rounds=1)
-            if is_elsewhere(pose, found.pose, limits):
-                agrees = coarse.agreement(photo, pose)
-                if agrees > limits.least_coarse:
-                    tried.append((agrees, pose))
-        rivals = list[Sight]()
+        with on_one_core():
+            # Where somebody stands in the image, or what is shown has changed, all agree less.
+            least = min(limits.least_coarse,
+                        coarse.agreement(photo, found.pose) - limits.agrees_less)
+            for start in starts:
+                pose = coarse.align(photo, start, rounds=1)
+                if is_elsewhere(pose, found.pose, limits):
+                    agrees = coarse.agreement(photo, pose)
+                    if agrees > least:
+                        tried.append((agrees, pose))
+        rivals, looked = list[Sight](), list[CameraPose]()
         for _, start in sorted(tried, key=lambda one: -one[0]):
             if len(rivals) == limits.most_rivals:
                 break
-            if any(not is_elsewhere(start, rival.pose, limits) for rival in rivals):
+            if any(not is_elsewhere(start, rival.pose, limits) for rival in rivals) or any(
+                    is_same(start, other, limits) for other in looked):
                 continue
+            looked.append(start)
             # Not as strictly as what is searched for: a little off, a twin agrees a little less.
             pose = looker.aligner.align(image.photo, start, rounds=1)
             pose = looker.aligner.align(image.photo, pose, rounds=1, near=True)
             if any(not is_elsewhere(pose, other.pose, limits) for other in (found, *rivals)):
                 continue
             sight = replace(looker.look(image, pose), found='searched')
-            if sight.believed:
+            if sight.believed or (
+                    1 - sight.agreement < limits.unexplained * (1 - found.agreement)):
                 rivals.append(sight)
         return rivals
 
@@ -226,6 +236,12 @@ def is_elsewhere(one: CameraPose, other: CameraPose, limits: AmbiguityThresholds
     """Tell whether two poses are of two places, and not one pose found twice."""
     return bool(np.linalg.norm(one.position - other.position) > limits.elsewhere_metres
                 or one.forward @ other.forward < limits.elsewhere_cosine)
+
+
+def is_same(one: CameraPose, other: CameraPose, limits: AmbiguityThresholds) -> bool:
+    """Tell whether two coarsely aligned poses are nearly one: a closer look finds the same."""
+    return bool(np.linalg.norm(one.position - other.position) < limits.same_metres
+                and one.forward @ other.forward > limits.same_cosine)
 
 
 def misfit(image: np.ndarray, shown: np.ndarray, known: np.ndarray,

@@ -8,7 +8,7 @@ grows with the root of the scene.
 """
 import math
 
-from neo_ros.memory.inverted_kernels import nearest_in_lists
+from neo_ros.memory.inverted_kernels import greatest, nearest_in_lists
 import numpy as np
 
 
@@ -40,7 +40,8 @@ class InvertedIndex:
         """
         queries = queries.astype(np.float32)
         alike = queries @ self._words.T
-        chosen = np.argsort(-alike, axis=1, kind='stable')[:, :lists]
+        chosen = np.full((len(queries), min(lists, alike.shape[1])), -1)
+        greatest(alike, chosen)
         found = np.full((len(queries), most), -1, np.int32)
         likeness = np.full((len(queries), most), -1, np.float32)
         nearest_in_lists(queries, chosen, self._starts, self._numbers, self._codes, found,

@@ -1,7 +1,30 @@
-"""The compiled loop that compares descriptors with those in some lists of an inverted index."""
+"""Compiled loops of an inverted index: which lists a descriptor is looked for in, and there."""
 from neo_ros.machine.compiled import njit
 from neo_ros.memory.kernels import FAST
 import numpy as np
+
+
+@njit(**FAST)
+def greatest(values, columns):
+    """
+    Find where each row of values float32 (N, W), 0 or more, is greatest: columns (N, L), L <= W.
+
+    The greatest first; of equal ones the first.
+    """
+    most = columns.shape[1]
+    found = np.empty(most, np.float32)
+    for row in range(len(values)):
+        found[:] = -1
+        for column in range(values.shape[1]):
+            value = values[row, column]
+            rank = most
+            while rank > 0 and found[rank - 1] < value:
+                rank -= 1
+            for after in range(most - 1, rank, -1):
+                found[after] = found[after - 1]
+                columns[row, after] = columns[row, after - 1]
+            if rank < most:
+                found[rank], columns[row, rank] = value, column
 
 
 @njit(**FAST)

@@ -146,6 +146,12 @@ class JournalWriter:
             os.close(self._file)
             raise ModelError(f'{error}; neo memory forget deletes it') from None
         self._pixels = sum(map(_pixels, self.records))
+        if self.full:
+            self._say_full()
+
+    def _say_full(self) -> None:
+        logger.warning('%s: the journal is full (%d kB), nothing more is learnt; neo memory '
+                       'compact makes room', self.path, self._end >> 10)
 
     @property
     def full(self) -> bool:
@@ -161,8 +167,7 @@ class JournalWriter:
             most = self._largest + TURN_BYTES if isinstance(record, Turn) else self._most
             if self._end + len(content) > most or pixels > MOST_PIXELS:
                 if not self.full:
-                    logger.warning('%s: the journal is full (%d kB), nothing more is learnt; neo '
-                                   'memory compact makes room', self.path, self._end >> 10)
+                    self._say_full()
                 self._most = self._end
                 break
             if os.pwrite(self._file, content, self._end) != len(content):

@@ -1,5 +1,5 @@
 """Look at the memory from a pose, or from where it agrees most with an image."""
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import cv2
@@ -7,9 +7,11 @@ from neo_ros.geometry import CameraPose, ViewExpansion
 from neo_ros.memory.alignment import agreement, Aligner, Drawn, grey_of
 from neo_ros.memory.alignment_kernels import GuideLevel, PhotoLevel
 from neo_ros.memory.coarse_memory import CoarseMemory
+from neo_ros.memory.parallel import on_one_core
 from neo_ros.memory.pose_covariance import (
     aligned_covariance, in_world, located_covariance, with_floor)
 from neo_ros.memory.rendering import GuideView, MemoryRenderer
+from neo_ros.memory.scene_light import SceneLight
 from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.memory.sight import CameraImage, Found, GuideThresholds, Sight
 import numpy as np
@@ -27,6 +29,10 @@ class Looker:
         coarse = CoarseMemory(memory, expansion.source.fx * width / expansion.source.width)
         self.coarse_aligner = Aligner(MemoryRenderer(coarse), expansion.source, replace(
             thresholds.alignment, finest=width, coarsest=width // 2))
+
+    def show_in(self, light: SceneLight) -> None:
+        """Draw in this light from now on, small views, too."""
+        self.renderer.light = self.coarse_aligner.renderer.light = light
 
     def look(self, image: CameraImage, pose: CameraPose, expected: CameraPose | None = None,
              searched: bool = False) -> Sight:
@@ -77,7 +83,7 @@ class Looker:
                 ) -> Sight | None:
         """Align with the memory from each start; look from the pose that agrees most."""
         best, most = None, 0.0
-        for start in starts:
+        for start in self._most_likely(image, starts):
             pose = self.aligner.align(image.photo, start, rounds=3)
             agrees = self.aligner.agreement(image.photo, pose)
             if agrees > most:
@@ -86,3 +92,17 @@ class Looker:
                 break
         return (replace(self.look(image, best, searched=True), found=found)
                 if best is not None else None)
+
+    def _most_likely(self, image: CameraImage, starts: Sequence[CameraPose]
+                     ) -> Iterator[CameraPose]:
+        """Yield the first start, then those of the others that agree most when seen coarsely."""
+        yield from starts[:1]
+        coarse, limits = self.coarse_aligner, self.thresholds
+        photo = coarse.photo(image.pixels)
+        with on_one_core():
+            agreements = [coarse.agreement(photo, coarse.align(photo, start, rounds=1))
+                          for start in starts[1:]]
+        for agrees, index in sorted(zip(agreements, range(1, len(starts))),
+                                    key=lambda one: -one[0]):
+            if agrees > limits.least_likely:
+                yield starts[index]

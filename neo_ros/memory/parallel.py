@@ -19,3 +19,14 @@ def parallel_loops(threads: int) -> Iterator[None]:
             yield
         finally:
             set_num_threads(before)
+
+
+@contextmanager
+def on_one_core() -> Iterator[None]:
+    """Run loops of small views on this core alone: to share them out would take longer."""
+    before = get_num_threads()
+    set_num_threads(1)
+    try:
+        yield
+    finally:
+        set_num_threads(before)

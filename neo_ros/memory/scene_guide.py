@@ -40,8 +40,8 @@ class SceneGuide:
         self._looker = Looker(memory, expansion, thresholds)
         self.renderer, self.aligner = self._looker.renderer, self._looker.aligner
         self._recent = RecentImages(expansion, thresholds.recent)
-        self.light = self.renderer.light = SceneLight(
-            memory.positions, expansion, thresholds.light)
+        self.light = SceneLight(memory.positions, expansion, thresholds.light)
+        self._looker.show_in(self.light)
         self._locator = (None if memory.landmarks is None
                          else Locator(memory.landmarks, expansion.source, thresholds.landmarks))
         self._glances = GlanceFinder(memory.glances, thresholds)
@@ -113,6 +113,7 @@ class SceneGuide:
                                   self.thresholds.expected_cosine)):
             best = told
             self._doubt.forget()
+            self._watch.forget()  # What it waits for is of the pose before.
         elif self._doubt.is_open:
             best = self._doubt.follow(image, motion)
         self._since_search += 1

@@ -26,7 +26,7 @@ import numpy as np
 
 logger = logging.getLogger(__name__)
 SCHEMA = 1
-LARGE_BYTES = 50 << 20
+LARGE_BYTES = 64 << 20
 # What a file may ask for, pixels: far above what a camera of 4000x3000 pixels would need.
 MOST_TEXTURE, MOST_MESH, MOST_GLANCES = 1 << 29, 1 << 20, 1 << 26
 
@@ -210,8 +210,8 @@ class SceneMemory:
             raise ModelError(f'{path}: cannot write the scene memory: {error.strerror}') from error
         if size > LARGE_BYTES:
             logger.warning('%s: the scene memory has %d MB, a room should not need more than %d; '
-                           'a larger memory.distance makes it smaller', path, size >> 20,
-                           LARGE_BYTES >> 20)
+                           'in a new training a larger memory.distance makes it smaller',
+                           path, size >> 20, LARGE_BYTES >> 20)
         return sha256
 
     @classmethod

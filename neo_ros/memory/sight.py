@@ -39,10 +39,14 @@ class AmbiguityThresholds:
     start_metres: float = 0.4
     start_cosine: float = 0.97
     # They are aligned in images of this width first, a quarter of the time; those that agree so
-    # much there are aligned again, at most so many.
+    # much there, or hardly less than the place that was found, are aligned again, at most so many,
+    # and no two that come so near to each other.
     coarse: int = 32
     least_coarse: float = 0.7
+    agrees_less: float = 0.15
     most_rivals: int = 12
+    same_metres: float = 0.2
+    same_cosine: float = 0.99
     # Grey levels in [0, 1] by which an image differs from what a place would show, as the mean
     # over a square of so large a share of its width; the place's rival must fit twice as well.
     contradiction: float = 0.08
@@ -54,8 +58,8 @@ class AmbiguityThresholds:
     # that differ in one picture chance let 0.021 speak for the wrong one, once; the picture, where
     # it is in the image, most often 0.04 and more.
     decisive: float = 0.03
-    # A place that does not agree any more is dropped if this much more of the image is left
-    # unexplained than at the best one.
+    # A place that does not agree, or not any more, could still be it unless this many times as
+    # much of the image is left unexplained as at the best one.
     unexplained: float = 2.0
 
 
@@ -106,6 +110,9 @@ class GuideThresholds:
     lists: int = 32
     # Places that a lost camera is compared with closely, and how far apart they are at least.
     candidates: int = 8
+    # Of those only ones that agree by so much in images of a quarter of the width, where what is
+    # right has twice as much.
+    least_likely: float = 0.3
     apart_metres: float = 0.25
     apart_cosine: float = 0.97
     # Where a camera may be that somebody says is at a place: a click on a map is not exact.

@@ -7,7 +7,7 @@ from typing import Any
 
 from neo_ros.errors import ModelError, NeoError
 from neo_ros.geometry import Intrinsics, ViewExpansion
-from neo_ros.machine.files import whole_file
+from neo_ros.machine.files import what_to_do, whole_file
 from neo_ros.runtime.card_fields import (
     check_number, check_part, check_same, check_text, check_whole, read_part)
 from neo_ros.runtime.onnx_file import OnnxFile, scan_onnx_file
@@ -245,5 +245,5 @@ def write_model_card(path: Path | str, card: ModelCard) -> None:
         with whole_file(Path(path)) as partial:
             onnx.save_model(model, str(partial))
     except OSError as error:
-        raise ModelError(f'{path}: cannot write: {error.strerror}; choose another output '
-                         'folder') from error
+        raise ModelError(f'{path}: cannot write: {error.strerror}; '
+                         + what_to_do(error, 'choose another output folder')) from error

@@ -100,19 +100,24 @@ class SceneCheck:
 
 def fit_scene_reference(photos: Sequence[np.ndarray] | np.ndarray,
                         predict_confidence: Callable[[np.ndarray], np.ndarray],
-                        expansion: ViewExpansion, usable: np.ndarray | None = None,
+                        expansion: ViewExpansion,
+                        usable: Sequence[np.ndarray] | np.ndarray | None = None,
                         thresholds: SceneCheckThresholds = SceneCheckThresholds()
                         ) -> SceneReference | None:
     """
     Learn what the scene looks like from its photos, as they are and a little brighter or darker.
 
     `photos`: N of uint8 RGB (h, w, 3), each looked at once. `predict_confidence` runs the network
-    on one and returns its confidence, uint8 (H, W). `usable`: bool (N, h, w), what shows the
-    scene; None: all.
+    on one and returns its confidence, uint8 (H, W). `usable`: N of bool (h, w), likewise, what
+    shows the scene; None: all.
     Returns None for fewer than `thresholds.least_photos`.
     """
-    shown = np.full(len(photos), None) if usable is None else _without_own_body(usable)
-    told = [index for index, one in enumerate(shown)
+    body = None if usable is None else _own_body(usable)
+
+    def shown(index: int) -> np.ndarray | None:
+        return None if usable is None or body is None else usable[index] | body
+
+    told = [index for index, one in enumerate(map(shown, range(len(photos))))
             if one is None or one.mean() >= thresholds.least_usable]
     if len(told) < thresholds.least_photos:
         return None
@@ -121,17 +126,20 @@ def fit_scene_reference(photos: Sequence[np.ndarray] | np.ndarray,
     for place, index in enumerate(told):
         gain = np.exp(random.uniform(-1, 1) * np.log(thresholds.most_gain)) if place % 2 else 1.0
         image = np.minimum(np.rint(photos[index] * gain), 255).astype(np.uint8)
-        measures.append(measure_image(image, predict_confidence(image), expansion, shown[index]))
+        measures.append(measure_image(image, predict_confidence(image), expansion, shown(index)))
     return _fit(np.stack(measures), thresholds)
 
 
-def _without_own_body(usable: np.ndarray) -> np.ndarray:
+def _own_body(usable: Sequence[np.ndarray] | np.ndarray) -> np.ndarray:
     """
-    Count as usable (N, h, w) what is left out of most photos.
+    Tell what is left out of most photos: bool (h, w).
 
     It is the robot itself, which its camera sees when it runs, too.
     """
-    return usable | (usable.mean(0) < 0.5)
+    count = np.zeros(usable[0].shape, int)
+    for one in usable:
+        count += one
+    return count < len(usable) / 2
 
 
 def _fit(measures: np.ndarray, thresholds: SceneCheckThresholds) -> SceneReference:

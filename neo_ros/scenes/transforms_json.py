@@ -11,7 +11,7 @@ from typing import Any
 
 from neo_ros.errors import SceneError
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
-from neo_ros.machine.files import whole_file
+from neo_ros.machine.files import what_to_do, whole_file
 from neo_ros.scenes.posed_images import PosedImages
 
 logger = logging.getLogger(__name__)
@@ -124,7 +124,7 @@ def write_transforms(path: Path, images: PosedImages,
             partial.write_text(json.dumps(document))
     except OSError as error:
         raise SceneError(f'{path}: cannot write: {error.strerror}; '
-                         'choose another scene folder') from error
+                         + what_to_do(error, 'choose another scene folder')) from error
 
 
 def _read_json(path: Path) -> dict[str, Any]:

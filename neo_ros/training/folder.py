@@ -40,7 +40,8 @@ def claim(out: Path, scene: Scene, experiment: Experiment,
                 f'trained on, write this into {path}: {json.dumps(note)}')
         if found != note:
             raise ConfigError(f'{out}: expected an empty folder or a run of {note}, got a run '
-                              f'of {found}; choose another folder')
+                              f'of {found}; choose another folder, or give the experiment that it '
+                              'was trained with, --config')
         return
     if any(path.name != PLAN_FILE for path in out.iterdir()):
         raise ConfigError(f'{out}: expected an empty folder or an earlier run; it holds '

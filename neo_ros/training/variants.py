@@ -63,7 +63,8 @@ def export_variants(run: TrainingRun, formats: Sequence[Format] = FORMATS,
     # What is measured here is of other frames than the scores of a card.
     card = replace(read_model_card(run.model_path), scores={})
     models = {'as trained': run.model_path}
-    for number_format in formats:
+    for number, number_format in enumerate(formats):
+        run.progress('formats', number, len(formats), number_format)
         path = run.model_path.with_suffix(f'.{number_format}.onnx')
         export_variant(network, run.expansion, path, number_format,
                        real_frames(run, rules.range_frames, run.fitted), factor)
@@ -75,6 +76,7 @@ def export_variants(run: TrainingRun, formats: Sequence[Format] = FORMATS,
         write_model_card(path, replace(
             card, parity=Parity(max_abs_error=worst, share_within_1=share)))
         models[number_format] = path
+    run.progress('formats', len(formats), len(formats), '')
     variants = _measured(models, run, views, threads, rules)
     best = max(variant.ring_psnr for variant in variants)
     for variant in variants[1:]:
@@ -98,7 +100,8 @@ def _trained_network(run: TrainingRun) -> nn.Module:
         trained = state['trainer']
         done, total = run.experiment.outpaint.progress(trained['step'], trained['seconds'])
         network.load_state_dict(trained['averaged'])
-    if done < total:
+    # An update trains it on for minutes of its own.
+    if done < total and not read_model_card(run.model_path).updates:
         raise ConfigError(f'{run.out}: expected a finished run, got one that is at {done} of '
                           f'{total}; give neo train the same arguments')
     return at_full_size(network, run.experiment.network).eval()
@@ -110,7 +113,8 @@ def _measured(models: dict[str, Path], run: TrainingRun, views: np.ndarray,
               for name, path in models.items()}
     scores: dict[str, list[float]] = {name: [] for name in models}
     milliseconds: dict[str, list[float]] = {name: [] for name in models}
-    for view in views:
+    for number, view in enumerate(views):
+        run.progress('measuring', number, len(views) + rules.rounds, '')
         seen = run.expansion.extrapolated_mask & (view[..., 3] > 127)
         narrow = np.ascontiguousarray(run.expansion.crop(view)[..., :3])
         if seen.any():
@@ -118,10 +122,12 @@ def _measured(models: dict[str, Path], run: TrainingRun, views: np.ndarray,
                 wide_image = model.expand(narrow).wide_image
                 scores[name].append(psnr(view[..., :3][seen], wide_image[seen]))
     # In turns, so that what else the machine does meets all of them.
-    for _ in range(rules.rounds):
+    for number in range(rules.rounds):
+        run.progress('measuring', len(views) + number, len(views) + rules.rounds, '')
         for name, model in loaded.items():
             started = time.perf_counter()
             model.expand(narrow)
             milliseconds[name].append(1e3 * (time.perf_counter() - started))
+    run.progress('measuring', len(views) + rules.rounds, len(views) + rules.rounds, '')
     return [Variant(name, path, path.stat().st_size / 1e6, statistics.median(milliseconds[name]),
                     float(np.mean(scores[name]))) for name, path in models.items()]

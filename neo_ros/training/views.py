@@ -1,7 +1,7 @@
 """Step 2 of the paper: the wide views that a run trains its outpainter on, and validates it on."""
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Self
 
 from neo_ros.errors import ConfigError
 from neo_ros.field.free_space import find_free_floor
@@ -133,7 +133,7 @@ class RealFrames(Sequence[np.ndarray]):
     window: tuple[slice, slice]
 
     @classmethod
-    def of(cls, run: TrainingRun, count: int, photos: PosedImages) -> 'RealFrames':
+    def of(cls, run: TrainingRun, count: int, photos: PosedImages) -> Self:
         """Choose evenly; hundreds of large photos would fill the memory."""
         window = photos.intrinsics.scaled(run.experiment.scale).window(run.expansion.source)
         return cls(photos, evenly(len(photos), count).tolist(), run.experiment.scale, window)
@@ -157,15 +157,19 @@ def real_frames(run: TrainingRun, count: int, photos: PosedImages | None = None)
     return np.stack(RealFrames.of(run, count, photos or run.held_out or run.fitted))
 
 
-def real_usable(run: TrainingRun, count: int, photos: PosedImages) -> np.ndarray | None:
-    """Read which pixels of `real_frames` show the scene, bool (N, h, w); None without masks."""
-    if not any(photos.mask_paths):
-        return None
-    scale, source = run.experiment.scale, run.expansion.source
-    window, chosen = photos.intrinsics.scaled(scale).window(source), evenly(len(photos), count)
-    every = np.ones((len(chosen), source.height, source.width), bool)
-    for place, index in enumerate(chosen):
-        usable = photos.read_usable(index, scale)
-        if usable is not None:
-            every[place] = usable[window]
-    return every
+class RealUsable(RealFrames):
+    """Which pixels of such views show the scene, bool (h, w) each."""
+
+    def __getitem__(self, place: Any) -> Any:
+        if isinstance(place, slice):
+            return super().__getitem__(place)
+        usable = self.photos.read_usable(self.chosen[place], self.scale)
+        if usable is None:
+            camera = self.photos.intrinsics.scaled(self.scale)
+            usable = np.ones((camera.height, camera.width), bool)
+        return usable[self.window]
+
+
+def real_usable(run: TrainingRun, count: int, photos: PosedImages) -> RealUsable | None:
+    """Return which pixels of `real_frames` show the scene; None without masks."""
+    return RealUsable.of(run, count, photos) if any(photos.mask_paths) else None

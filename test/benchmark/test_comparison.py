@@ -10,7 +10,8 @@ from neo_ros.cli.main import app
 from neo_ros.errors import ConfigError, ModelError, NeoError
 from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.outpaint.export import ExportedFunction
-from neo_ros.runtime import read_model_card
+from neo_ros.runtime import read_model_card, write_model_card
+from neo_ros.runtime.model_card import Update
 from neo_ros.training import variants
 from neo_ros.training.checkpoint import read_checkpoint, write_checkpoint
 from neo_ros.training.run import TrainingRun
@@ -162,6 +163,11 @@ def test_other_settings_and_unfinished_runs_are_not_exported(
     write_checkpoint(unfinished.out / 'outpainter.ckpt', state)
     with pytest.raises(ConfigError, match='finished run, got one that is at .* of'):
         export_variants(unfinished)
+    # An update trained it on: it counts anew.
+    card = read_model_card(unfinished.model_path)
+    write_model_card(unfinished.model_path, replace(card, updates=(
+        Update(memory='0' * 64, bag='day', photos=3, at='2026-01-02 03:04:05'),)))
+    assert len(export_variants(unfinished, ('fp32',))) == 2
     del state['trainer']['averaged']
     write_checkpoint(unfinished.out / 'outpainter.ckpt', state)
     with pytest.raises(NeoError, match="outpainter.ckpt: expected .*'averaged'.*; delete it"):

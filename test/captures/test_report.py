@@ -54,6 +54,14 @@ def test_a_good_capture_gets_no_advice(tmp_path: Path) -> None:
     assert dict(facts)['Photos'] == '60'
 
 
+def test_a_camera_that_stood_still_is_thinned_out(tmp_path: Path) -> None:
+    poses = [pose for pose in turning(60, step=0.1) for _ in range(4)]
+    for scene, told in ((poses, True), (poses[::4], False)):
+        advice = ' '.join(describe(measure_capture(make_scene(tmp_path / str(told), scene)))[1])
+        assert ('180 photos are hardly apart' in advice) == told
+        assert ('--keyframe-distance 0.1 --keyframe-angle 10' in advice) == told
+
+
 def test_one_direction_leaves_the_sides_unseen(tmp_path: Path) -> None:
     measures = measure_capture(make_scene(tmp_path, turning(60, full=0.0, step=0.0)))
     # All photos are one: of the wide view, only what it shows itself was seen.

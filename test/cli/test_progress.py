@@ -42,3 +42,18 @@ def test_a_bar_that_comes_again_begins_anew(monkeypatch: pytest.MonkeyPatch) -> 
         assert begun == []
         show('outpainter', 1, 10)
         assert begun == [0]
+
+
+def test_a_long_note_leaves_the_stage_and_its_time_readable(
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    text = io.StringIO()
+    terminal = Console(file=text, force_terminal=True, width=80, height=40)
+    monkeypatch.setattr(progress, 'Console', lambda: terminal)
+    plan = '30 minutes: ' + 'a field of 8 million voxels, ' * 8 + 'what is left'
+    with progress.stage_progress() as show:
+        show('plan', 1, 1, plan)
+        show('outpainter', 30, 120, '17.3 dB on held-out photos; 12 of 30 min left in all')
+    shown = text.getvalue()
+    assert plan.split(', ')[-1] in shown  # Above the bars, all of it.
+    last = [line for line in shown.splitlines() if 'outpainter' in line][-1]
+    assert '30/120' in last and '0:00:0' in last and '17.3' in last

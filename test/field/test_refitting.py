@@ -50,3 +50,22 @@ def test_air_can_be_kept_and_searched() -> None:
     air.searched = cells
     air.update_occupancy()
     assert air.skip.reshape(air.shape)[8, 8, 8] == 0
+
+
+def test_few_usable_pixels_are_drawn_out_of_a_list_of_them() -> None:
+    usable = np.zeros((3, 16, 16), bool)
+    usable[1, 4:6, 7:9] = usable[2, 0, 3] = True
+    images = np.zeros((3, 16, 16, 3), np.uint8)
+    images[usable] = 255
+    trainer = FieldTrainer(images, CAMERA, np.tile(np.eye(4), (3, 1, 1)), FieldConfig(
+        rays_per_step=4096, voxels=4000, device='cpu'), 0, usable=usable)
+    field = some_field()
+    trainer.change_only(field, np.ones(field.shape, bool))
+    assert trainer._few is not None and len(trainer._few) == 5
+    trainer.random = np.random.default_rng(0)
+    photo, target, *_ = trainer.sample_rays()
+    assert (target == 1).all() and np.bincount(photo)[1] / len(photo) > 0.7
+    # They are asked again when others are usable.
+    usable[0] = True
+    trainer.change_only(field, np.ones(field.shape, bool))
+    assert trainer._few is None

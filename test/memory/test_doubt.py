@@ -185,6 +185,38 @@ def test_what_was_refuted_stays_where_it_is_whichever_place_is_left(
     assert [one.sight for one in doubt._open] == [rooms[1], rooms[3]]
 
 
+def test_somebody_before_the_camera_does_not_end_the_doubt() -> None:
+    """Landmarks are believed at half the agreement: a twin must not need more."""
+    memory = twin_memory(own_picture=False)
+    looker = Looker(memory, EXPANSION, GuideThresholds())
+    doubt = Doubt(looker, GlanceFinder(memory.glances, looker.thresholds))
+    pixels = photo_at(ASIDE).copy()
+    pixels[24:, 24:40] = (40, 60, 90)
+    image = CameraImage(pixels, looker.aligner.photo(pixels), find_features)
+    found = replace(looker.look(image, ASIDE), believed=True, located=True)
+    assert 0.5 < found.agreement < 0.8
+    assert doubt.settle(image, None, found, [_in_twin(ASIDE)]) is None and doubt.is_open
+
+
+def test_one_place_that_was_found_twice_is_no_doubt(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A twin leads back to where exactly the camera is."""
+    memory = box_memory()
+    looker = Looker(memory, EXPANSION, GuideThresholds())
+    doubt, image = Doubt(looker, GlanceFinder(memory.glances, looker.thresholds)), _image(looker)
+    found, twin, exact = (replace(looker.look(image, planar(x, 1.7, 35)), believed=True)
+                          for x in (2.0, 6.9, 1.9))
+    rivals = iter([[twin], [exact], []])
+    against = iter([[0.05, 0.0], [0.02, 0.2, 0.0], [0.02, 0.2, 0.0]])
+    monkeypatch.setattr(doubt, '_rivals', lambda *_: next(rivals))
+    monkeypatch.setattr(doubt, '_against', lambda *_: np.array(next(against)))
+    assert doubt.settle(image, None, found, []) is exact and not doubt.is_open
+
+
+def test_rivals_are_drawn_in_the_light_of_now(twins: SceneGuide) -> None:
+    renderers = (twins.renderer, twins._looker.coarse_aligner.renderer)
+    assert [one.light for one in renderers] == [twins.light] * 2
+
+
 def _image(looker: Looker) -> CameraImage:
     pixels = photo_at(planar(1.9, 1.7, 35))
     return CameraImage(pixels, looker.aligner.photo(pixels), find_features)

@@ -1,5 +1,6 @@
 """An index finds what looks like a descriptor, and looks at few to do so."""
 from neo_ros.memory.inverted_index import InvertedIndex
+from neo_ros.memory.inverted_kernels import greatest
 import numpy as np
 
 EVERYWHERE = 1 << 20  # More lists than there are.
@@ -52,3 +53,10 @@ def test_fewer_than_are_asked_for() -> None:
     found, likeness = index.nearest(descriptors(1, seed=5), EVERYWHERE, 5)
     assert sorted(found[0, :3]) == [0, 1, 2]
     assert (found[0, 3:] == -1).all() and (likeness[0, 3:] == -1).all()
+
+
+def test_of_equal_words_the_first_ones_are_looked_at() -> None:
+    values = np.random.default_rng(3).integers(0, 9, (40, 30)).astype(np.float32)
+    found = np.full((40, 12), -1)
+    greatest(values, found)
+    np.testing.assert_array_equal(found, np.argsort(-values, axis=1, kind='stable')[:, :12])

@@ -139,7 +139,7 @@ def test_another_memorys_is_left_aside(tmp_path: Path, caplog: pytest.LogCapture
     assert stamps(path) == []
 
 
-def test_it_is_bounded(tmp_path: Path) -> None:
+def test_it_is_bounded(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     path = tmp_path / 'a.journal'
     size = len(PATCHES[0].to_bytes()) + 9
     writer = JournalWriter(path, MEMORY, HEADER_BYTES + int(2.5 * size))
@@ -147,6 +147,9 @@ def test_it_is_bounded(tmp_path: Path) -> None:
     assert writer.append(PATCHES) == []
     writer.close()
     assert stamps(path) == [0, 1]
+    caplog.clear()
+    JournalWriter(path, MEMORY, path.stat().st_size).close()
+    assert 'the journal is full' in caplog.text  # A robot that starts again learns nothing, too.
     assert most_bytes(14 << 20) == int(0.2 * (14 << 20)) and most_bytes(1 << 40) == 64 << 20
 
 

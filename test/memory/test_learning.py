@@ -11,6 +11,7 @@ import time
 from box_board import DRIVE, with_board
 from box_room import box_memory, EXPANSION, planar, SOURCE, view, write_box_model
 from neo_ros.cli.main import app
+from neo_ros.errors import ModelError
 from neo_ros.geometry import Band, CameraPose
 from neo_ros.memory import learning
 from neo_ros.memory.changes import Changes, without_replaced
@@ -190,6 +191,9 @@ def test_the_command_tells_compacts_and_forgets(tmp_path: Path) -> None:
         '\n', ' ')
     assert len(read_journal(journal, sha256)) == 1
     assert run(app, ['memory', 'forget', str(model)]).exit_code == 0 and not journal.exists()
+    (tmp_path / 'box.memory').unlink()
+    told = run(app, ['memory', 'info', str(model)])
+    assert isinstance(told.exception, ModelError) and 'copy it beside' in str(told.exception)
 
 
 def test_a_model_shows_what_its_journal_holds(tmp_path: Path) -> None:

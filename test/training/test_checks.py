@@ -98,3 +98,13 @@ def test_a_folder_of_an_older_version_is_taken_when_the_user_says_so(
         train(tiny_run.out.parent / 'scene', TINY, tmp_path)
     note.write_text(str(caught.value).split('run.json: ')[1])
     claim(tmp_path, tiny_run.scene, TINY)
+
+
+def test_photos_too_large_for_a_model_file_are_refused_before_the_work(
+        tiny_run: TrainingRun, monkeypatch: pytest.MonkeyPatch) -> None:
+    view = tiny_run.expansion.target
+    monkeypatch.setattr(training_checks, 'MAX_PIXELS', view.width * view.height // 3)
+    with pytest.raises(ConfigError, match=f'got {view.width}x{view.height}; write "scale: 0.55"'):
+        training_checks.check_training(tiny_run)
+    monkeypatch.setattr(training_checks, 'MAX_PIXELS', view.width * view.height)
+    training_checks.check_training(tiny_run)

@@ -1,9 +1,11 @@
 """The views that a run trains on: as wide as the model's, or in the ablation as the photos."""
 from dataclasses import replace
+from pathlib import Path
 
 from neo_ros.field.voxel_field import VoxelField
+from neo_ros.pictures.usable import write_usable
 from neo_ros.training.run import TrainingRun
-from neo_ros.training.views import make_stream, real_frames, RealFrames
+from neo_ros.training.views import make_stream, real_frames, real_usable, RealFrames
 import numpy as np
 import pytest
 from tiny_training import TINY
@@ -28,3 +30,16 @@ def test_frames_are_read_one_by_one_and_keep_no_photo(tiny_run: TrainingRun) -> 
     np.testing.assert_array_equal(frames[4], photos.read_image(len(photos) - 1))
     assert len(frames) == 5 and len(frames[1:3]) == 2
     assert all(frame.base is None for frame in frames)
+
+
+def test_masks_are_read_one_by_one_too(tiny_run: TrainingRun, tmp_path: Path) -> None:
+    photos = tiny_run.scene.train
+    mask = np.ones((photos.intrinsics.height, photos.intrinsics.width), bool)
+    mask[:5] = False
+    write_usable(tmp_path / 'mask.png', mask)
+    usable = real_usable(tiny_run, 5, replace(photos, mask_paths=(
+        tmp_path / 'mask.png', *[None] * (len(photos) - 1))))
+    assert usable is not None and len(usable) == 5
+    np.testing.assert_array_equal(usable[0], mask)
+    assert all(one.all() for one in usable[1:])
+    assert real_usable(tiny_run, 5, photos) is None
