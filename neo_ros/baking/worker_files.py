@@ -15,6 +15,7 @@ from neo_ros.baking.keyframes import Photos
 from neo_ros.errors import NeoError
 from neo_ros.field.device import read_field
 from neo_ros.field.radiance_field import RadianceField
+from neo_ros.geometry import Intrinsics
 from neo_ros.machine.files import whole_file
 from neo_ros.scenes.posed_images import PosedImages
 import numpy as np
@@ -52,14 +53,23 @@ class SharedScene:
         They may be gigabytes: whole ones that a run left which was broken off are taken.
         """
         each, camera = range(len(photos)), photos.intrinsics.scaled(scale)
-        shape = (len(photos), camera.height, camera.width)
-        images = _keep_rows(folder / 'images.npy', (*shape, 3), np.uint8,
-                            (photos.read_image(index, scale) for index in each))
-        usable = _keep_rows(folder / 'usable.npy', shape, bool, (
-            np.ones(shape[1:], bool) if one is None else one
-            for one in (photos.read_usable(index, scale) for index in each))
-            ) if any(photos.mask_paths) else None
-        return cls(field.absolute(), Photos(_NONE, camera, photos.T_world_cam), images, usable)
+        return cls.of_rows(
+            field, camera, photos.T_world_cam,
+            (photos.read_image(index, scale) for index in each), (
+                np.ones((camera.height, camera.width), bool) if one is None else one
+                for one in (photos.read_usable(index, scale) for index in each))
+            if any(photos.mask_paths) else None, folder)
+
+    @classmethod
+    def of_rows(cls, field: Path, camera: Intrinsics, T_world_cam: np.ndarray,
+                images: Iterable[np.ndarray], usable: Iterable[np.ndarray] | None, folder: Path
+                ) -> 'SharedScene':
+        """Write photos of a camera, and which of their pixels are usable, one after the other."""
+        shape = (len(T_world_cam), camera.height, camera.width)
+        return cls(field.absolute(), Photos(_NONE, camera, T_world_cam),
+                   _keep_rows(folder / 'images.npy', (*shape, 3), np.uint8, images),
+                   None if usable is None else _keep_rows(
+                       folder / 'usable.npy', shape, bool, usable))
 
     def read_photos(self) -> Photos:
         """Return the photos; their pixels are read when they are looked at."""

@@ -1,7 +1,9 @@
 """Fit a field anew in a part of its space, and leave the rest bit by bit as it was."""
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+import cv2
 from neo_ros.baking.keyframes import BakingRules, Photos
 from neo_ros.field import kernels
 from neo_ros.field.config import FieldConfig
@@ -12,6 +14,7 @@ from neo_ros.field.voxel_field import AIR_KEPT, VoxelField
 from neo_ros.geometry import CameraPose
 from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.memory.contradiction import contradicted, contradiction
+from neo_ros.pictures.depth import to_millimetres
 from neo_ros.updating.changed_space import around, ChangedSpace, ChangeRules, space_of
 from neo_ros.updating.compared_photos import ComparedPhotos
 from neo_ros.updating.kernels import count_spans
@@ -48,20 +51,29 @@ class RefitRules(FitLength):
     margin: int = 1
 
 
-def refit(field: VoxelField, space: ChangedSpace, compared: ComparedPhotos, config: FieldConfig,
+def refit(field: VoxelField, space: ChangedSpace, compared: ComparedPhotos,
+          read: Callable[[Sequence[int]], Photos], config: FieldConfig,
           seed: int, minutes: float | None = None, progress: Progress = no_progress,
           rules: RefitRules = RefitRules()) -> tuple[VoxelField, ChangedSpace]:
     """
     Return the field as new photos show it, and what of the space has changed in truth.
 
-    All other grid points stay as they are. minutes: of fitting; None: as many as it takes.
+    All other grid points stay as they are. read: some of the photos, in the size that fields are
+    fitted to. minutes: of fitting; None: as many as it takes.
     """
-    photos, beyond = compared.photos, BakingRules.one_surface
-    usable = space.reached_by(field, compared, beyond, compared.old)
+    beyond = BakingRules.one_surface
+    every = space.reached_by(field, compared, beyond)
+    usable = every.copy()
+    usable[:compared.old] = False
     if not usable.any():
         return field, ChangedSpace(np.zeros_like(space.cells), [])
-    trainer = trainer_of(replace(photos, usable=usable), compared.gains, config, seed, minutes,
-                         rules)
+    chosen = np.flatnonzero(every.any((1, 2)))
+    photos = read(chosen.tolist())
+    fitted_to = _in_size_of(photos, usable[chosen])
+    # Colour alone would leave haze before what did not change.
+    trainer = trainer_of(replace(photos, usable=fitted_to), compared.gains[chosen], config, seed,
+                         minutes, rules, _in_size_of(photos, _depths(compared)[chosen]),
+                         int(usable.sum()))
     trainer.change_only(*opened(field, space))
     fit_until(trainer, rules.new_alone, progress)
     fitted = trainer.field
@@ -74,22 +86,39 @@ def refit(field: VoxelField, space: ChangedSpace, compared: ComparedPhotos, conf
     narrower.update_occupancy()
     usable[:] = space.reached_by(field, compared, beyond)
     usable[:compared.old] = still_right(field, narrower, space, compared, usable)
+    fitted_to[:] = _in_size_of(photos, usable[chosen])
     trainer.change_only(narrower, points)
     fit_until(trainer, 1.0, progress)
     usable[:compared.old] = False
     return _finished(field, trainer.field, space, usable, compared), space
 
 
+def _in_size_of(photos: Photos, small: np.ndarray) -> np.ndarray:
+    """Enlarge what is known of photos in a smaller size, (N, h, w); a mask leaves theirs out."""
+    assert photos.usable is not None
+    numbers = small.view(np.uint8) if small.dtype == bool else small
+    large = np.stack([cv2.resize(one, photos.usable.shape[:0:-1],
+                                 interpolation=cv2.INTER_NEAREST_EXACT) for one in numbers])
+    return large.view(bool) & photos.usable if small.dtype == bool else large
+
+
+def _depths(compared: ComparedPhotos) -> np.ndarray:
+    """Return what the memory tells of photos that agree with it, as the trainer takes it."""
+    stretch = np.linalg.norm(compared.photos.intrinsics.pixel_rays(), axis=-1)
+    return to_millimetres(np.where(compared.same, compared.depth, 0) / stretch)
+
+
 def trainer_of(photos: Photos, gains: np.ndarray, config: FieldConfig, seed: int,
-               minutes: float | None, rules: FitLength, depths: np.ndarray | None = None
-               ) -> FieldTrainer:
+               minutes: float | None, rules: FitLength, depths: np.ndarray | None = None,
+               pixels: int | None = None) -> FieldTrainer:
     """
     Return a trainer that fits the usable pixels of photos, whose gains (N, 3) are known.
 
-    depths: of the photos, see `FieldTrainer`.
+    depths: of the photos, see `FieldTrainer`; pixels: so many count; None: all that are usable.
     """
     assert photos.usable is not None
-    steps = int(np.clip(rules.passes * photos.usable.sum() / config.rays_per_step,
+    pixels = int(photos.usable.sum()) if pixels is None else pixels
+    steps = int(np.clip(rules.passes * pixels / config.rays_per_step,
                         rules.least_steps, rules.most_steps))
     trainer = FieldTrainer(
         photos.images, photos.intrinsics, photos.T_world_cam,

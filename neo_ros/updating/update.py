@@ -2,21 +2,23 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
+import logging
 from pathlib import Path
 import shutil
 import time
 
 import cv2
-from neo_ros.baking.keyframes import BakingRules, Photos
+from neo_ros.baking.keyframes import BakingRules
 from neo_ros.baking.memory_baking import make_keyframes
 from neo_ros.baking.worker_files import SharedScene
-from neo_ros.errors import ConfigError
+from neo_ros.errors import BagError, ConfigError
 from neo_ros.experiment import Experiment
 from neo_ros.field.rendering import render_rays, world_rays
 from neo_ros.field.voxel_field import VoxelField
 from neo_ros.machine.files import make_output_folder, see_to_disk, share_file
 from neo_ros.machine.progress import no_stage_progress, of_stage, StageProgress
 from neo_ros.machine.ray_jobs import check_ray
+from neo_ros.memory.contradiction import contradicted, contradiction
 from neo_ros.memory.landmarks import Landmarks
 from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.reports.report import Section, write_report
@@ -41,6 +43,8 @@ from neo_ros.updating.update_report import update_sections
 from neo_ros.updating.update_run import UpdateRun
 import numpy as np
 
+logger = logging.getLogger(__name__)
+
 
 @dataclass(frozen=True, kw_only=True)
 class UpdateOptions:
@@ -60,12 +64,13 @@ class UpdateOptions:
 
 def update(run: Path, bags: Sequence[Path], out: Path, options: UpdateOptions = UpdateOptions(),
            scene: Path | None = None, experiment: Experiment | None = None,
-           progress: StageProgress = no_stage_progress) -> list[int]:
+           progress: StageProgress = no_stage_progress) -> list[int | None]:
     """
     Write into `out` the run as bags, the oldest first, show its scene; return places by bag.
 
-    Where nothing has changed nothing is written. `out` appears whole or not at all. Raises
-    NeoError for runs and bags that cannot be used.
+    None: that bag cannot be used, a warning says why, and the others were. Where nothing has
+    changed nothing is written. `out` appears whole or not at all. Raises NeoError for runs that
+    cannot be used, and where no bag can.
     """
     if out.exists():
         raise ConfigError(f'{out}: expected a folder that does not exist yet; choose another')
@@ -81,13 +86,20 @@ def update(run: Path, bags: Sequence[Path], out: Path, options: UpdateOptions = 
 
 def _update(run: Path, bags: Sequence[Path], out: Path, options: UpdateOptions,
             scene: Path | None, experiment: Experiment | None, progress: StageProgress,
-            work: Path) -> list[int]:
-    newest, sections, found = run, list[Section](), list[int]()
+            work: Path) -> list[int | None]:
+    newest, sections, found = run, list[Section](), list[int | None]()
     for index, bag in enumerate(bags):
         current = UpdateRun.find(newest, scene if newest == run else None, experiment,
                                  options.network_minutes is not None)
         folder = make_output_folder(work / str(index))
-        told = update_once(current, bag, folder, options, progress)
+        try:
+            told = update_once(current, bag, folder, options, progress)
+        except BagError as error:
+            if index + 1 == len(bags) and not any(one is not None for one in found):
+                raise
+            logger.warning('%s', error)
+            found.append(None)
+            continue
         found.append(0 if told is None else told[0])
         if told is not None:
             newest, sections = folder, sections + told[1]
@@ -118,23 +130,27 @@ def update_once(run: UpdateRun, bag: Path, out: Path, options: UpdateOptions,
                           options.info_topic, options.rectify, of_stage(progress, bag.name))
     field = VoxelField.load(run.folder / 'field.npz')
     before = SceneMemory.read(memory_file, named.sha256)
-    drive, compared, growth = _grown(run, field, before, drive, options.minutes, progress)
+    drive, compared, growth = _grown(run, bag, field, before, drive, options.minutes, progress)
     if growth is not None:
         field = growth.field
     old, space = field, find_changed_space(field, compared)
     if space.places:
-        field, space = refit(field, space, compared, run.experiment.field, run.experiment.seed,
-                             options.minutes, of_stage(progress, 'field'))
+        field, space = refit(
+            field, space, compared, lambda chosen: run.photos(drive, chosen, run.fitted_camera),
+            run.experiment.field, run.experiment.seed, options.minutes,
+            of_stage(progress, 'field'))
     landmarks = _landmarks_outside(before.landmarks, field, space)
     if growth is not None:
         space = growth.joined(space)
     if not space.places:
         return None
-    photos, seen, gains, chosen = _photos_that_see(run, old, field, space, drive, compared)
     field.save(out / 'field.npz')
     source, scene = run.card.expansion.source, run.scene
     work = out.with_name(f'{out.name}.work')
-    shared = SharedScene.keep(out / 'field.npz', photos, work) if options.cluster else None
+    chosen, seen, wrong = _photos_that_see(old, field, space, compared)
+    kept = _keep(run, drive, compared, chosen, wrong, out / 'field.npz', work)
+    photos, gains = kept.read_photos(), compared.gains[chosen]
+    shared = kept if options.cluster else None
     recipe = recipe_of(before, photos, seen, gains, source)
     change = ChangeRecipe(space, before, photos, seen, gains, recipe.directions)
     show = of_stage(progress, 'keyframes')
@@ -153,7 +169,7 @@ def update_once(run: UpdateRun, bag: Path, out: Path, options: UpdateOptions,
             scene = replace(scene, walkable=joined_floor(scene.walkable, floor))
     sha256 = after.write(memory_file)
     write_model_card(model, replace(
-        run.card, memory=MemoryFile(file=memory_file.name, sha256=sha256),
+        run.card, memory=MemoryFile(file=memory_file.name, sha256=sha256), scores={},
         updates=(*run.card.updates, Update(
             memory=named.sha256, bag=bag.name, photos=len(drive.poses),
             at=f'{datetime.now(timezone.utc):%Y-%m-%d %H:%M:%S}'))))
@@ -167,7 +183,7 @@ def update_once(run: UpdateRun, bag: Path, out: Path, options: UpdateOptions,
         time.monotonic() - started, growth)
 
 
-def _grown(run: UpdateRun, field: VoxelField, before: SceneMemory, drive: Drive,
+def _grown(run: UpdateRun, bag: Path, field: VoxelField, before: SceneMemory, drive: Drive,
            minutes: float | None, progress: StageProgress
            ) -> tuple[Drive, ComparedPhotos, Growth | None]:
     """Return the drive, its photos compared, and the place that it shows and the scene had not."""
@@ -182,57 +198,69 @@ def _grown(run: UpdateRun, field: VoxelField, before: SceneMemory, drive: Drive,
     growth = None
     if len(outside):
         chosen = [train + index for index in (*tied.beside, *range(known, known + placed))]
-        fit_camera = run.scene.train.intrinsics.scaled(run.experiment.field_scale)
         growth = grow(field, compared, outside, tied, chosen,
-                      run.photos(longer, chosen, fit_camera),
+                      run.photos(longer, chosen, run.fitted_camera),
                       run.experiment.field_config(run.scene.walkable is not None),
                       run.experiment.seed, minutes, of_stage(progress, 'new place'))
+    lost = len(drive.lost) - len(tied.poses if growth is not None else ())
+    if lost:
+        logger.warning('%s: of %d images %d, taken where the memory knows little or nothing, '
+                       'could not be placed: they change nothing', bag.name, drive.seen, lost)
     if growth is None:  # What was placed in the scene as it was teaches nothing new.
         return drive, compared.first(train + known), None
     return longer, compared, growth
 
 
-def _photos_that_see(run: UpdateRun, old: VoxelField, field: VoxelField, space: ChangedSpace,
-                     drive: Drive, compared: ComparedPhotos
-                     ) -> tuple[Photos, np.ndarray, np.ndarray, list[int]]:
+def _photos_that_see(old: VoxelField, field: VoxelField, space: ChangedSpace,
+                     compared: ComparedPhotos
+                     ) -> tuple[list[int], np.ndarray, np.ndarray]:
     """
-    Return photos that see changed space, how far, gains, and which ones; last are the new ones.
+    Return which photos see changed space, the last are the new ones; how far, and what is wrong.
 
-    Pixels of photos of before that show what is there no more are not usable. Those that show what
-    is behind something new are. Pixels of new ones that show what did not become part of the
-    scene, such as somebody who walked by, are not.
+    Wrong, bool (N, h, w), are pixels of photos of before that show what is there no more; not
+    those that show what is behind something new. And pixels of new ones that show what did not
+    become part of the scene: somebody who walked by, or what the field does not show.
     """
     rules, small = BakingRules(), compared.photos.intrinsics
-    reached = space.reached_by(field, compared, rules.one_surface)
-    chosen = [index for index, pixels in enumerate(reached) if pixels.any()]
+    changed = space.reached_by(field, compared, rules.one_surface)
+    chosen = [index for index, pixels in enumerate(changed) if pixels.any()]
     assert compared.photos.usable is not None
-    passing = (compared.depth > 0) & ~compared.agrees & ~reached
+    passing = (compared.depth > 0) & ~compared.agrees & ~changed
+    reached = changed.copy()
     reached[compared.old:] = compared.photos.usable[compared.old:] & ~passing[compared.old:]
     agree = still_right(old, field, space, compared, reached)
-    camera, seen = run.camera, compared.depth[chosen]
-    # They may be gigabytes: each is read into its place.
-    images = np.empty((len(chosen), camera.height, camera.width, 3), np.uint8)
-    usable = np.empty(images.shape[:3], bool)
+    seen, wrong = compared.depth[chosen], passing[chosen]
     for place, index in enumerate(chosen):
-        images[place], usable[place] = run.photo(drive, index)
         origin, rays = world_rays(small, compared.pose(index))
         pixels = reached[index]
         now = render_rays(field, origin, rays[pixels])
         seen[place][pixels] = np.where(now.coverage > rules.least_coverage, now.depth, 0)
         if index < compared.old:
-            wrong, depth = pixels & ~agree[index], compared.depth[index]
+            past, depth = pixels & ~agree[index], compared.depth[index]
             # A surface outside of the space did not change, whatever is before it now.
-            outside = wrong & (depth > 0)
+            outside = past & (depth > 0)
             outside[outside] = ~space.holds(
                 field, origin + depth[outside][:, None] * rays[outside])
-            wrong &= ~outside
-            seen[place][outside], seen[place][wrong] = depth[outside], 0
+            seen[place][outside] = depth[outside]
+            wrong[place] = past & ~outside
         else:
-            wrong = passing[index]
-            seen[place][wrong] = 0
-        usable[place] &= ~_enlarged(wrong, camera.width, camera.height)
-    return (Photos(images, camera, compared.photos.T_world_cam[chosen], usable), seen,
-            compared.gains[chosen], chosen)
+            image = compared.photos.images[index].astype(np.float32)
+            shown = image.copy()
+            shown[pixels] = 255 * now.image / compared.gains[index]
+            wrong[place] |= contradicted(contradiction(image, shown, changed[index]))
+    seen[wrong] = 0
+    return chosen, seen, wrong
+
+
+def _keep(run: UpdateRun, drive: Drive, compared: ComparedPhotos, chosen: list[int],
+          wrong: np.ndarray, field: Path, folder: Path) -> SharedScene:
+    """Keep chosen photos, and what of them is not wrong, in files: they may be large."""
+    camera = run.camera
+    return SharedScene.of_rows(
+        field, camera, compared.photos.T_world_cam[chosen],
+        (run.photo(drive, index)[0] for index in chosen),
+        (run.photo(drive, index)[1] & ~_enlarged(one, camera.width, camera.height)
+         for index, one in zip(chosen, wrong)), folder)
 
 
 def _enlarged(mask: np.ndarray, width: int, height: int) -> np.ndarray:

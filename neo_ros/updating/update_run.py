@@ -73,6 +73,11 @@ class UpdateRun:
         """The same, as fine as the field shows."""
         return self.camera.scaled(min(BakingRules.photo_focal / self.camera.fx, 1.0))
 
+    @property
+    def fitted_camera(self) -> Intrinsics:
+        """The camera of photos as the field is fitted to them."""
+        return self.scene.train.intrinsics.scaled(self.experiment.field_scale)
+
     def photo(self, drive: Drive, index: int) -> tuple[np.ndarray, np.ndarray]:
         """
         Return photo `index` of the run, or of the drive behind them, and what of it is usable.

@@ -3,6 +3,7 @@ from pathlib import Path
 
 import cv2
 from neo_ros.bags import write_demo_bag
+from neo_ros.baking.keyframes import Photos
 from neo_ros.benchmark.killing import digests
 from neo_ros.benchmark.kills import ROOM
 from neo_ros.benchmark.small_room import (
@@ -17,7 +18,7 @@ from neo_ros.pipeline import train
 from neo_ros.runtime import FovExtrapolator, read_model_card
 from neo_ros.scenes.scene import read_scene
 from neo_ros.training.checkpoint import read_checkpoint
-from neo_ros.updating import update as update_module
+from neo_ros.updating import refit as refit_module, update as update_module
 from neo_ros.updating.update import update, UpdateOptions
 import numpy as np
 import pytest
@@ -37,7 +38,8 @@ def base(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_drive(folder / 'same', BEFORE)
     write_drive(folder / 'moved', AFTER)
     before = digests(folder / 'run')
-    assert 0 < update(folder / 'run', [folder / 'moved'], folder / 'new', experiment=ROOM)[0] <= 4
+    found, = update(folder / 'run', [folder / 'moved'], folder / 'new', experiment=ROOM)
+    assert found in range(1, 5)
     assert digests(folder / 'run') == before
     return folder
 
@@ -140,7 +142,7 @@ def test_new_photos_are_those_that_show_the_change_without_who_walked_by(
 def test_an_updated_run_can_be_updated_again(base: Path, tmp_path: Path) -> None:
     found, = update(base / 'new', [base / 'same'], tmp_path / 'back', experiment=ROOM,
                     options=UpdateOptions(minutes=0.2, network_minutes=0.1))
-    assert found > 0  # The post stands where it was first.
+    assert found  # The post stands where it was first.
     updates = read_model_card(tmp_path / 'back' / 'room.onnx').updates
     before = read_model_card(base / 'new' / 'room.onnx').memory
     assert [one.bag for one in updates] == ['moved', 'same']
@@ -155,6 +157,7 @@ def test_an_updated_run_can_be_updated_again(base: Path, tmp_path: Path) -> None
     assert 0 < moved < 0.5 * sum(float(weights.norm()) for weights in run.values())
     assert networks[2]['trainer']['seconds'] < 30
     after = read_model_card(tmp_path / 'back' / 'room.onnx')
+    assert not after.scores  # They were of another memory.
     assert after.trained_seconds > read_model_card(base / 'new' / 'room.onnx').trained_seconds
     assert memory_of(tmp_path / 'back') and FovExtrapolator.load(tmp_path / 'back' / 'room.onnx')
 
@@ -202,8 +205,36 @@ def test_what_was_broken_off_begins_anew(base: Path, tmp_path: Path,
         with pytest.raises(KeyboardInterrupt):
             update(base / 'run', [base / 'moved'], tmp_path / 'new', experiment=ROOM)
     assert [path.name for path in tmp_path.iterdir()] == ['new.partial']
-    assert sum(update(base / 'run', [base / 'same'], tmp_path / 'new', experiment=ROOM)) == 0
+    assert update(base / 'run', [base / 'same'], tmp_path / 'new', experiment=ROOM) == [0]
     assert not list(tmp_path.iterdir())
+
+
+def test_what_has_changed_is_fitted_to_photos_as_fine_as_the_field_was(
+        base: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is compared is coarser where photos are large: here half as wide as what is read."""
+    refit, shown = refit_module.refit, list[Photos]()
+
+    def finer(photos: Photos) -> Photos:
+        assert photos.usable is not None
+        images, usable = (one.repeat(2, 1).repeat(2, 2) for one in (photos.images, photos.usable))
+        usable[:, :10] = False  # A mask.
+        return Photos(images, photos.intrinsics.scaled(2), photos.T_world_cam, usable)
+
+    def stop(photos: Photos, gains: np.ndarray, *_: object) -> None:
+        shown.append(photos)
+        assert len(gains) == len(photos.images)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(update_module, 'refit', lambda field, space, compared, read, *rest: refit(
+        field, space, compared, lambda chosen: finer(read(chosen)), *rest))
+    monkeypatch.setattr(refit_module, 'trainer_of', stop)
+    with pytest.raises(KeyboardInterrupt):
+        update(base / 'run', [base / 'moved'], tmp_path / 'new', experiment=ROOM)
+    usable = shown[0].usable
+    assert usable is not None and usable.shape == shown[0].images.shape[:3]
+    assert usable.shape[1:] == (128, 128) and not usable[:, :10].any()
+    # Of each pixel that may change, all four.
+    assert usable.any() and (usable[:, 10::2, ::2] == usable[:, 11::2, 1::2]).all()
 
 
 def test_what_cannot_be_updated_is_refused(base: Path, tmp_path: Path) -> None:
@@ -214,6 +245,9 @@ def test_what_cannot_be_updated_is_refused(base: Path, tmp_path: Path) -> None:
     bags = [base / 'same']
     with pytest.raises(BagError, match='of 6 images none shows the scene of room'):
         update(base / 'run', [tmp_path / 'other'], tmp_path / 'new', experiment=ROOM)
+    # The others are used nevertheless.
+    assert update(base / 'run', [*bags, tmp_path / 'other'], tmp_path / 'new',
+                  experiment=ROOM) == [0, None]
     with pytest.raises(ConfigError, match='does not exist yet'):
         update(base / 'run', bags, base / 'new', experiment=ROOM)
     with pytest.raises(ConfigError, match='other field .*--config'):
