@@ -39,8 +39,7 @@ class ComparedPhotos:
     gains (N, 3) multiply a photo's colours to the memory's; depth float32 (N, h, w), metres along
     the ray, 0 = unknown, as the memory has it. contradicts, agrees bool (N, h, w): the photo shows
     something else than the memory, or the same; of a new photo only what photos of before bear
-    out contradicts, and what they show, too, agrees. same bool (N, h, w): where it agrees with the
-    memory itself, whose depth is right there.
+    out contradicts, and what they show, too, agrees.
     """
 
     photos: Photos
@@ -48,7 +47,6 @@ class ComparedPhotos:
     depth: np.ndarray
     contradicts: np.ndarray
     agrees: np.ndarray
-    same: np.ndarray
     old: int
 
     def pose(self, index: int) -> CameraPose:
@@ -62,7 +60,7 @@ class ComparedPhotos:
         return ComparedPhotos(
             Photos(photos.images[:count], photos.intrinsics, photos.T_world_cam[:count],
                    photos.usable[:count]), self.gains[:count], self.depth[:count],
-            self.contradicts[:count], self.agrees[:count], self.same[:count], self.old)
+            self.contradicts[:count], self.agrees[:count], self.old)
 
 
 def compare(photos: Photos, old: int, memory: SceneMemory, progress: Progress = no_progress,
@@ -95,9 +93,8 @@ def compare(photos: Photos, old: int, memory: SceneMemory, progress: Progress = 
         if off[index].sum() > rules.most_contradicted * known.sum():
             depth[index], off[index], usable[index] = 0, False, False
         progress(done, len(poses))
-    same = (depth > 0) & ~off
-    compared = ComparedPhotos(replace(photos, usable=usable), gains, depth, off, same.copy(), same,
-                              old)
+    compared = ComparedPhotos(replace(photos, usable=usable), gains, depth, off,
+                              (depth > 0) & ~off, old)
     for index in range(old, len(poses)):
         _ask_photos_of_before(compared, index, rules)
     return compared

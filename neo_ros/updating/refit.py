@@ -14,7 +14,6 @@ from neo_ros.field.voxel_field import AIR_KEPT, VoxelField
 from neo_ros.geometry import CameraPose
 from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.memory.contradiction import contradicted, contradiction
-from neo_ros.pictures.depth import to_millimetres
 from neo_ros.updating.changed_space import around, ChangedSpace, ChangeRules, space_of
 from neo_ros.updating.compared_photos import ComparedPhotos
 from neo_ros.updating.kernels import count_spans
@@ -70,10 +69,8 @@ def refit(field: VoxelField, space: ChangedSpace, compared: ComparedPhotos,
     chosen = np.flatnonzero(every.any((1, 2)))
     photos = read(chosen.tolist())
     fitted_to = _in_size_of(photos, usable[chosen])
-    # Colour alone would leave haze before what did not change.
     trainer = trainer_of(replace(photos, usable=fitted_to), compared.gains[chosen], config, seed,
-                         minutes, rules, _in_size_of(photos, _depths(compared)[chosen]),
-                         int(usable.sum()))
+                         minutes, rules, pixels=int(usable.sum()))
     trainer.change_only(*opened(field, space))
     fit_until(trainer, rules.new_alone, progress)
     fitted = trainer.field
@@ -94,18 +91,12 @@ def refit(field: VoxelField, space: ChangedSpace, compared: ComparedPhotos,
 
 
 def _in_size_of(photos: Photos, small: np.ndarray) -> np.ndarray:
-    """Enlarge what is known of photos in a smaller size, (N, h, w); a mask leaves theirs out."""
+    """Enlarge which pixels of smaller photos count, bool (N, h, w); masks leave theirs out."""
     assert photos.usable is not None
-    numbers = small.view(np.uint8) if small.dtype == bool else small
-    large = np.stack([cv2.resize(one, photos.usable.shape[:0:-1],
-                                 interpolation=cv2.INTER_NEAREST_EXACT) for one in numbers])
-    return large.view(bool) & photos.usable if small.dtype == bool else large
-
-
-def _depths(compared: ComparedPhotos) -> np.ndarray:
-    """Return what the memory tells of photos that agree with it, as the trainer takes it."""
-    stretch = np.linalg.norm(compared.photos.intrinsics.pixel_rays(), axis=-1)
-    return to_millimetres(np.where(compared.same, compared.depth, 0) / stretch)
+    size = photos.usable.shape[:0:-1]
+    return photos.usable & np.stack([cv2.resize(
+        one, size, interpolation=cv2.INTER_NEAREST_EXACT) for one in small.view(np.uint8)]).view(
+            bool)
 
 
 def trainer_of(photos: Photos, gains: np.ndarray, config: FieldConfig, seed: int,

@@ -18,7 +18,6 @@ from neo_ros.field.voxel_field import VoxelField
 from neo_ros.machine.files import make_output_folder, see_to_disk, share_file
 from neo_ros.machine.progress import no_stage_progress, of_stage, StageProgress
 from neo_ros.machine.ray_jobs import check_ray
-from neo_ros.memory.contradiction import contradicted, contradiction
 from neo_ros.memory.landmarks import Landmarks
 from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.reports.report import Section, write_report
@@ -219,14 +218,13 @@ def _photos_that_see(old: VoxelField, field: VoxelField, space: ChangedSpace,
 
     Wrong, bool (N, h, w), are pixels of photos of before that show what is there no more; not
     those that show what is behind something new. And pixels of new ones that show what did not
-    become part of the scene: somebody who walked by, or what the field does not show.
+    become part of the scene, such as somebody who walked by.
     """
     rules, small = BakingRules(), compared.photos.intrinsics
-    changed = space.reached_by(field, compared, rules.one_surface)
-    chosen = [index for index, pixels in enumerate(changed) if pixels.any()]
+    reached = space.reached_by(field, compared, rules.one_surface)
+    chosen = [index for index, pixels in enumerate(reached) if pixels.any()]
     assert compared.photos.usable is not None
-    passing = (compared.depth > 0) & ~compared.agrees & ~changed
-    reached = changed.copy()
+    passing = (compared.depth > 0) & ~compared.agrees & ~reached
     reached[compared.old:] = compared.photos.usable[compared.old:] & ~passing[compared.old:]
     agree = still_right(old, field, space, compared, reached)
     seen, wrong = compared.depth[chosen], passing[chosen]
@@ -243,11 +241,6 @@ def _photos_that_see(old: VoxelField, field: VoxelField, space: ChangedSpace,
                 field, origin + depth[outside][:, None] * rays[outside])
             seen[place][outside] = depth[outside]
             wrong[place] = past & ~outside
-        else:
-            image = compared.photos.images[index].astype(np.float32)
-            shown = image.copy()
-            shown[pixels] = 255 * now.image / compared.gains[index]
-            wrong[place] |= contradicted(contradiction(image, shown, changed[index]))
     seen[wrong] = 0
     return chosen, seen, wrong
 

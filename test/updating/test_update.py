@@ -220,7 +220,7 @@ def test_what_has_changed_is_fitted_to_photos_as_fine_as_the_field_was(
         usable[:, :10] = False  # A mask.
         return Photos(images, photos.intrinsics.scaled(2), photos.T_world_cam, usable)
 
-    def stop(photos: Photos, gains: np.ndarray, *_: object) -> None:
+    def stop(photos: Photos, gains: np.ndarray, *_: object, **__: object) -> None:
         shown.append(photos)
         assert len(gains) == len(photos.images)
         raise KeyboardInterrupt
