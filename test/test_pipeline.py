@@ -194,7 +194,7 @@ def test_a_finished_training_is_not_trained_again(
     stages: set[str] = set()
     again = train_tiny(tiny_run.out.parent / 'scene', tmp_path / 'out',
                        progress=lambda stage, *rest: stages.add(stage))
-    assert stages == {'scoring', 'report', 'field on held-out photos',
+    assert stages == {'export', 'scoring', 'report', 'field on held-out photos',
                       'network on held-out photos', 'field at the true poses'}
     assert again.figures == tiny_run.figures and again.seconds == tiny_run.seconds
     assert not (tmp_path / 'out' / 'field.ckpt').exists()
