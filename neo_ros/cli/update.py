@@ -58,7 +58,8 @@ def update(
                 else f'{count} changed or new places')
         rich.print(f'{escape(bag.name)}: {what}')
     if not any(places):
-        rich.print('Nothing is written: the run is up to date.')
+        rich.print('Nothing is written' + (
+            '.' if None in places else ': the run is up to date.'))
         return
     model, = out.glob('*.onnx')
     rich.print(f'Written: {escape(str(model))}, its memory and report.html')
