@@ -204,7 +204,7 @@ class Doubt:
                 continue
             sight = replace(looker.look(image, pose), found='searched')
             if sight.believed or (
-                    1 - sight.agreement < limits.unexplained * (1 - found.agreement)):
+                    1 - sight.agreement < limits.as_unexplained * (1 - found.agreement)):
                 rivals.append(sight)
         return rivals
 

@@ -58,8 +58,10 @@ class AmbiguityThresholds:
     # that differ in one picture chance let 0.021 speak for the wrong one, once; the picture, where
     # it is in the image, most often 0.04 and more.
     decisive: float = 0.03
-    # A place that does not agree, or not any more, could still be it unless this many times as
-    # much of the image is left unexplained as at the best one.
+    # A rival that agrees less could be it if hardly more of the image is left unexplained there.
+    as_unexplained: float = 1.25
+    # A place that does not agree any more is dropped if this much more of the image is left
+    # unexplained than at the best one.
     unexplained: float = 2.0
 
 
