@@ -37,14 +37,6 @@ class SharedScene:
     usable: Path | None
 
     @classmethod
-    def keep(cls, field: Path, photos: Photos, folder: Path) -> 'SharedScene':
-        """Write the photos' files into a folder; NeoError where there is no room."""
-        images = keep_array(folder / 'images.npy', photos.images)
-        usable = None if photos.usable is None else keep_array(
-            folder / 'usable.npy', photos.usable)
-        return cls(field.absolute(), replace(photos, images=_NONE, usable=None), images, usable)
-
-    @classmethod
     def unpack(cls, field: Path, photos: PosedImages, scale: float, folder: Path
                ) -> 'SharedScene':
         """

@@ -120,11 +120,9 @@ class FieldTrainer:
         pixels, the mean of four is fitted to it; they follow one another.
         """
         across = self.rays_across
-        count, shape = self.config.rays_per_step // across ** 2, self.images.shape[:3]
-        photo, row, column = (
-            draw_usable(self.random, count, shape, self.usable, self.shares)
-            if self._few is None else np.unravel_index(
-                self._few[self.random.integers(len(self._few), size=count)], shape))
+        photo, row, column = draw_usable(
+            self.random, self.config.rays_per_step // across ** 2, self.images.shape[:3],
+            self.usable, self.shares, self._few)
         target = self.images[photo, row, column].astype(np.float32) / 255
         part = np.arange(across)
         rows = (across * row[:, None] + part.repeat(across)).ravel()

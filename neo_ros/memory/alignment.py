@@ -89,7 +89,7 @@ class Aligner:
         """
         pose, coarsest = start, len(self.levels) - 1
         for _ in range(rounds):
-            guide, drawn = drawn or self.draw(pose), None
+            guide, drawn = drawn or self._draw(pose), None
             levels = self._levels(guide)
             warp = Warp(pose.inverse() @ guide.pose.T_world_cam,
                         self._first_gain(photo[-1], levels[-1]), 0.0)
@@ -99,8 +99,7 @@ class Aligner:
             coarsest = min(coarsest, 1)
         return pose
 
-    def draw(self, pose: CameraPose) -> Drawn:
-        """Draw what `align` aligns with at this pose."""
+    def _draw(self, pose: CameraPose) -> Drawn:
         view = self.renderer.render(pose, self.levels[0], self.thresholds.aligned_with)
         return Drawn(pose, grey_of(view.image), view.depth)
 

@@ -11,7 +11,7 @@ import cv2
 from neo_ros.geometry import CameraPose
 from neo_ros.memory.glancing import GlanceFinder
 from neo_ros.memory.looking import Looker
-from neo_ros.memory.parallel import on_one_core
+from neo_ros.memory.parallel import on_cores
 from neo_ros.memory.sight import AmbiguityThresholds, better, CameraImage, Sight
 from neo_ros.memory.twins import NO_TWINS, Twins
 import numpy as np
@@ -179,7 +179,7 @@ class Doubt:
         """Return what is seen from other places that explain an image, each place once."""
         looker, limits, coarse = self._looker, self._limits, self._looker.coarse_aligner
         photo, tried = coarse.photo(image.pixels), list[tuple[float, CameraPose]]()
-        with on_one_core():
+        with on_cores(1):  # To share such small views out takes longer.
             # Where somebody stands in the image, or what is shown has changed, all agree less.
             least = min(limits.least_coarse,
                         coarse.agreement(photo, found.pose) - limits.agrees_less)

@@ -7,7 +7,7 @@ from neo_ros.geometry import CameraPose, ViewExpansion
 from neo_ros.memory.alignment import agreement, Aligner, Drawn, grey_of
 from neo_ros.memory.alignment_kernels import GuideLevel, PhotoLevel
 from neo_ros.memory.coarse_memory import CoarseMemory
-from neo_ros.memory.parallel import on_one_core
+from neo_ros.memory.parallel import on_cores
 from neo_ros.memory.pose_covariance import (
     aligned_covariance, in_world, located_covariance, with_floor)
 from neo_ros.memory.rendering import GuideView, MemoryRenderer
@@ -99,7 +99,7 @@ class Looker:
         yield from starts[:1]
         coarse, limits = self.coarse_aligner, self.thresholds
         photo = coarse.photo(image.pixels)
-        with on_one_core():
+        with on_cores(1):  # To share such small views out takes longer.
             agreements = [coarse.agreement(photo, coarse.align(photo, start, rounds=1))
                           for start in starts[1:]]
         for agrees, index in sorted(zip(agreements, range(1, len(starts))),

@@ -12,20 +12,15 @@ _PARALLEL_LOOPS = threading.Lock()
 @contextmanager
 def parallel_loops(threads: int) -> Iterator[None]:
     """Let this thread alone run parallel loops, on so many cores."""
-    with _PARALLEL_LOOPS:
-        before = get_num_threads()
-        set_num_threads(threads)
-        try:
-            yield
-        finally:
-            set_num_threads(before)
+    with _PARALLEL_LOOPS, on_cores(threads):
+        yield
 
 
 @contextmanager
-def on_one_core() -> Iterator[None]:
-    """Run loops of small views on this core alone: to share them out would take longer."""
+def on_cores(threads: int) -> Iterator[None]:
+    """Share loops out to so many cores; of who runs them already, as in `parallel_loops`."""
     before = get_num_threads()
-    set_num_threads(1)
+    set_num_threads(threads)
     try:
         yield
     finally:

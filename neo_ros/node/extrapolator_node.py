@@ -11,7 +11,6 @@ from neo_ros.node.interface import ENABLE, NODE_NAME, RELOAD_MODEL, RELOCALIZE
 from neo_ros.node.loaded_model import Load, LoadedModel
 from neo_ros.node.loading import ModelLoader, take_waiting
 from neo_ros.node.manager_bond import form_bond
-from neo_ros.node.map_publisher import MapPublisher
 from neo_ros.node.parameters import (
     declare_parameters,
     INPUT_PARAMETERS,
@@ -20,10 +19,8 @@ from neo_ros.node.parameters import (
     read_parameters,
     refuse_late,
 )
-from neo_ros.node.pose_inputs import PoseInputs
-from neo_ros.node.robot_frames import RobotFrames
+from neo_ros.node.scene_topics import SceneTopics
 from neo_ros.node.transitions import answer_every_request, logged
-from neo_ros.node.wide_publishers import WidePublishers
 from neo_ros.runtime import FovExtrapolator
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
@@ -57,10 +54,7 @@ class ExtrapolatorNode(LifecycleNode):
         self._enabled = True
         self._model: LoadedModel | None = None
         self._candidate: LoadedModel | None = None
-        self._outputs: WidePublishers | None = None
-        self._frames: RobotFrames | None = None
-        self._pose_inputs: PoseInputs | None = None
-        self._map: MapPublisher | None = None
+        self._scene: SceneTopics | None = None
         self._worker: FrameWorker | None = None
         self._bond: Any | None = None
         self._lingering: list[FrameWorker] = []  # stopped, but in the middle of a frame
@@ -96,13 +90,7 @@ class ExtrapolatorNode(LifecycleNode):
             self.fault = f'cannot configure: {error}'
             self.get_logger().error(self.fault)
             return TransitionCallbackReturn.FAILURE
-        self._frames = RobotFrames(self, values) if values.base_frame else None
-        self._outputs = WidePublishers(self, values, self._model.arbitrary_scale, self._frames,
-                                       self._attend)
-        self._pose_inputs = PoseInputs(self, self._outputs.scene_frame, values.base_frame,
-                                       self._frames)
-        self._map = MapPublisher(self, self._report)
-        self._use_scene()
+        self._scene = SceneTopics(self, values, self._model, self._attend, self._report)
         self.fault = ''
         self._log_model('configured')
         return super().on_configure(state)
@@ -110,10 +98,10 @@ class ExtrapolatorNode(LifecycleNode):
     @logged
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Take frames."""
-        assert self._model and self._outputs
+        assert self._model and self._scene
         result = super().on_activate(state)
         values = read_parameters(self)
-        self._worker = FrameWorker(self._model.processor, self._outputs, self._statistics,
+        self._worker = FrameWorker(self._model.processor, self._scene.outputs, self._statistics,
                                    self._report, values.max_fps)
         self._worker.start()
         self._inputs.choose(values.image_transport, values.reliable)
@@ -171,18 +159,11 @@ class ExtrapolatorNode(LifecycleNode):
     def _free(self) -> None:
         self._break_bond()
         self.stop()
-        if self._outputs is not None:
-            self._outputs.destroy()
-        if self._map is not None:
-            self._map.destroy()
-        if self._pose_inputs is not None:
-            self._pose_inputs.destroy()
-        if self._frames is not None:
-            self._frames.destroy()
+        if self._scene is not None:
+            self._scene.destroy()
         if self._model is not None:
             self._model.stop_learning()
-        self._outputs = self._model = self._candidate = self._pose_inputs = self._frames = None
-        self._map = None
+        self._scene = self._model = self._candidate = None
 
     def _attend(self) -> None:
         """Be subscribed to the camera exactly while the node is active and somebody listens."""
@@ -200,11 +181,11 @@ class ExtrapolatorNode(LifecycleNode):
         self._diagnosing.keep_up()
 
     def _has_audience(self) -> bool:
-        return self._outputs is not None and any(self._outputs.wanted())
+        return self._scene is not None and any(self._scene.outputs.wanted())
 
     def _on_image(self, message: Any, camera_info: Any | None) -> None:
-        if self._pose_inputs is not None:
-            self._pose_inputs.camera_frame = message.header.frame_id.lstrip('/')
+        if self._scene is not None:
+            self._scene.inputs.camera_frame = message.header.frame_id.lstrip('/')
         if self._worker is not None:
             self._worker.submit(Frame(message, camera_info, time.perf_counter()))
 
@@ -224,24 +205,6 @@ class ExtrapolatorNode(LifecycleNode):
             self._worker.forget()
             response.message = 'the next image is searched for in the whole scene'
         return response
-
-    def _use_scene(self) -> None:
-        """Let the model's memory hear priors and odometry, and show its map."""
-        assert self._model and self._outputs and self._pose_inputs
-        self._use_frame()
-        self._model.processor.hints = self._pose_inputs.hints
-        self._pose_inputs.metric = not self._model.arbitrary_scale
-        if self._model.arbitrary_scale:
-            self.get_logger().warning(
-                'nobody knows the scale of this scene: poses, depth and points are not in metres; '
-                f'their frame is {self._outputs.scene_frame}; odometry is not used, and nothing '
-                'is said of base_frame and odom_frame')
-
-    def _use_frame(self) -> None:
-        """Let map and priors be in the frame of the poses."""
-        assert self._model and self._outputs and self._pose_inputs and self._map
-        self._map.use(self._model, self._outputs.scene_frame)
-        self._pose_inputs.scene_frame = self._outputs.scene_frame
 
     def _on_reload_model(self, request: Trigger.Request, response: Trigger.Response
                          ) -> Trigger.Response:
@@ -280,11 +243,9 @@ class ExtrapolatorNode(LifecycleNode):
         values = read_parameters(self)
         if self._model is not None:
             self._model.processor.rectify = values.rectify
-        if self._outputs is not None:
+        if self._scene is not None:
             assert self._model
-            self._outputs.use(values, self._model.arbitrary_scale)
-            if self._map is not None:
-                self._use_frame()
+            self._scene.use(values, self._model)
         if self._worker is not None:
             self._worker.max_fps = values.max_fps
             if any(parameter.name in INPUT_PARAMETERS for parameter in parameters):
@@ -299,13 +260,10 @@ class ExtrapolatorNode(LifecycleNode):
             self._model.stop_learning()  # Both may have one journal.
             model.forget_light()  # It was read before the other model wrote it.
         self._model = model
-        if self._pose_inputs is not None:
-            self._pose_inputs.hints.take_prior()  # It was meant for the other model's scene.
         self._statistics.forget_model()
         self._diagnosing.begin()
-        if self._outputs is not None:
-            self._outputs.use(read_parameters(self), model.arbitrary_scale)
-            self._use_scene()
+        if self._scene is not None:
+            self._scene.take_over(read_parameters(self), model)
         if self._worker is not None:
             self._worker.processor = model.processor
         self._log_model('the model is now')
@@ -322,4 +280,4 @@ class ExtrapolatorNode(LifecycleNode):
     def _look(self) -> NodeState:
         return NodeState(self.state_label, self.fault, self._loader.busy, self._enabled,
                          self._has_audience(), self._model,
-                         self._frames.missing if self._frames is not None else '')
+                         self._scene.frames.missing if self._scene and self._scene.frames else '')

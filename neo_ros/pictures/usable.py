@@ -42,14 +42,18 @@ def write_usable(path: Path, usable: np.ndarray) -> None:
 
 
 def draw_usable(random: np.random.Generator, count: int, shape: tuple[int, ...],
-                usable: np.ndarray | None, shares: np.ndarray | None = None
-                ) -> tuple[np.ndarray, ...]:
+                usable: np.ndarray | None, shares: np.ndarray | None = None,
+                listed: np.ndarray | None = None) -> tuple[np.ndarray, ...]:
     """
     Draw photo, row and column (count,) of pixels that show the scene.
 
     shape: number of photos, their height and width; usable: bool of this shape, None: all are.
-    shares: how often each photo is drawn, their sum is 1; None: all alike.
+    shares: how often each photo is drawn, their sum is 1; None: all alike. listed: the numbers of
+    all usable pixels, int (N,), drawn alike: where they are few, chance hardly meets one.
     """
+    if listed is not None:
+        return np.unravel_index(listed[random.integers(len(listed), size=count)], shape)
+
     def draw(wanted: int) -> tuple[np.ndarray, ...]:
         drawn = tuple(random.integers(size, size=wanted) for size in shape)
         return drawn if shares is None else (

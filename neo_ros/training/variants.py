@@ -113,8 +113,9 @@ def _measured(models: dict[str, Path], run: TrainingRun, views: np.ndarray,
               for name, path in models.items()}
     scores: dict[str, list[float]] = {name: [] for name in models}
     milliseconds: dict[str, list[float]] = {name: [] for name in models}
+    total = len(views) + rules.rounds
     for number, view in enumerate(views):
-        run.progress('measuring', number, len(views) + rules.rounds, '')
+        run.progress('measuring', number, total, '')
         seen = run.expansion.extrapolated_mask & (view[..., 3] > 127)
         narrow = np.ascontiguousarray(run.expansion.crop(view)[..., :3])
         if seen.any():
@@ -123,11 +124,11 @@ def _measured(models: dict[str, Path], run: TrainingRun, views: np.ndarray,
                 scores[name].append(psnr(view[..., :3][seen], wide_image[seen]))
     # In turns, so that what else the machine does meets all of them.
     for number in range(rules.rounds):
-        run.progress('measuring', len(views) + number, len(views) + rules.rounds, '')
+        run.progress('measuring', len(views) + number, total, '')
         for name, model in loaded.items():
             started = time.perf_counter()
             model.expand(narrow)
             milliseconds[name].append(1e3 * (time.perf_counter() - started))
-    run.progress('measuring', len(views) + rules.rounds, len(views) + rules.rounds, '')
+    run.progress('measuring', total, total, '')
     return [Variant(name, path, path.stat().st_size / 1e6, statistics.median(milliseconds[name]),
                     float(np.mean(scores[name]))) for name, path in models.items()]

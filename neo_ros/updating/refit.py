@@ -61,12 +61,12 @@ def refit(field: VoxelField, space: ChangedSpace, compared: ComparedPhotos,
     fitted to. minutes: of fitting; None: as many as it takes.
     """
     beyond = BakingRules.one_surface
-    every = space.reached_by(field, compared, beyond)
-    usable = every.copy()
+    reached = space.reached_by(field, compared, beyond)
+    usable = reached.copy()
     usable[:compared.old] = False
     if not usable.any():
         return field, ChangedSpace(np.zeros_like(space.cells), [])
-    chosen = np.flatnonzero(every.any((1, 2)))
+    chosen = np.flatnonzero(reached.any((1, 2)))
     photos = read(chosen.tolist())
     fitted_to = _in_size_of(photos, usable[chosen])
     trainer = trainer_of(replace(photos, usable=fitted_to), compared.gains[chosen], config, seed,

@@ -40,7 +40,7 @@ def bake(run: TrainingRun, work: Path, on_ray: bool, seconds: float = float('inf
          progress: StageProgress = no_stage_progress) -> SceneMemory:
     field: RadianceField = fit_field_step(run)
     photos = Photos(run.fitted.read_images(), run.fitted.intrinsics, run.fitted.T_world_cam)
-    scene = SharedScene.keep(run.out / 'field.npz', photos, work) if on_ray else None
+    scene = SharedScene.unpack(run.out / 'field.npz', run.fitted, 1.0, work) if on_ray else None
     return bake_memory(field, photos, run.expansion, make_sampler(run, field), CONFIG, 0, work,
                        progress, RULES, seconds, scene)
 

@@ -191,7 +191,7 @@ def fuzz_node(graph: Any, node: Any, count: int, seed: int) -> Counter[str]:
     widened = graph.collect(Image, '/wide/image')
     graph.executor.add_node(node)
     graph.spin_until(lambda: images.get_subscription_count() and infos.get_subscription_count()
-                     and node._outputs.wanted().image)
+                     and node._scene.outputs.wanted().image)
     before = node._statistics.snapshot()
     accepted: list[int] = []
     for index in range(count):

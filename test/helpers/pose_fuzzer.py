@@ -73,7 +73,7 @@ def fuzz_poses(graph: Any, node: Any, count: int, seed: int) -> Counter[str]:
     graph.executor.add_node(node)
     publishers = (images, priors, odometry)
     graph.spin_until(lambda: all(one.get_subscription_count() for one in publishers)
-                     and sum(node._outputs.wanted()) == len(came))
+                     and sum(node._scene.outputs.wanted()) == len(came))
     ways: Counter[str] = Counter()
     for index in range(count):
         second, nanosecond = divmod(index * 40_000_000, 10**9)

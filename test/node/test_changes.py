@@ -93,7 +93,7 @@ def test_priors_and_the_clock_are_heard_while_another_model_loads(graph, model, 
             deadline = time.monotonic() + 10
             while heard[-1:] != [(True, True)] and time.monotonic() < deadline:
                 time.sleep(0.02)
-                heard.append((node._pose_inputs.hints._prior is not None,
+                heard.append((node._scene.inputs.hints._prior is not None,
                               node.get_clock().now().nanoseconds == 100 * 10**9))
         return FovExtrapolator.load(path, *arguments)
 

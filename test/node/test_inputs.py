@@ -73,9 +73,9 @@ def test_it_takes_images_only_while_somebody_listens(graph, model):
             # One more listener changes nothing.
             other = graph.node.create_subscription(
                 Image, '/robot/wide/image', lambda message: None, 10)
-            graph.spin_until(lambda: node._outputs.wanted().image)
+            graph.spin_until(lambda: node._scene.outputs.wanted().image)
             graph.node.destroy_subscription(other)
-            graph.spin_until(lambda: not node._outputs.wanted().image)
+            graph.spin_until(lambda: not node._scene.outputs.wanted().image)
             graph.spin_for(0.2)
             assert images.get_subscription_count() == 1
             graph.node.destroy_subscription(listener)

@@ -73,7 +73,8 @@ def test_cycles_with_frames_and_a_memory_leave_nothing_behind(graph, tmp_path):
     for _ in range(CYCLES):
         for transition in (node.trigger_configure, node.trigger_activate):
             assert transition() == TransitionCallbackReturn.SUCCESS
-        graph.spin_until(lambda: camera.get_subscription_count() and any(node._outputs.wanted()))
+        graph.spin_until(lambda: camera.get_subscription_count() and any(
+            node._scene.outputs.wanted()))
         for image, extrapolation in zip(walk, expected):
             wide.clear()
             camera.publish(Image(**image_fields(image)))

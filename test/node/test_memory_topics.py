@@ -108,15 +108,15 @@ def test_a_prior_is_of_the_scene_frame_that_holds_now(tmp_path, graph, model):
             assert node.set_parameters([Parameter(name, value=value)])[0].successful
             prior.header.frame_id = frame
             priors.publish(prior)
-            graph.spin_until(node._pose_inputs.hints.take_prior)
+            graph.spin_until(node._scene.inputs.hints.take_prior)
 
 
 def test_a_prior_for_one_model_is_not_given_to_the_next(tmp_path, graph, model):
     other = write_box_model(tmp_path)
     with node_beside(graph, model) as node:
-        node._pose_inputs.hints.set_prior(planar(2.1, 1.6, 40))
+        node._scene.inputs.hints.set_prior(planar(2.1, 1.6, 40))
         assert node.set_parameters([Parameter('model', value=str(other))])[0].successful
-        assert node._pose_inputs.hints.take_prior() is None
+        assert node._scene.inputs.hints.take_prior() is None
 
 
 def test_a_camera_that_was_carried_while_nobody_listened_is_searched_for(tmp_path, graph):
@@ -155,7 +155,7 @@ def test_a_scene_of_arbitrary_scale_is_not_called_map(tmp_path, graph):
     node = ExtrapolatorNode(context=graph.context, parameter_overrides=[
         Parameter('model', value=str(write_box_model(tmp_path, arbitrary_scale=True)))])
     assert node.trigger_configure() == TransitionCallbackReturn.SUCCESS
-    assert node._outputs is not None and node._outputs.scene_frame == 'scene'
+    assert node._scene is not None and node._scene.outputs.scene_frame == 'scene'
     node.destroy_node()
 
 

@@ -84,7 +84,7 @@ def test_tf_hears_where_odom_is_in_the_map_though_nobody_subscribes(tmp_path, gr
             np.array([turn.x, turn.y, turn.z, turn.w])).T_world_cam
         camera = CameraPose.nearest(T_map_odom @ T_odom_base @ T_BASE_CAMERA)
         assert apart(camera, planar(2.1, 1.6, 40))[0] < 0.02
-        asked = node._frames._buffer.asked
+        asked = node._scene.frames._buffer.asked
         # At the image's time.
         assert {('odom', 'base_link', STAMP_S * 10**9),
                 ('base_link', 'camera_optical', STAMP_S * 10**9)} <= set(asked)
@@ -131,7 +131,7 @@ def test_where_nobody_knows_the_scale_nothing_is_said_in_metres(tmp_path, graph,
             odometry.publish(message)
         graph.spin_for(0.5)
         assert poses[0].header.frame_id == 'scene' and not bases
-        assert not TransformBroadcaster.sent and not node._pose_inputs.hints._odometry
+        assert not TransformBroadcaster.sent and not node._scene.inputs.hints._odometry
 
 
 def test_a_transform_that_is_missing_is_told(tmp_path, graph, tf2, monkeypatch):
