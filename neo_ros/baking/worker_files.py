@@ -99,7 +99,8 @@ def _keep_rows(path: Path, shape: tuple[int, ...], dtype: type, rows: Iterable[n
         there = _mapped(path)
         if (there.shape, there.dtype) == (shape, dtype):
             return path
-    path.unlink(missing_ok=True)  # There may be room for one.
+    with suppress(OSError):  # There may be room for one; what is in the way is told below.
+        path.unlink()
     with kept_file(path) as file:
         np.lib.format.write_array_header_1_0(file, {
             'descr': np.lib.format.dtype_to_descr(np.dtype(dtype)), 'fortran_order': False,
