@@ -158,6 +158,26 @@ def _on_sphere(sphere, x, y, z):
 
 
 @njit(**FAST)
+def is_shown(points, sphere):
+    """
+    Tell whether a keyframe may show one of some points, float32 (N, 3), metres from it.
+
+    The sphere's surface are the depths of its mesh.
+    """
+    rows, columns = sphere.surface.shape
+    for n in range(len(points)):
+        column, row, distance = _on_sphere(sphere, points[n, 0], points[n, 1], points[n, 2])
+        # What lies between points may be beside a vertex.
+        for a in range(int(row) - 1, int(row) + 2):
+            for b in range(int(column) - 1, int(column) + 2):
+                if 0 <= a < rows and (sphere.wraps or 0 <= b < columns):
+                    there = sphere.surface[a, b % columns]
+                    if there <= 0 or distance <= there * (1 + SAME):
+                        return True
+    return False
+
+
+@njit(**FAST)
 def _draw_triangle(a, b, c, side, quality, sphere):
     """
     Draw a triangle of (column, row, distance, red, green, blue) into the sphere.

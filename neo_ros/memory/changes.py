@@ -7,7 +7,7 @@ from itertools import groupby, product
 import cv2
 from neo_ros.geometry import Band, CameraPose, Intrinsics
 from neo_ros.memory.change_kernels import (
-    BLOCK, bound_blocks, carve, draw_patch, SAME, Seen, Sphere, take_depths)
+    BLOCK, bound_blocks, carve, draw_patch, is_shown, SAME, Seen, Sphere, take_depths)
 from neo_ros.memory.kernels import Pinhole
 from neo_ros.memory.keyframe import code_of, depth_of
 from neo_ros.memory.patch import PARTS, Patch
@@ -87,6 +87,24 @@ class Changes:
         found.sort(key=lambda layer: layer[0])
         return [layer[1:] for layer in found]
 
+    def reach(self, position: np.ndarray, band: Band, coded: np.ndarray) -> bool:
+        """
+        Tell whether `put_into` changes more of a keyframe of such a depth than some texels.
+
+        A patch is asked for its samples: what lies between them is shown where they are.
+        """
+        depth = depth_of(coded)
+        rays, blocks, left = _rays(band, *coded.shape), _blocks(depth), depth.copy()
+        bound_blocks(rays, depth, blocks)
+        sphere = _sphere(band, np.empty((0, 0, 3), np.uint8), depth)
+        for _, patch, shown in self.layers:
+            samples = patch.samples
+            points = samples.points[shown[samples.parts], 0] - position.astype(np.float32)
+            if is_shown(points, sphere) or carve(
+                    rays, left, blocks, *_seen_from(patch, shown, position)):
+                return True
+        return False
+
     def put_into(self, position: np.ndarray, band: Band, reduced: int, texture: np.ndarray,
                  coded: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -100,12 +118,8 @@ class Changes:
         depth = depth_of(coded)
         rays = _rays(band, *coded.shape)
         finer = len(texture) // len(coded)
-        sphere = Sphere(texture, np.zeros(texture.shape[:2], np.float32),
-                        np.zeros(texture.shape[:2], np.float32), np.float32(band.top),
-                        np.float32(band.low), np.float32(band.top - band.bottom),
-                        np.float32(band.width), band.wraps)
-        _spread(depth, finer, sphere.surface)
-        blocks = np.empty((*(-(-size // BLOCK) for size in depth.shape), 4), np.float32)
+        sphere = _sphere(band, texture, np.repeat(np.repeat(depth, finer, 0), finer, 1))
+        blocks = _blocks(depth)
         for _, batch in groupby(self.layers, lambda layer: layer[0]):
             seen = [_seen_from(patch, parts, position) for _, patch, parts in batch]
             bound_blocks(rays, depth, blocks)
@@ -184,8 +198,14 @@ def cell_keys(points: np.ndarray, cell: float) -> np.ndarray:
     return keys
 
 
-def _spread(depth: np.ndarray, finer: int, surface: np.ndarray) -> None:
-    surface[:] = np.repeat(np.repeat(depth, finer, 0), finer, 1)
+def _sphere(band: Band, texture: np.ndarray, surface: np.ndarray) -> Sphere:
+    return Sphere(texture, surface, np.zeros(texture.shape[:2], np.float32),
+                  np.float32(band.top), np.float32(band.low),
+                  np.float32(band.top - band.bottom), np.float32(band.width), band.wraps)
+
+
+def _blocks(depth: np.ndarray) -> np.ndarray:
+    return np.empty((*(-(-size // BLOCK) for size in depth.shape), 4), np.float32)
 
 
 def _seen_from(patch: Patch, shown: np.ndarray, position: np.ndarray) -> tuple[Seen, Pinhole]:

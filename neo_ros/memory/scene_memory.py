@@ -106,14 +106,21 @@ class SceneMemory:
 
     def _pictures(self, index: int, reduced: int, changes: Changes | None
                   ) -> tuple[np.ndarray, np.ndarray]:
-        if changes is not None:
-            return changes.put_into(self.positions[index], self.band, reduced,
-                                    *self._pictures(index, 1, None))
-        texture = decode_image(self._textures[index], REDUCED[reduced])
         coded = decode_image(self._depths[index], cv2.IMREAD_UNCHANGED)
-        if texture is None or coded is None or coded.dtype != np.uint16 or coded.ndim != 2:
+        if coded is None or coded.dtype != np.uint16 or coded.ndim != 2:
             raise _damaged(index)
-        return cv2.cvtColor(texture, cv2.COLOR_BGR2RGB, texture), coded
+        position = self.positions[index]
+        # Whole only where it must be: most keyframes of a large floor show nothing of a change.
+        if reduced > 1 and changes is not None and not changes.reach(position, self.band, coded):
+            changes = None
+        texture = decode_image(self._textures[index], REDUCED[
+            reduced if changes is None else 1])
+        if texture is None:
+            raise _damaged(index)
+        cv2.cvtColor(texture, cv2.COLOR_BGR2RGB, texture)
+        if changes is None:
+            return texture, coded
+        return changes.put_into(position, self.band, reduced, texture, coded)
 
     def each(self, focal: float = math.inf) -> Iterator[Keyframe]:
         """Yield all keyframes as `keyframe` does, but do not keep them; any thread may do so."""

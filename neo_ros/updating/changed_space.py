@@ -5,7 +5,7 @@ import math
 from neo_ros.field.rendering import world_rays
 from neo_ros.field.voxel_field import VoxelField
 from neo_ros.updating.compared_photos import ComparedPhotos
-from neo_ros.updating.kernels import count_votes, pinholes, rays_meet
+from neo_ros.updating.kernels import count_votes, pinholes, rays_meet_cells
 import numpy as np
 from scipy import ndimage
 
@@ -20,7 +20,7 @@ class ChangeRules:
     least_share: float = 0.5
     # From one side all of them may be wrong for one reason; they look from so far apart, degrees.
     least_angle_deg: float = 5.0
-    # Where a larger share of the photos of before contradict the memory, it is poor.
+    # Where a larger share of the photos that it was made of contradict the memory, it is poor.
     most_own_share: float = 0.2
     # What was seen hides what is behind it: the back of a chair that left is not there either.
     behind: float = 0.4
@@ -59,25 +59,22 @@ class ChangedSpace:
 
         reach float32 (...): metres along the ray to what hides the rest, 0 = nothing does.
         """
-        met = np.empty(reach.size, np.uint8)
-        rays_meet(np.asarray(origin, np.float64),
-                  np.ascontiguousarray(rays_d.reshape(-1, 3), np.float32),
-                  np.where(reach > 0, reach, np.inf).ravel().astype(np.float32), field.box,
-                  np.array(field.shape), self.cells.ravel().view(np.uint8), field.near, met)
-        return met.reshape(reach.shape).view(bool)
+        return rays_meet_cells(field, self.cells, origin, rays_d, reach)
 
     def reached_by(self, field: VoxelField, compared: ComparedPhotos, beyond: float,
-                   first: int = 0) -> np.ndarray:
+                   first: int = 0, stale: bool = False) -> np.ndarray:
         """
         Tell which usable pixels of photos, from the first on, see it: bool (N, h, w).
 
-        As far as a surface, and a share `beyond` of its distance behind it.
+        As far as a surface, and a share `beyond` of its distance behind it. stale: those that are
+        out of date, too.
         """
         photos = compared.photos
         assert photos.usable is not None
         reached = np.zeros(photos.usable.shape, bool)
+        asked = photos.usable | compared.stale if stale else photos.usable
         for index in range(first, len(reached)):
-            reached[index] = photos.usable[index] & self.met_by(
+            reached[index] = asked[index] & self.met_by(
                 field, *world_rays(photos.intrinsics, compared.pose(index)),
                 (1 + beyond) * compared.depth[index])
         return reached
@@ -89,8 +86,8 @@ class ChangedSpace:
 
 def find_changed_space(field: VoxelField, compared: ComparedPhotos,
                        rules: ChangeRules = ChangeRules()) -> ChangedSpace:
-    """Let the new photos vote on every cell of the field, and then those of before."""
-    new, old = slice(compared.old, None), slice(compared.old)
+    """Let the new photos vote on every cell of the field, and then those it was made of."""
+    new = np.arange(compared.old, len(compared.photos.images))
     photos = np.zeros(field.shape, np.int32)
     changed = np.zeros(field.shape, bool)
     for plane in range(field.shape[0] - 1):  # One by one: positions are float64.
@@ -101,7 +98,7 @@ def find_changed_space(field: VoxelField, compared: ComparedPhotos,
             cosine <= math.cos(math.radians(rules.least_angle_deg)))
         photos[plane, :-1, :-1] = against
     index = np.argwhere(changed)
-    against, agree, _ = _vote(field, index, compared, old, rules)
+    against, agree, _ = _vote(field, index, compared, np.flatnonzero(compared.founders), rules)
     poor = against > rules.most_own_share * (against + agree)
     points = field.world_points(index + 0.5)
     for position in compared.photos.T_world_cam[new, :3, 3]:
@@ -110,7 +107,7 @@ def find_changed_space(field: VoxelField, compared: ComparedPhotos,
     return space_of(field, changed, photos, rules, rules.margin)
 
 
-def _vote(field: VoxelField, index: np.ndarray, compared: ComparedPhotos, photos: slice,
+def _vote(field: VoxelField, index: np.ndarray, compared: ComparedPhotos, photos: np.ndarray,
           rules: ChangeRules) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return what `count_votes` says of cells (..., 3): against, agree, cosine (...)."""
     lead = index.shape[:-1]

@@ -138,7 +138,8 @@ def _gains(compared: ComparedPhotos, chosen: Sequence[int], unknown: np.ndarray)
 def _looks(points: np.ndarray, compared: ComparedPhotos, photos: slice, behind: float
            ) -> np.ndarray:
     """Count the photos that see points (N, 3), up to `behind` metres behind a surface: (N,)."""
-    photo, depth = compared.photos, np.ascontiguousarray(compared.depth[photos])
+    photo = compared.photos
+    depth = np.where(compared.stale[photos], np.float32(0), compared.depth[photos])
     everything = np.ones(depth.shape, bool)
     against, looks = np.zeros((2, len(points)), np.int32)
     count_votes(points.astype(np.float32),
@@ -163,7 +164,7 @@ def _new_cells(field: VoxelField, own: VoxelField, compared: ComparedPhotos,
     # What they show behind surfaces that the field has, through the door, is shown roughly.
     hidden = (known > 0) & ((seen == 0) | (known < seen))
     seen[hidden] = known[hidden]
-    looks = replace(compared, photos=theirs, depth=seen)
+    looks = replace(compared, photos=theirs, depth=seen, stale=np.zeros(seen.shape, bool))
     cells = np.zeros(field.shape, bool)
     for plane in range(field.shape[0] - 1):  # One by one: positions are float64.
         indices = np.moveaxis(np.indices((1, *(size - 1 for size in field.shape[1:]))), 0, -1)

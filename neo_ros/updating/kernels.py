@@ -2,6 +2,7 @@
 import math
 from typing import NamedTuple
 
+from neo_ros.field.voxel_field import VoxelField
 from neo_ros.geometry import Intrinsics
 from neo_ros.machine.compiled import njit
 from numba import prange
@@ -48,10 +49,12 @@ def _seen_at(point, cameras, n, width, height):
 
 
 @njit(parallel=True, fastmath=FAST, error_model='numpy')
-def ask_witnesses(points, colours, cameras, depth, images, gains, one_surface, grey_levels,
-                  witnesses, same):
+def ask_witnesses(points, colours, cameras, depth, images, gains, founders, one_surface,
+                  grey_levels, witnesses, founding, same):
     """
-    Count the photos that see points float32 (N, 3), and those that show these colours there.
+    Count the photos that see points float32 (N, 3), and how many of these are founders.
+
+    And of the founders, bool (P,), those that show these colours there.
 
     colours float32 (N, 3) in 0 ... 255; cameras: Pinholes; depth float32 (P, h, w), metres along
     the ray, 0 = unknown; images uint8 (P, h, w, 3), which gains (P, 3) multiply. A photo sees a
@@ -59,17 +62,20 @@ def ask_witnesses(points, colours, cameras, depth, images, gains, one_surface, g
     """
     height, width = depth.shape[1], depth.shape[2]
     for i in prange(len(points)):
-        count, alike = 0, 0
+        count, founded, alike = 0, 0, 0
         for n in range(len(depth)):
             u, v, distance = _seen_at(points[i], cameras, n, width, height)
             if u < 0 or abs(depth[n, v, u] - distance) > one_surface * distance:
                 continue
             count += 1
+            if not founders[n]:
+                continue
+            founded += 1
             most = 0.0
             for k in range(3):
                 most = max(most, abs(colours[i, k] - images[n, v, u, k] * gains[n, k]))
             alike += most <= grey_levels
-        witnesses[i], same[i] = count, alike
+        witnesses[i], founding[i], same[i] = count, founded, alike
 
 
 @njit(parallel=True, fastmath=FAST, error_model='numpy')
@@ -144,6 +150,22 @@ def rays_meet(origin, rays_d, reach, box, shape, cells, near, met):
                 met[r] = 1
                 break
             t += 0.5 * box[7] * stretch
+
+
+def rays_meet_cells(field: VoxelField, cells: np.ndarray, origin: np.ndarray, rays_d: np.ndarray,
+                    reach: np.ndarray) -> np.ndarray:
+    """
+    Tell which unit rays (..., 3) from one point (3,) meet cells of a field: bool (...).
+
+    cells bool (X, Y, Z); reach float32 (...): metres along the ray to what hides the rest, 0 =
+    nothing does.
+    """
+    met = np.empty(reach.size, np.uint8)
+    rays_meet(np.asarray(origin, np.float64),
+              np.ascontiguousarray(rays_d.reshape(-1, 3), np.float32),
+              np.where(reach > 0, reach, np.inf).ravel().astype(np.float32), field.box,
+              np.array(field.shape), cells.ravel().view(np.uint8), field.near, met)
+    return met.reshape(reach.shape).view(bool)
 
 
 @njit(error_model='numpy')

@@ -5,13 +5,29 @@ from pathlib import Path
 
 import cv2
 from neo_ros.baking.keyframes import Photos
-from neo_ros.geometry import CameraPose
+from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.machine.files import share_file, write_bytes
-from neo_ros.pictures.usable import write_usable
+from neo_ros.pictures.usable import read_usable, write_usable
+from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.scene import floor_file, Scene
 from neo_ros.scenes.transforms_json import write_transforms
 from neo_ros.scenes.walkable import write_walkable
 import numpy as np
+
+
+STALE = 'out_of_date'  # Pictures beside the masks: white where these are black for an update.
+
+
+def read_stale(photos: PosedImages, index: int, camera: Intrinsics) -> np.ndarray:
+    """Return what updates found out of date in a photo: bool (H, W), as a mask of the camera."""
+    path = _stale_file(photos.image_paths[index])
+    if not path.exists():
+        return np.zeros((camera.height, camera.width), bool)
+    return read_usable(path, camera.width, camera.height)
+
+
+def _stale_file(photo: Path) -> Path:
+    return photo.parent.parent / STALE / f'{photo.stem}.png'
 
 
 def write_more_photos(folder: Path, scene: Scene, chosen: Sequence[int], photos: Photos) -> None:
@@ -19,33 +35,42 @@ def write_more_photos(folder: Path, scene: Scene, chosen: Sequence[int], photos:
     Write a scene folder that can be trained on, or updated again.
 
     chosen: which of the scene's photos are the first of `photos`, whose pixels count as far as
-    they are usable; the others, whose numbers are higher, are new.
+    they are usable; the others, whose numbers are higher, are new. What was usable in the capture
+    is noted as out of date.
     """
     train = scene.train
     assert photos.usable is not None
     old = sum(index < len(train) for index in chosen)
-    size = (train.intrinsics.width, train.intrinsics.height)
+    camera = train.intrinsics
+    size = (camera.width, camera.height)
     masks = dict(zip(chosen[:old], photos.usable))
     paths, mask_paths = [], list[Path | None]()
 
-    def add(name: str, usable: np.ndarray | None) -> None:
+    def add(name: str, usable: np.ndarray) -> None:
         paths.append(folder / 'train' / name)
-        if usable is None or usable.all():
-            mask_paths.append(None)
-            return
-        mask = folder / 'masks' / f'{Path(name).stem}.png'
-        mask_paths.append(mask)
-        write_usable(mask, cv2.resize(
-            usable.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST_EXACT) > 0)
+        mask_paths.append(None if usable.all() else folder / 'masks' / f'{paths[-1].stem}.png')
+        if mask_paths[-1] is not None:
+            write_usable(mask_paths[-1], usable)
+
+    def enlarged(usable: np.ndarray) -> np.ndarray:
+        return cv2.resize(usable.astype(np.uint8), size,
+                          interpolation=cv2.INTER_NEAREST_EXACT) > 0
 
     (folder / 'train').mkdir(parents=True)
     for index, path in enumerate(train.image_paths):
-        usable = masks.get(index)
-        add(f'{index:06d}{path.suffix}', train.read_usable(index) if usable is None else usable)
+        usable, stale = train.read_usable(index), read_stale(train, index, camera)
+        usable = np.ones_like(stale) if usable is None else usable
+        if index in masks:
+            once = usable | stale
+            usable = enlarged(masks[index]) & once
+            stale = once & ~usable
+        add(f'{index:06d}{path.suffix}', usable)
         share_file(path, paths[-1])
+        if stale.any():
+            write_usable(_stale_file(paths[-1]), stale)
     for number, (image, usable) in enumerate(zip(photos.images[old:], photos.usable[old:]),
                                              len(train)):
-        add(f'{number:06d}.png', usable)
+        add(f'{number:06d}.png', enlarged(usable))
         if image.shape[1::-1] != size:
             image = cv2.resize(image, size, interpolation=cv2.INTER_CUBIC)
         write_bytes(paths[-1], cv2.imencode('.png', image[..., ::-1])[1].tobytes())

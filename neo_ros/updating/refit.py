@@ -42,7 +42,7 @@ class RefitRules(FitLength):
     grey_levels: float = 15.0
     least_photos: int = 3
     least_share: float = 0.3
-    # Photos of before show what was there, not what is: where more than so many of them for each
+    # Photos of before show what was there, not what is: where more than so many founders for each
     # that does are nearer to the fit, the field was poor, and nothing has changed.
     most_as_new: float = 0.5
     # Cells before and behind a surface that are of it; and around all that has changed.
@@ -61,7 +61,7 @@ def refit(field: VoxelField, space: ChangedSpace, compared: ComparedPhotos,
     fitted to. minutes: of fitting; None: as many as it takes.
     """
     beyond = BakingRules.one_surface
-    reached = space.reached_by(field, compared, beyond)
+    reached = space.reached_by(field, compared, beyond, stale=True)
     usable = reached.copy()
     usable[:compared.old] = False
     if not usable.any():
@@ -81,7 +81,7 @@ def refit(field: VoxelField, space: ChangedSpace, compared: ComparedPhotos,
     rows = points.ravel()
     narrower.grid[narrower.row_of[rows]] = fitted.grid[fitted.row_of[rows]]
     narrower.update_occupancy()
-    usable[:] = space.reached_by(field, compared, beyond)
+    usable[:] = space.reached_by(field, compared, beyond, stale=True)
     usable[:compared.old] = still_right(field, narrower, space, compared, usable)
     fitted_to[:] = _in_size_of(photos, usable[chosen])
     trainer.change_only(narrower, points)
@@ -152,10 +152,11 @@ def truly_changed(old: VoxelField, new: VoxelField, reached: np.ndarray,
     changed &= space.cells
     changed = ndimage.binary_closing(changed, np.ones((3, 3, 3))) & space.cells
     found = space_of(old, changed, seen.through, ChangeRules(), 0)
-    before = found.reached_by(old, compared, BakingRules.one_surface)
+    before = found.reached_by(old, compared, BakingRules.one_surface) & ~compared.stale
     before[compared.old:] = False
-    better, worse = (_seen_differently(one, other, before, compared, rules).through
-                     for one, other in ((old, new), (new, old)))
+    worse = _seen_differently(new, old, before, compared, rules).through
+    before[:compared.old][~compared.founders] = False
+    better = _seen_differently(old, new, before, compared, rules).through
     places = [place for place in found.places if worse[tuple(place.cells.T)].sum()
               * rules.most_as_new > better[tuple(place.cells.T)].sum()]
     kept = around(old, places, rules.margin)
@@ -202,26 +203,35 @@ def _seen_differently(one: VoxelField, other: VoxelField, reached: np.ndarray,
 
 
 def still_right(before: VoxelField, after: VoxelField, space: ChangedSpace,
-                compared: ComparedPhotos, reached: np.ndarray) -> np.ndarray:
+                compared: ComparedPhotos, reached: np.ndarray,
+                nearer: float = RefitRules.grey_levels) -> np.ndarray:
     """
     Tell which reached pixels of the photos of before show what an updated field shows there.
 
     reached bool (N, h, w), of all photos; returns bool (old, h, w). Pixels behind matter that came
     do not: beside slats and legs they seem to agree, would wear these away, and paint them in the
-    colours of the floor.
+    colours of the floor. Stale ones may show that very thing, which came back: then they are
+    `nearer` to the updated field, grey levels.
     """
     photos, right = compared.photos, reached[:compared.old].copy()
     came = ChangedSpace(ndimage.binary_dilation(
         after.matter & ~before.matter & space.cells, np.ones((3, 3, 3))) & space.cells, [])
     for index in map(int, np.flatnonzero(right.any((1, 2)))):
-        pixels = right[index]
+        pixels, stale = right[index], compared.stale[index]
         origin, rays = world_rays(photos.intrinsics, compared.pose(index))
-        pixels[pixels] = ~came.met_by(
-            before, origin, rays[pixels],
-            (1 + BakingRules.one_surface) * compared.depth[index][pixels])
+        asked = pixels & ~stale
+        pixels[asked] = ~came.met_by(
+            before, origin, rays[asked],
+            (1 + BakingRules.one_surface) * compared.depth[index][asked])
         image, gain = photos.images[index].astype(np.float32), compared.gains[index]
-        shown = image.copy()
+        shown, asked = image.copy(), pixels & stale
         shown[pixels] = 255 * render_rays(after, origin, rays[pixels]).image / gain
+        then = 255 * render_rays(before, origin, rays[asked]).image / gain
+        came_back = np.zeros_like(pixels)
+        came_back[asked] = (np.abs(then - image[asked]).max(-1)
+                            - np.abs(shown[asked] - image[asked]).max(-1)) > nearer
+        # Beside them both fields may have one colour.
+        pixels &= ~stale | (cv2.dilate(came_back.view(np.uint8), np.ones((3, 3), np.uint8)) > 0)
         pixels &= ~contradicted(contradiction(image, shown, pixels))
     return right
 

@@ -35,6 +35,7 @@ from neo_ros.updating.growth import grow, Growth, stand_outside
 from neo_ros.updating.more_photos import write_more_photos
 from neo_ros.updating.new_keyframes import (
     joined_floor, new_floor, new_positions, recipe_of, with_place)
+from neo_ros.updating.past import Past
 from neo_ros.updating.placing import place_lost
 from neo_ros.updating.refit import refit, still_right
 from neo_ros.updating.tuned_network import CHECKPOINT, tune_network
@@ -139,6 +140,7 @@ def update_once(run: UpdateRun, bag: Path, out: Path, options: UpdateOptions,
             run.experiment.field, run.experiment.seed, options.minutes,
             of_stage(progress, 'field'))
     landmarks = _landmarks_outside(before.landmarks, field, space)
+    changed = space.cells
     if growth is not None:
         space = growth.joined(space)
     if not space.places:
@@ -146,8 +148,8 @@ def update_once(run: UpdateRun, bag: Path, out: Path, options: UpdateOptions,
     field.save(out / 'field.npz')
     source, scene = run.card.expansion.source, run.scene
     work = out.with_name(f'{out.name}.work')
-    chosen, seen, wrong = _photos_that_see(old, field, space, compared)
-    kept = _keep(run, drive, compared, chosen, wrong, out / 'field.npz', work)
+    chosen, seen, wrong, right = _photos_that_see(old, field, space, compared)
+    kept = _keep(run, drive, compared, chosen, wrong, right, out / 'field.npz', work)
     photos, gains = kept.read_photos(), compared.gains[chosen]
     shared = kept if options.cluster else None
     recipe = recipe_of(before, photos, seen, gains, source)
@@ -173,6 +175,11 @@ def update_once(run: UpdateRun, bag: Path, out: Path, options: UpdateOptions,
             memory=named.sha256, bag=bag.name, photos=len(drive.poses),
             at=f'{datetime.now(timezone.utc):%Y-%m-%d %H:%M:%S}'))))
     write_more_photos(out / run.scene.name, scene, chosen, photos)
+    placed = 0 if growth is None else len(growth.tied.poses)
+    founders = np.flatnonzero(np.array(chosen) >= compared.old + len(drive.poses) - placed)
+    Past.read(run.folder).with_more(
+        field, changed, len(run.card.updates) + 1,
+        founders - sum(index < compared.old for index in chosen) + compared.old).write(out)
     note_update(out, run.folder, read_upright_scene(out / run.scene.name))
     for name in (PLAN_FILE, 'field.json', CHECKPOINT):
         if (run.folder / name).exists():
@@ -192,7 +199,8 @@ def _grown(run: UpdateRun, bag: Path, field: VoxelField, before: SceneMemory, dr
     longer = drive.with_more([one.image for one in tied.images], tied.poses,
                              [one.number for one in tied.images])
     compared = compare(run.photos(longer, range(train + known + placed), run.small_camera), train,
-                       before, of_stage(progress, 'photos'), elsewhere=tied.elsewhere)
+                       before, of_stage(progress, 'photos'), elsewhere=tied.elsewhere,
+                       before=run.before(field, run.small_camera, known + placed))
     outside = stand_outside(compared, tied.elsewhere)
     growth = None
     if len(outside):
@@ -212,48 +220,56 @@ def _grown(run: UpdateRun, bag: Path, field: VoxelField, before: SceneMemory, dr
 
 def _photos_that_see(old: VoxelField, field: VoxelField, space: ChangedSpace,
                      compared: ComparedPhotos
-                     ) -> tuple[list[int], np.ndarray, np.ndarray]:
+                     ) -> tuple[list[int], np.ndarray, np.ndarray, np.ndarray]:
     """
-    Return which photos see changed space, the last are the new ones; how far, and what is wrong.
+    Return which photos see changed space, the last are the new ones; how far; wrong and right.
 
     Wrong, bool (N, h, w), are pixels of photos of before that show what is there no more; not
     those that show what is behind something new. And pixels of new ones that show what did not
-    become part of the scene, such as somebody who walked by.
+    become part of the scene, such as somebody who walked by. Right are stale pixels that show
+    what is there again.
     """
     rules, small = BakingRules(), compared.photos.intrinsics
-    reached = space.reached_by(field, compared, rules.one_surface)
+    reached = space.reached_by(field, compared, rules.one_surface, stale=True)
     chosen = [index for index, pixels in enumerate(reached) if pixels.any()]
     assert compared.photos.usable is not None
-    passing = (compared.depth > 0) & ~compared.agrees & ~reached
+    passing = (compared.depth > 0) & ~compared.agrees & ~reached & ~compared.stale
     reached[compared.old:] = compared.photos.usable[compared.old:] & ~passing[compared.old:]
     agree = still_right(old, field, space, compared, reached)
-    seen, wrong = compared.depth[chosen], passing[chosen]
+    seen, wrong, stale = compared.depth[chosen], passing[chosen], compared.stale[chosen]
+    right = np.zeros_like(stale)
     for place, index in enumerate(chosen):
         origin, rays = world_rays(small, compared.pose(index))
         pixels = reached[index]
         now = render_rays(field, origin, rays[pixels])
         seen[place][pixels] = np.where(now.coverage > rules.least_coverage, now.depth, 0)
         if index < compared.old:
-            past, depth = pixels & ~agree[index], compared.depth[index]
+            right[place] = stale[place] & pixels & agree[index]
+            past, depth = pixels & ~agree[index] & ~stale[place], compared.depth[index]
             # A surface outside of the space did not change, whatever is before it now.
             outside = past & (depth > 0)
             outside[outside] = ~space.holds(
                 field, origin + depth[outside][:, None] * rays[outside])
             seen[place][outside] = depth[outside]
             wrong[place] = past & ~outside
-    seen[wrong] = 0
-    return chosen, seen, wrong
+    seen[wrong | stale & ~right] = 0
+    return chosen, seen, wrong, right
 
 
 def _keep(run: UpdateRun, drive: Drive, compared: ComparedPhotos, chosen: list[int],
-          wrong: np.ndarray, field: Path, folder: Path) -> SharedScene:
-    """Keep chosen photos, and what of them is not wrong, in files: they may be large."""
+          wrong: np.ndarray, right: np.ndarray, field: Path, folder: Path) -> SharedScene:
+    """Keep chosen photos, and what of them shows what is there, in files: they may be large."""
     camera = run.camera
+
+    def usable(index: int, wrong: np.ndarray, right: np.ndarray) -> np.ndarray:
+        off, back = (_enlarged(one, camera.width, camera.height) for one in (wrong, right))
+        once = run.photo(drive, index)[1]
+        return once & ~off & (back | ~run.stale(index)) if index < compared.old else once & ~off
+
     return SharedScene.of_rows(
         field, camera, compared.photos.T_world_cam[chosen],
         (run.photo(drive, index)[0] for index in chosen),
-        (run.photo(drive, index)[1] & ~_enlarged(one, camera.width, camera.height)
-         for index, one in zip(chosen, wrong)), folder)
+        map(usable, chosen, wrong, right), folder)
 
 
 def _enlarged(mask: np.ndarray, width: int, height: int) -> np.ndarray:

@@ -8,6 +8,7 @@ from neo_ros.baking.keyframes import BakingRules, clear_pixels, MemoryConfig, Ph
 from neo_ros.errors import ModelError, SceneError
 from neo_ros.experiment import Experiment
 from neo_ros.field.mesh_field import MeshField
+from neo_ros.field.voxel_field import VoxelField
 from neo_ros.geometry import Intrinsics
 from neo_ros.runtime import ModelCard
 from neo_ros.runtime.fov_extrapolator import memory_path
@@ -16,7 +17,10 @@ from neo_ros.scenes.scene import Scene
 from neo_ros.scenes.upright import read_upright_scene
 from neo_ros.training.folder import check_run, scene_folder
 from neo_ros.training.time_plan import settings_of
+from neo_ros.updating.compared_photos import Before
 from neo_ros.updating.driven_photos import Drive
+from neo_ros.updating.more_photos import read_stale
+from neo_ros.updating.past import Past
 from neo_ros.updating.tuned_network import CHECKPOINT
 import numpy as np
 
@@ -80,18 +84,41 @@ class UpdateRun:
 
     def photo(self, drive: Drive, index: int) -> tuple[np.ndarray, np.ndarray]:
         """
-        Return photo `index` of the run, or of the drive behind them, and what of it is usable.
+        Return photo `index` of the run, or of the drive behind them, and what was ever usable.
 
         uint8 RGB (H, W, 3), bool (H, W); a photo of the drive stands in the middle of a black one.
         """
         train, camera = self.scene.train, self.camera
         if index < len(train):
-            return train.read_shown(index, self.experiment.scale)
+            image, usable = train.read_shown(index, self.experiment.scale)
+            return image, usable | self.stale(index)
         image = np.zeros((camera.height, camera.width, 3), np.uint8)
         usable = np.zeros(image.shape[:2], bool)
         window = camera.window(self.card.expansion.source)
         image[window], usable[window] = drive.images[index - len(train)], True
         return image, usable
+
+    def stale(self, index: int) -> np.ndarray:
+        """Return what an update found out of date in photo `index`, bool (H, W)."""
+        return read_stale(self.scene.train, index, self.camera)
+
+    def before(self, field: VoxelField, camera: Intrinsics, more: int) -> Before | None:
+        """Return what updates changed, for its photos, and so many more, of a smaller camera."""
+        if not self.card.updates:
+            return None
+        train, past = self.scene.train, Past.read(self.folder)
+        stale = np.zeros((len(train) + more, camera.height, camera.width), bool)
+        for index in range(len(train)):
+            fine = self.stale(index)
+            if fine.any():
+                usable = train.read_usable(index, self.experiment.scale)
+                usable = ~fine if usable is None else usable
+                stale[index] = clear_pixels(usable | fine, camera) & ~clear_pixels(usable, camera)
+        # Each update gave its photos a number of their own.
+        ids = np.array(train.path_ids)
+        updates = np.maximum(ids - (ids.max() - len(self.card.updates)), 0).astype(np.int32)
+        return Before(field, past.dates(field), updates,
+                      (updates == 0) | np.isin(np.arange(len(train)), past.founders), stale)
 
     def photos(self, drive: Drive, chosen: Sequence[int], camera: Intrinsics) -> Photos:
         """Return photos as a camera of fewer pixels sees them."""

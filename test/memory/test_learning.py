@@ -1,6 +1,7 @@
 """What a camera shows consistently becomes part of the memory; what moves while it is seen not."""
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
+from dataclasses import replace
 import os
 from pathlib import Path
 import signal
@@ -169,6 +170,41 @@ def test_what_was_shown_again_lies_under_what_came_later_even_when_compacted() -
              for some in (records, compacted)]
     assert not (shown[0][0] == 90).all()
     assert np.array_equal(shown[0][0], shown[1][0]) and np.array_equal(shown[0][1], shown[1][1])
+
+
+def test_what_shows_nothing_of_it_is_decoded_no_larger_than_needed(
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    memory, untouched = box_memory(), box_memory()
+    patch = true_patch(DRIVE[10])
+    memory.change(Changes([patch]))
+    assert not np.array_equal(memory.keyframe(1, focal=10.0).texture,
+                              untouched.keyframe(1, focal=10.0).texture)
+    # As far as from the next room, whose wall hides it.
+    away = replace(patch, pose=planar(40.0, 40.0, 12))
+    changes = Changes([away])
+    seen = [changes.reach(position, memory.band, memory.pictures(0, 1)[1])
+            for position in memory.positions]
+    memory.change(changes)
+    monkeypatch.setattr(Changes, 'put_into', None)  # Which takes it in full size.
+    found, wanted = (one.keyframe(1, focal=10.0) for one in (memory, untouched))
+    assert not any(seen)
+    np.testing.assert_array_equal(found.texture, wanted.texture)
+    np.testing.assert_array_equal(found.depth, wanted.depth)
+
+
+def test_what_is_changed_was_reached() -> None:
+    random, band = np.random.default_rng(0), Band(1.0, -1.0)
+    coded = random.choice(np.array([0, 250, 340, 700, 2000], np.uint16), (8, 16))
+    coded = np.ascontiguousarray(coded.repeat(8, 0).repeat(8, 1))
+    changed = []
+    for _ in range(60):
+        position = DRIVE[10].position + random.uniform(-3, 3, 3)
+        changes = Changes([true_patch(DRIVE[random.integers(len(DRIVE))])])
+        texture, after = changes.put_into(
+            position, band, 1, np.full((128, 256, 3), 90, np.uint8), coded)
+        changed.append(not np.array_equal(after, coded) or bool((texture != 90).any()))
+        assert changes.reach(position, band, coded) or not changed[-1]
+    assert any(changed)
 
 
 def checksum(model: Path) -> str:

@@ -9,7 +9,7 @@ from neo_ros.field.rendering import render_rays, world_rays
 from neo_ros.field.voxel_field import VoxelField
 from neo_ros.geometry import CameraPose
 from neo_ros.updating.changed_space import ChangedSpace, find_changed_space
-from neo_ros.updating.compared_photos import compare, ComparedPhotos
+from neo_ros.updating.compared_photos import Before, compare, ComparedPhotos
 from neo_ros.updating.refit import still_right
 import numpy as np
 import pytest
@@ -72,6 +72,53 @@ def test_where_the_memory_was_wrong_before_nothing_has_changed() -> None:
     assert not find_changed_space(empty_field(), found).places
 
 
+def of_a_drive(found: ComparedPhotos) -> Before:
+    """Return that photos of before are those of the drive of an update, after all changes."""
+    field = empty_field()
+    return Before(field, np.zeros(field.shape, np.int32), np.ones(found.old, np.int32),
+                  np.zeros(found.old, bool), np.zeros(found.depth.shape, bool))
+
+
+def test_where_an_update_was_wrong_the_next_drive_may_say_so() -> None:
+    found = compared(AFTER, BEFORE, AFTER)
+    space = find_changed_space(empty_field(), compare(
+        found.photos, found.old, remembered(BEFORE), before=of_a_drive(found)))
+    assert at(space, BEFORE) and at(space, AFTER)
+
+
+@pytest.mark.parametrize('told', [True, False])
+def test_what_came_may_leave_again(told: bool) -> None:
+    """The training saw through where it stood for a while: that says nothing of the memory now."""
+    poses, field = drive(60), empty_field()
+    trained, first, now = poses[::3], poses[1::3], poses[2::3]
+    posts = [BEFORE] * len(trained) + [AFTER] * len(first) + [BEFORE] * len(now)
+    images, T = photos_of([*trained, *first, *now], posts)
+    old, shape = len(trained) + len(first), images.shape[:3]
+    x, y, z = np.moveaxis(field.world_points(), -1, 0)
+    dates = np.zeros(field.shape, np.int32)
+    for post in (BEFORE, AFTER):
+        dates[(abs(x - post[0]) < 0.4) & (abs(y - post[1]) < 0.4)] = 1
+    updates = np.repeat(np.arange(2, dtype=np.int32), [len(trained), len(first)])
+    found = compare(Photos(images, SOURCE, T, np.ones(shape, bool)), old, remembered(AFTER),
+                    before=Before(field, dates if told else np.zeros_like(dates), updates,
+                                  updates == 0, np.zeros(shape, bool)))
+    space = find_changed_space(field, found)
+    assert at(space, AFTER) == at(space, BEFORE) == told
+
+
+def test_what_is_out_of_date_has_no_say() -> None:
+    found = compared(AFTER, BEFORE, AFTER)
+    stale = np.zeros(found.depth.shape, bool)
+    stale[:found.old] = found.contradicts[:found.old]
+    again = compare(found.photos, found.old, remembered(BEFORE),
+                    before=replace(of_a_drive(found), stale=stale,
+                                   founders=np.ones(found.old, bool)))
+    assert not again.contradicts[:found.old].any() and not again.agrees[stale].any()
+    assert (again.depth[stale] > 0).all()
+    # They are no witnesses of what was there either.
+    assert again.contradicts[found.old:].sum() < found.contradicts[found.old:].sum()
+
+
 def test_from_one_place_nothing_is_found() -> None:
     seen = drive(40)[20]
     x, y, z = seen.position
@@ -119,7 +166,7 @@ def test_photos_of_before_say_nothing_of_what_is_behind_what_came() -> None:
     after = before.with_air()
     x, y, z = np.moveaxis(after.world_points(), -1, 0)
     post = (abs(x - AFTER[0]) < 0.2) & (abs(y - AFTER[1]) < 0.2) & (z > 0.5) & (z < 2)
-    after.grid[after.row_of[post.ravel()], 0] = 20
+    after.grid[after.row_of[post.ravel()], :2] = 20, 3  # And of another colour.
     everywhere = ChangedSpace(np.ones(before.shape, bool), [])
     # Photos that show all that is there now, but were taken before.
     images = np.stack([np.rint(255 * render_rays(after, *world_rays(SOURCE, CameraPose(T))).image)
@@ -133,3 +180,9 @@ def test_photos_of_before_say_nothing_of_what_is_behind_what_came() -> None:
     assert right.shape == all_right.shape == stands.shape  # Of photos of before alone.
     hidden = all_right & ~right
     assert hidden[stands].mean() > 0.7 and hidden[~stands].mean() < 0.2
+    # What is out of date may be what stands there again, and its photos are nearer to that.
+    stale = np.ones(found.stale.shape, bool)
+    again = still_right(before, after, everywhere, replace(found, stale=stale), asked)
+    assert again[stands].mean() > 0.6
+    gone = still_right(before, before, everywhere, replace(found, stale=stale), asked)
+    assert gone[stands].mean() < 0.3
