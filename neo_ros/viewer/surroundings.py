@@ -35,6 +35,8 @@ class Surroundings:
     """
     Looks and plan of one model's memory, or `why` there are none, in words.
 
+    With what was learnt until now; what a node learns later needs a new start.
+
     Raises ModelError for files that cannot be used, SceneError for a floor map that cannot.
     """
 
@@ -58,10 +60,10 @@ class Surroundings:
             return
         # Its compiled loops take a second to load: not without a model.
         from neo_ros.memory import look_around
-        from neo_ros.memory.scene_memory import SceneMemory
+        from neo_ros.memory.learnt import read_learnt
 
-        self._memory = SceneMemory.read(memory_path(model, self._card.memory),
-                                        self._card.memory.sha256)
+        self._memory = read_learnt(memory_path(model, self._card.memory),
+                                   self._card.memory.sha256)
         self.looks = look_around.LookAround(self._memory, self._card.expansion)
 
     def plan(self) -> PlanPicture | None:
