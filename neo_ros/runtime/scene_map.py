@@ -32,9 +32,9 @@ def read_scene_map(model: Path | str, card: ModelCard) -> SceneMap | None:
     """
     Draw the map of a model, with what was learnt since; None without a scene memory.
 
-    Takes a second for a flat. A cell is occupied where anything stands up to 1.8 m above the
-    floor, or up to 0.7 of the height of low rooms. Raises ModelError for a memory that cannot be
-    used.
+    Takes a second for a flat, longer the more was learnt. A cell is occupied where anything stands
+    up to 1.8 m above the floor, or up to 0.7 of the height of low rooms. Raises ModelError for a
+    memory that cannot be used.
     """
     if card.memory is None:
         return None

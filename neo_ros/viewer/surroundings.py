@@ -44,7 +44,8 @@ class Surroundings:
         self.why, self.looking = '', 0
         self.looks: 'LookAround | None' = None
         self._seen: dict[Place, 'SeenImage'] = {}
-        self._busy = threading.Lock()
+        # Two: where much was learnt the plan takes a minute, and looks go on meanwhile.
+        self._busy, self._drawing = threading.Lock(), threading.Lock()
         self._plan: PlanPicture | None = None
         if floor is not None and model is None:
             raise SceneError('floor: expected together with a model, which draws the map that its '
@@ -68,7 +69,7 @@ class Surroundings:
 
     def plan(self) -> PlanPicture | None:
         """Draw the plan, which takes a second, or return it; where there is none `why` says it."""
-        with self._busy:
+        with self._drawing:
             if self._plan is None and not self.why:
                 try:
                     self._plan = self._draw_plan()

@@ -166,7 +166,7 @@ def test_a_look_shows_the_room_with_the_live_image_in_it(model: Path) -> None:
 
 
 def test_a_look_shows_what_was_learnt(tmp_path: Path) -> None:
-    ahead = Direction(math.radians(12), 0.0, LOOK['hfov'], LOOK['width'], LOOK['height'])
+    ahead = Direction(math.radians(12), 0.0, math.radians(90), CAMERA.width, CAMERA.height)
     model, pose = write_box_model(tmp_path), ahead.pose(planar(1.8, 1.7, 12).position)
     truth, _, board = with_board(pose, CAMERA)
 
@@ -179,6 +179,12 @@ def test_a_look_shows_what_was_learnt(tmp_path: Path) -> None:
     untaught = off()
     teach_board(model)
     assert off() < 0.5 * untaught
+
+
+def test_images_come_in_while_the_map_is_drawn(model: Path) -> None:
+    surroundings = Surroundings(model)
+    with surroundings._drawing:
+        assert surroundings.seen(Place(HERE, 0.0, lambda: view(HERE, EXPANSION.target)[0]))
 
 
 def test_places_go_on_where_a_look_cannot_be_drawn(
