@@ -32,8 +32,9 @@ LAW: dict[str, set[str]] = {
     'bags': {'geometry', 'machine', 'runtime', 'messages', 'rosbags', 'mcap', 'cv2'},
     # The player and the recorder of bags are ROS nodes.
     'node': {'geometry', 'machine', 'runtime', 'messages', 'bags', 'rosbags', 'rclpy'},
+    # As a ROS node it is told where the model lies in the node's ways.
     'viewer': {'geometry', 'machine', 'pictures', 'scenes', 'runtime', 'messages', 'memory',
-               'bags', 'cv2', 'rclpy'},
+               'bags', 'node', 'cv2', 'rclpy'},
     # Of `outpaint` it has the weights of LPIPS, which are a training loss there.
     'evaluation': {'geometry', 'machine', 'pictures', 'scenes', 'field', 'outpaint', 'runtime',
                    'messages', 'memory', 'reports', 'torch', 'cv2', 'matplotlib'},

@@ -22,6 +22,7 @@ def export(
     from neo_ros.cli.progress import stage_progress
     from neo_ros.experiment import read_experiment
     from neo_ros.scenes.upright import read_upright_scene
+    from neo_ros.training.folder import named_as_trained
     from neo_ros.training.run import TrainingRun
     from neo_ros.training.time_plan import settings_of
     from neo_ros.training.variants import export_variants
@@ -32,7 +33,8 @@ def export(
     experiment = settings_of(out, read_experiment(config) if config is not None else None)
     with stage_progress() as show:
         variants = export_variants(TrainingRun(
-            read_upright_scene(scene), experiment, out, show), threads=threads)
+            named_as_trained(read_upright_scene(scene), out), experiment, out, show),
+            threads=threads)
     table = Table('format', 'file', 'MB', 'ms', 'ring dB', 'loss dB')
     best = max(variant.ring_psnr for variant in variants)
     for variant in variants:

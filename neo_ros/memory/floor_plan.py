@@ -83,11 +83,12 @@ def draw_floor_plan(memory: SceneMemory, arbitrary_scale: bool = False,
     """
     Look at the scene from above, without its ceiling: of each place the highest colour.
 
-    With an arbitrary scale the height is a share of the room's. Needs a second for a flat. Raises
-    ModelError where the memory shows no floor: the camera saw only what is above it.
+    With an arbitrary scale the height is a share of the room's. Needs a second for a flat, longer
+    the more was learnt. Raises ModelError where the memory shows no floor: the camera saw only
+    what is above it.
     """
     limits = thresholds
-    rays = memory.band.rays(*next(memory.each(COARSEST)).depth.shape)
+    rays = memory.band.rays(*next(memory.each(COARSEST, changed=False)).depth.shape)
     # All are decoded twice, one after the other: those of a building take a GB.
     seen = _look_first(memory, rays[..., 2], limits)
     floor, top = _floor_and_top(seen, arbitrary_scale, limits)
@@ -126,11 +127,15 @@ def encode_plan(plan: FloorPlan, quality: int = 80) -> bytes:
 
 
 def _look_first(memory: SceneMemory, rise: np.ndarray, limits: PlanThresholds) -> FirstLook:
-    """Keep what `_floor_and_top` and `_extent` need; rise (h, w): z of unit rays."""
+    """
+    Keep what `_floor_and_top` and `_extent` need; rise (h, w): z of unit rays.
+
+    As the memory was made: how far a scene reaches is not learnt.
+    """
     seen = FirstLook([], [], [])
     some = max(len(memory.positions) // 32, 1)
     rows = max(int(limits.edge_rows * len(rise)), 1)
-    for index, keyframe in enumerate(memory.each(COARSEST)):
+    for index, keyframe in enumerate(memory.each(COARSEST, changed=False)):
         depth, position = keyframe.depth, keyframe.position
         seen.keyframes.append((position, depth[EVERY].copy()))
         if index % some == 0:

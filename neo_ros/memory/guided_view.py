@@ -8,13 +8,12 @@ import threading
 
 from neo_ros.errors import ModelError
 from neo_ros.geometry import CameraPose, ViewExpansion
-from neo_ros.memory.changes import Changes
 from neo_ros.memory.fusion import fuse, FusionThresholds
-from neo_ros.memory.journal import journal_path, JournalWriter, most_bytes, read_journal
+from neo_ros.memory.journal import journal_path, JournalWriter, most_bytes
 from neo_ros.memory.learning import Learn, Learner
+from neo_ros.memory.learnt import read_learnt
 from neo_ros.memory.light_file import Cells, lights_path, read_lights, write_lights
 from neo_ros.memory.scene_guide import SceneGuide
-from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.memory.sight import Guide
 import numpy as np
 
@@ -41,15 +40,13 @@ class GuidedView:
         """
         Read a memory, and what has changed since, and compile what is compiled.
 
-        Raises ModelError as `SceneMemory.read`, and where it is to learn, but cannot write.
+        Raises ModelError as `read_learnt`, and where it is to learn, but cannot write.
         """
-        memory, journal = SceneMemory.read(path, sha256), journal_path(path)
+        memory, journal = read_learnt(path, sha256), journal_path(path)
         if learn != 'never' and not os.access(journal if journal.exists() else path.parent,
                                               os.W_OK):
             raise ModelError(f'{journal}: cannot be written, which learning needs; copy model '
                              'and memory to a folder that can be')
-        if patches := read_journal(journal, sha256):
-            memory.change(Changes(patches))
         guide = SceneGuide(memory, expansion, threads)
         view, shown = cls(guide), guide.warm_up()
         view.fuse(expansion.crop(shown.image).astype(np.uint8), shown)

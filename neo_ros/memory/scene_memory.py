@@ -122,11 +122,15 @@ class SceneMemory:
             return texture, coded
         return changes.put_into(position, self.band, reduced, texture, coded)
 
-    def each(self, focal: float = math.inf) -> Iterator[Keyframe]:
-        """Yield all keyframes as `keyframe` does, but do not keep them; any thread may do so."""
+    def each(self, focal: float = math.inf, changed: bool = True) -> Iterator[Keyframe]:
+        """
+        Yield all keyframes as `keyframe` does, but do not keep them; any thread may do so.
+
+        changed: as they are shown now; else as they were made, which is fast.
+        """
         reduced = self._reduction(focal)
         for index in range(len(self.positions)):
-            yield self._decode(index, reduced, self.changes)
+            yield self._decode(index, reduced, self.changes if changed else None)
 
     def _reduction(self, focal: float) -> int:
         if not math.isfinite(focal):

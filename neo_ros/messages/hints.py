@@ -36,10 +36,14 @@ class PoseHints:
         self._prior: tuple[CameraPose, float] | None = None  # And when it came.
         self._odometry: deque[tuple[int, CameraPose]] = deque(maxlen=KEPT)
 
-    def set_prior(self, pose: CameraPose) -> None:
-        """Keep a prior for the next image; it takes the place of one that still waits."""
+    def set_prior(self, pose: CameraPose, came: float | None = None) -> None:
+        """
+        Keep a prior for the next image; it takes the place of one that still waits.
+
+        came: when, by `time.monotonic`; default: now.
+        """
         with self._lock:
-            self._prior = pose, monotonic()
+            self._prior = pose, monotonic() if came is None else came
 
     def add_odometry(self, header: Any, pose: CameraPose) -> None:
         """

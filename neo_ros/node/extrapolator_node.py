@@ -185,7 +185,7 @@ class ExtrapolatorNode(LifecycleNode):
 
     def _on_image(self, message: Any, camera_info: Any | None) -> None:
         if self._scene is not None:
-            self._scene.inputs.camera_frame = message.header.frame_id.lstrip('/')
+            self._scene.inputs.see_camera(message.header.frame_id.lstrip('/'))
         if self._worker is not None:
             self._worker.submit(Frame(message, camera_info, time.perf_counter()))
 

@@ -8,7 +8,7 @@ from nav_msgs.msg import Odometry
 from neo_ros.errors import GeometryError
 from neo_ros.geometry import CameraPose
 from neo_ros.geometry.camera_pose import T_BODY_OPTICAL
-from neo_ros.messages.hints import PoseHints, read_pose
+from neo_ros.messages.hints import PoseHints, PRIOR_VALID_S, read_pose
 from neo_ros.node.interface import ODOMETRY, PRIOR
 from neo_ros.node.robot_frames import RobotFrames
 import numpy as np
@@ -23,7 +23,8 @@ class PoseInputs:
     Subscribes to PRIOR and ODOMETRY and turns them into `hints` of the camera's optical frame.
 
     scene_frame: what priors are in; camera_frame: of the images, '' before the first; both may
-    change. base_frame: what the messages are of, where `frames` tells how the camera sits on it.
+    change. base_frame: what the messages are of, where `frames` tells how the camera sits on it. A
+    prior waits until that is known.
     """
 
     def __init__(self, node: Node, scene_frame: str, base_frame: str,
@@ -32,6 +33,7 @@ class PoseInputs:
         self.scene_frame, self.camera_frame = scene_frame, ''
         self._node, self._frames, self._base_frame = node, frames, base_frame
         self._told: dict[str, float] = {}
+        self._waiting: tuple[PoseWithCovarianceStamped, float] | None = None  # And when it came.
         self._subscriptions = [
             node.create_subscription(PRIOR.kind, PRIOR.name, self._on_prior, QoSProfile(depth=1)),
             node.create_subscription(ODOMETRY.kind, ODOMETRY.name, self._on_odometry,
@@ -42,16 +44,38 @@ class PoseInputs:
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
 
+    def see_camera(self, frame: str) -> None:
+        """Be told of an image in this frame, before it is widened."""
+        self.camera_frame = frame
+        self._read_prior()
+
+    def forget_prior(self) -> None:
+        """Drop a prior that waits."""
+        self._waiting = None
+        self.hints.take_prior()
+
     def _on_prior(self, message: PoseWithCovarianceStamped) -> None:
         frame = message.header.frame_id.lstrip('/')
         if frame not in ('', self.scene_frame):
             self._tell('prior', f'{PRIOR.name}: expected a pose in {self.scene_frame} '
                        f'(scene_frame), got {frame}: dropped')
             return
-        T_camera = T_BODY_OPTICAL if not self._base_frame else self._camera_in_base()
+        self._waiting = message, time.monotonic()
+        self._read_prior()
+
+    def _read_prior(self) -> None:
+        if self._waiting is None:
+            return
+        message, came = self._waiting
+        T_camera: np.ndarray | None = T_BODY_OPTICAL
+        if self._base_frame:
+            T_camera = self._camera_in_base() if self.camera_frame else None
+        if T_camera is None and time.monotonic() - came <= PRIOR_VALID_S:
+            return
+        self._waiting = None
         pose = self._read(PRIOR.name, message.pose.pose, T_camera)
         if pose is not None:
-            self.hints.set_prior(pose)
+            self.hints.set_prior(pose, came)
 
     def _on_odometry(self, message: Odometry) -> None:
         if not self.camera_frame or not self.metric:  # Its metres say nothing of the scene.
@@ -71,13 +95,10 @@ class PoseInputs:
             self.hints.add_odometry(message.header, pose)
 
     def _camera_in_base(self) -> np.ndarray | None:
-        T = None
-        if self._frames is not None and self.camera_frame:
-            T = self._frames.camera_in_base(self.camera_frame)
+        T = None if self._frames is None else self._frames.camera_in_base(self.camera_frame)
         if T is None:
             self._tell('transform', f'no transform from {self._base_frame} to '
-                       f'{self.camera_frame or "the camera, which has sent no image yet"}: '
-                       'what is of the base is dropped')
+                       f'{self.camera_frame}: odometry of the base is dropped, a prior waits')
         return T
 
     def _read(self, name: str, pose: Any, T_camera: np.ndarray | None) -> CameraPose | None:

@@ -50,7 +50,7 @@ class SceneTopics:
 
     def take_over(self, values: NodeParameters, model: LoadedModel) -> None:
         """Be of another model from now on."""
-        self.inputs.hints.take_prior()  # It was meant for the other model's scene.
+        self.inputs.forget_prior()  # It was meant for the other model's scene.
         self.use(values, model)
         self._tie(model)
 

@@ -30,18 +30,19 @@ class SceneMap:
 
 def read_scene_map(model: Path | str, card: ModelCard) -> SceneMap | None:
     """
-    Draw the map of a model; None without a scene memory. Takes a second for a flat.
+    Draw the map of a model, with what was learnt since; None without a scene memory.
 
-    A cell is occupied where anything stands up to 1.8 m above the floor, or up to 0.7 of the
-    height of low rooms. Raises ModelError for a memory that cannot be used.
+    Takes a second for a flat, longer the more was learnt. A cell is occupied where anything stands
+    up to 1.8 m above the floor, or up to 0.7 of the height of low rooms. Raises ModelError for a
+    memory that cannot be used.
     """
     if card.memory is None:
         return None
     # Its compiled loops take a second to load: not without a memory.
     from neo_ros.memory.floor_plan import draw_floor_plan
-    from neo_ros.memory.scene_memory import SceneMemory
+    from neo_ros.memory.learnt import read_learnt
 
-    memory = SceneMemory.read(memory_path(model, card.memory), card.memory.sha256)
+    memory = read_learnt(memory_path(model, card.memory), card.memory.sha256)
     plan = draw_floor_plan(memory, card.arbitrary_scale)
     cells, floor = cells_of(plan.height[::-1])
     return SceneMap(cells, plan.resolution, plan.origin, floor)

@@ -16,6 +16,9 @@ import numpy as np
 FLOOR_INTERVAL, PHOTOS_INTERVAL = 0.05, 0.2
 # Of a grid, before what is not free is left out; to look at so many takes 6 GB.
 MOST_PLACES = 100_000_000
+# A sampler's `pitch_roll`, and what is taken for it: poses of a camera that was mounted level are
+# off by less.
+LEVEL, LEAST_TILT = ((0.0, 0.0), (0.0, 0.0)), math.radians(1.0)
 
 
 @dataclass(frozen=True)
@@ -80,11 +83,14 @@ class PoseSampler:
 
     @classmethod
     def for_walkable(cls, walkable: WalkableMap, config: SamplingConfig,
-                     upper: Sequence[WalkableMap] = ()) -> 'PoseSampler':
+                     upper: Sequence[WalkableMap] = (), photos: PosedImages | None = None
+                     ) -> 'PoseSampler':
         """
         3-DoF (section 4.1): a grid over the free floor, fixed height, yaws all around.
 
-        upper: the maps of other storeys.
+        upper: the maps of other storeys. photos: of the camera, which may be mounted tilted or
+        upside down: pitch and roll are those of `around_photos`. Without photos, and where all
+        of them are level, views are level as in the paper.
         """
         grids = [_grid_over(floor.kept_off(config.robot_radius), config)
                  for floor in (walkable, *upper)]
@@ -92,8 +98,11 @@ class PoseSampler:
                   else config.camera_height)
         rise = np.repeat([floor.camera_height - walkable.camera_height
                           for floor in (walkable, *upper)], [len(grid) for grid in grids])
-        return cls(np.concatenate(grids), (-math.pi, 2 * math.pi), ((0.0, 0.0), (0.0, 0.0)),
-                   (height, 0.0), config.yaws, walkable, rise if upper else None)
+        pitch_roll = LEVEL if photos is None else _tilt(_angles(photos))
+        if np.abs(pitch_roll).max() < LEAST_TILT:
+            pitch_roll = LEVEL
+        return cls(np.concatenate(grids), (-math.pi, 2 * math.pi), pitch_roll, (height, 0.0),
+                   config.yaws, walkable, rise if upper else None)
 
     @classmethod
     def around_photos(cls, photos: PosedImages, config: SamplingConfig) -> 'PoseSampler':
@@ -120,12 +129,9 @@ class PoseSampler:
             deviation.append(np.full(len(grids[-1]), own[:, 2].std()))
         heights = ((np.concatenate(rise), np.concatenate(deviation)) if len(grids) > 1
                    else (None, None))
-        angles = np.array([yaw_pitch_roll(matrix[:3, :3]) for matrix in T])
-        # Of angles on the circle: a camera mounted upside down has rolls around +-pi.
-        tilt_mean = np.angle(np.exp(1j * angles[:, 1:]).mean(0))
-        tilt_std = np.angle(np.exp(1j * (angles[:, 1:] - tilt_mean))).std(0)
-        return cls(np.concatenate(grids), _yaw_bounds(angles[:, 0]),
-                   (tuple(tilt_mean), tuple(tilt_std)), (mean, std), 0, None, *heights)
+        angles = _angles(photos)
+        return cls(np.concatenate(grids), _yaw_bounds(angles[:, 0]), _tilt(angles), (mean, std),
+                   0, None, *heights)
 
     def draw_position(self, random: np.random.Generator) -> np.ndarray:
         """Draw one position, (3,) metres."""
@@ -178,6 +184,19 @@ def rotation_from_angles(yaw: float, pitch: float, roll: float) -> np.ndarray:
     return CameraPose(np.block([
         [np.stack([right, np.cross(forward, right), forward], axis=1), np.zeros((3, 1))],
         [np.array([[0, 0, 0, 1.0]])]])).T_world_cam[:3, :3]
+
+
+def _angles(photos: PosedImages) -> np.ndarray:
+    """Return yaw, pitch and roll of photos, (N, 3) radians."""
+    return np.array([yaw_pitch_roll(matrix[:3, :3]) for matrix in photos.T_world_cam])
+
+
+def _tilt(angles: np.ndarray) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return means and deviations of pitch and roll, as a sampler has them; angles (N, 3)."""
+    # On the circle: a camera mounted upside down has rolls around +-pi.
+    mean = np.angle(np.exp(1j * angles[:, 1:]).mean(0))
+    deviation = np.angle(np.exp(1j * (angles[:, 1:] - mean))).std(0)
+    return tuple(mean), tuple(deviation)
 
 
 def _grid_around(photos: np.ndarray, axes: Sequence[np.ndarray], interval: float, radius: float

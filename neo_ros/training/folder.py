@@ -87,6 +87,13 @@ def scene_folder(run: Path) -> Path:
     return Path(note['folder'])
 
 
+def named_as_trained(scene: Scene, run: Path) -> Scene:
+    """Give a scene the name that it had when a run was trained on it, which its files have."""
+    if not (run / RUN_FILE).exists():
+        return scene
+    return replace(scene, name=str(_read_run_note(run / RUN_FILE).get('scene', scene.name)))
+
+
 def check_run(run: Path, scene: Scene, experiment: Experiment) -> None:
     """Raise ConfigError where a run is of other photos, or of other settings of the field."""
     found = _read_run_note(run / RUN_FILE)

@@ -110,7 +110,7 @@ def make_sampler(run: TrainingRun, field: RadianceField | None) -> PoseSampler:
             f'sampling.area: {area} needs walkable.json in the scene folder, there is none; '
             'make it with neo floor, or choose free_space or photos')
     return PoseSampler.for_walkable(
-        floor, config, () if area == 'free_space' else run.scene.upper)
+        floor, config, () if area == 'free_space' else run.scene.upper, run.scene.train)
 
 
 def note_poses(run: TrainingRun, stream: PairStream, steps: int) -> None:

@@ -15,7 +15,7 @@ from neo_ros.runtime.fov_extrapolator import memory_path
 from neo_ros.runtime.model_card import read_model_card
 from neo_ros.scenes.scene import Scene
 from neo_ros.scenes.upright import read_upright_scene
-from neo_ros.training.folder import check_run, scene_folder
+from neo_ros.training.folder import check_run, named_as_trained, scene_folder
 from neo_ros.training.time_plan import settings_of
 from neo_ros.updating.compared_photos import Before
 from neo_ros.updating.driven_photos import Drive
@@ -45,7 +45,7 @@ class UpdateRun:
         tuned: its network is to be trained on.
         """
         experiment = settings_of(folder, experiment)
-        found = read_upright_scene(scene or scene_folder(folder))
+        found = named_as_trained(read_upright_scene(scene or scene_folder(folder)), folder)
         check_run(folder, found, experiment)
         if not (folder / 'field.npz').exists():
             raise SceneError(f'{folder}: expected a finished run with its field.npz, there is '

@@ -7,6 +7,7 @@ from typing import Any
 
 from neo_ros.errors import NeoError
 from neo_ros.machine.processes import end_if_busy
+from neo_ros.node.model_place import find_model
 from neo_ros.viewer.settings import read_token, ViewerSettings
 from rcl_interfaces.msg import ParameterDescriptor
 import rclpy
@@ -28,7 +29,8 @@ DESCRIPTIONS = {
     'stale_after': 'Seconds until a picture counts as stale',
     'public_origin': 'What viewers open where a proxy stands before the server, such as '
                      'https://robot.example; empty: no proxy',
-    'model': 'Model whose memory shows the map and looks around; empty: neither',
+    'model': "Model whose memory shows the map and looks around, named as the node's; empty: "
+             'neither',
     'floor': "A walkable.json, or a map's YAML, whose outlines lie under the map",
 }
 
@@ -61,6 +63,8 @@ def read_settings(node: Node) -> ViewerSettings:
         values[name] = node.declare_parameter(
             name, default, ParameterDescriptor(description=description, read_only=True)).value
     token_file = values.pop('token_file')
+    if values['model']:
+        values['model'] = find_model(values['model'])
     for name in ('cert', 'key', 'model', 'floor'):
         values[name] = Path(values[name]) if values[name] else None
     return ViewerSettings(token=read_token(Path(token_file) if token_file else None), **values)

@@ -35,6 +35,8 @@ class Surroundings:
     """
     Looks and plan of one model's memory, or `why` there are none, in words.
 
+    With what was learnt until now; what a node learns later needs a new start.
+
     Raises ModelError for files that cannot be used, SceneError for a floor map that cannot.
     """
 
@@ -42,7 +44,8 @@ class Surroundings:
         self.why, self.looking = '', 0
         self.looks: 'LookAround | None' = None
         self._seen: dict[Place, 'SeenImage'] = {}
-        self._busy = threading.Lock()
+        # Two: where much was learnt the plan takes a minute, and looks go on meanwhile.
+        self._busy, self._drawing = threading.Lock(), threading.Lock()
         self._plan: PlanPicture | None = None
         if floor is not None and model is None:
             raise SceneError('floor: expected together with a model, which draws the map that its '
@@ -58,15 +61,15 @@ class Surroundings:
             return
         # Its compiled loops take a second to load: not without a model.
         from neo_ros.memory import look_around
-        from neo_ros.memory.scene_memory import SceneMemory
+        from neo_ros.memory.learnt import read_learnt
 
-        self._memory = SceneMemory.read(memory_path(model, self._card.memory),
-                                        self._card.memory.sha256)
+        self._memory = read_learnt(memory_path(model, self._card.memory),
+                                   self._card.memory.sha256)
         self.looks = look_around.LookAround(self._memory, self._card.expansion)
 
     def plan(self) -> PlanPicture | None:
         """Draw the plan, which takes a second, or return it; where there is none `why` says it."""
-        with self._busy:
+        with self._drawing:
             if self._plan is None and not self.why:
                 try:
                     self._plan = self._draw_plan()

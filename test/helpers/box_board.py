@@ -1,6 +1,11 @@
 """A board that stands in the box room, and a drive past it."""
-from box_room import planar, view
+from pathlib import Path
+
+from box_room import planar, SOURCE, view
 from neo_ros.geometry import CameraPose, Intrinsics
+from neo_ros.memory.journal import journal_path, write_journal
+from neo_ros.memory.patch import Patch
+from neo_ros.runtime import read_model_card
 import numpy as np
 
 WALL = 3.6  # metres along x, where a board stands that the memory does not know
@@ -20,3 +25,17 @@ def with_board(pose: CameraPose, camera: Intrinsics, middle: float = 1.8
     pattern = 128 + 110 * np.sign(np.sin(17 * point[..., 1]) * np.sin(15 * point[..., 2] + 1))
     image[board] = np.stack([pattern, 255 - pattern, np.full_like(pattern, 40)], -1)[board]
     return image, np.where(board, z, depth).astype(np.float32), board
+
+
+def true_patch(pose: CameraPose, batch: int = 0) -> Patch:
+    """Return what a perfect look at the board teaches."""
+    image, depth, board = with_board(pose, SOURCE)
+    return Patch.of(pose, SOURCE, image, np.where(board, depth, 0), 0, batch, view(pose, SOURCE))
+
+
+def teach_board(model: Path) -> None:
+    """Write the journal of a box model that has seen the board."""
+    memory = read_model_card(model).memory
+    assert memory is not None
+    write_journal(journal_path(model.parent / memory.file), memory.sha256,
+                  [true_patch(pose) for pose in DRIVE[6:14]])

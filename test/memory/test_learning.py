@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 
-from box_board import DRIVE, with_board
+from box_board import DRIVE, teach_board, true_patch, with_board
 from box_room import box_memory, EXPANSION, planar, SOURCE, view, write_box_model
 from neo_ros.cli.main import app
 from neo_ros.errors import ModelError
@@ -57,11 +57,6 @@ def error(memory: SceneMemory, middle: float = 1.8) -> tuple[float, float]:
     truth, _, board = with_board(pose, EXPANSION.target, middle)
     off = np.abs(MemoryRenderer(memory).render(pose, EXPANSION.target).image - truth).mean(-1)
     return float(off[board].mean()), float(off[~board].mean())
-
-
-def true_patch(pose: CameraPose, batch: int = 0) -> Patch:
-    image, depth, board = with_board(pose, SOURCE)
-    return Patch.of(pose, SOURCE, image, np.where(board, depth, 0), 0, batch, view(pose, SOURCE))
 
 
 @pytest.mark.slow
@@ -238,9 +233,7 @@ def test_a_model_shows_what_its_journal_holds(tmp_path: Path) -> None:
     image, _, board = with_board(pose, EXPANSION.target)
     seen = np.ascontiguousarray(EXPANSION.crop(image))
     untaught = FovExtrapolator.load(model).expand(seen).guide
-    writer = JournalWriter(journal_path(tmp_path / 'box.memory'), checksum(model), 1 << 20)
-    writer.append([true_patch(one) for one in DRIVE[6:14]])
-    writer.close()
+    teach_board(model)
     taught = FovExtrapolator.load(model).expand(seen).guide
     assert untaught is not None and taught is not None
     off = [np.abs(one.image[board] - image[board]).mean() for one in (untaught, taught)]

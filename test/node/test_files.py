@@ -118,10 +118,12 @@ def test_security_policy_grants_what_the_node_needs_and_nothing_more(tmp_path):
     # Transforms are published where publish_tf asks for it, the bond where a manager does.
     assert published == granted['publish'] - {'/tf', '/bond'} and served == granted['reply']
     assert subscribed <= granted['subscribe']
-    # Compressed images, simulated time, transforms and the bond only where a parameter asks.
+    # Compressed images, simulated time, transforms and the bond only where a parameter asks; the
+    # guides remap image to image_raw.
     inputs = {entry.name if entry.name.startswith('~') else f'/{entry.name}' for entry in INPUTS}
     assert granted['subscribe'] == inputs | {
-        '/clock', '/parameter_events', '/tf', '/tf_static', '/bond'}
+        '/clock', '/parameter_events', '/tf', '/tf_static', '/bond', '/image_raw',
+        '/image_raw/compressed'}
 
 
 def test_launch_file_compiles_and_has_its_function():

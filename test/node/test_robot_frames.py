@@ -1,5 +1,6 @@
 """The base's pose, the transform for tf, odometry of the base: with a stand-in for tf2_ros."""
 from array import array
+from time import monotonic
 from types import SimpleNamespace
 from typing import Any
 
@@ -243,3 +244,42 @@ def test_a_transform_of_no_use_is_dropped_and_told(graph, frames, number, monkey
     assert inputs.hints.take_prior() is None and not inputs.hints._odometry
     assert bool(frames.missing) != np.isfinite(number)
     inputs.destroy()
+
+
+@pytest.fixture
+def inputs(graph, frames):
+    inputs = PoseInputs(graph.node, 'map', 'base_link', frames)
+    yield inputs
+    inputs.destroy()
+
+
+def prior_ahead():
+    """Return a prior at the origin of the map, along x."""
+    message = PoseWithCovarianceStamped()
+    message.pose.pose.orientation.w = 1.0
+    return message
+
+
+def test_a_prior_waits_for_the_first_image_and_for_the_transform(inputs):
+    inputs._on_prior(prior_ahead())
+    assert inputs.hints.take_prior() is None
+    inputs.see_camera('camera_optical')
+    assert inputs.hints.take_prior() is None
+    Buffer.known['base_link', 'camera_optical'] = T_BASE_CAMERA
+    inputs.see_camera('camera_optical')
+    found = inputs.hints.take_prior()
+    assert found is not None
+    assert apart(found, CameraPose(T_BASE_CAMERA)) == pytest.approx((0, 0), abs=1e-9)
+    inputs.see_camera('camera_optical')
+    assert inputs.hints.take_prior() is None  # It is used once.
+
+
+@pytest.mark.parametrize('late', [False, True], ids=['another model', 'too late'])
+def test_a_prior_that_waits_may_be_of_no_use(inputs, late, monkeypatch):
+    monkeypatch.setattr('neo_ros.messages.hints.monotonic', lambda: monotonic() + 11 * late)
+    inputs._on_prior(prior_ahead())
+    if not late:
+        inputs.forget_prior()
+    Buffer.known['base_link', 'camera_optical'] = T_BASE_CAMERA
+    inputs.see_camera('camera_optical')
+    assert inputs.hints.take_prior() is None

@@ -192,6 +192,31 @@ def test_hand_held_cameras_tilt_as_the_photos_do(mount: float) -> None:
     assert (np.mean(heights), np.std(heights)) == pytest.approx((1.4, 0.1), abs=0.015)
 
 
+@pytest.mark.parametrize('pitch, roll', [(-0.44, 0.0), (0.0, math.pi), (0.3, -3.1)],
+                         ids=['tilted', 'upside down', 'both'])
+def test_on_a_floor_a_camera_is_tilted_as_it_is_mounted(pitch: float, roll: float) -> None:
+    random = np.random.default_rng(2)
+    photos = photos_with([
+        (0, 0, 1.2, random.uniform(-3, 3), pitch + random.normal(0, 0.01),
+         roll + random.normal(0, 0.02)) for _ in range(400)])
+    sampler = PoseSampler.for_walkable(FLOOR, SamplingConfig(), photos=photos)
+    yaws, pitches, rolls = drawn_angles(sampler).T
+    rolls = np.mod(rolls - roll + math.pi, 2 * math.pi) - math.pi
+    assert (pitches.mean(), pitches.std()) == pytest.approx((pitch, 0.01), abs=0.003)
+    assert (rolls.mean(), rolls.std()) == pytest.approx((0.0, 0.02), abs=0.003)
+    assert np.ptp(yaws) > 6 and sampler.height == (1.2, 0.0)
+
+
+def test_on_a_floor_the_views_of_level_photos_are_level_to_the_bit() -> None:
+    random = np.random.default_rng(2)
+    photos = photos_with([(0, 0, 1.2, random.uniform(-3, 3), *random.normal(0.006, 0.01, 2))
+                          for _ in range(400)])
+    with_photos, without = (PoseSampler.for_walkable(FLOOR, SamplingConfig(), photos=given)
+                            for given in (photos, None))
+    assert with_photos.pitch_roll == without.pitch_roll == ((0.0, 0.0), (0.0, 0.0))
+    np.testing.assert_array_equal(drawn_angles(with_photos, 50), drawn_angles(without, 50))
+
+
 def test_hand_held_cameras_stay_near_the_photos() -> None:
     photos = photos_with([(x, y, 1.5, 0, 0, 0) for x, y in ((0, 0), (2, 0), (2, 1.5))])
     sampler = PoseSampler.around_photos(photos, SamplingConfig(interval=0.05, radius=0.35))

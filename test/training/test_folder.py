@@ -3,6 +3,8 @@ from dataclasses import replace
 from pathlib import Path
 import shutil
 
+from box_room import write_box_model
+from neo_ros.cli.main import app
 from neo_ros.errors import ConfigError
 from neo_ros.geometry import ViewExpansion
 from neo_ros.pipeline import fit_field_step, train
@@ -10,8 +12,10 @@ from neo_ros.scenes.upright import read_upright_scene
 from neo_ros.training.folder import begin_run, claim, take_field
 from neo_ros.training.run import TrainingRun
 from neo_ros.training.time_plan import plan_training, read_plan
+from neo_ros.updating.update_run import UpdateRun
 import pytest
 from tiny_training import graph_of, TINY
+from typer.testing import CliRunner
 
 
 def test_a_folder_holds_one_run(tiny_run: TrainingRun) -> None:
@@ -79,6 +83,27 @@ def test_the_field_of_another_run_is_taken_if_it_is_of_the_same(
         train(scene, slower, tmp_path / 'again', field_of=run.out)
     with pytest.raises(ConfigError, match='run.json: expected the note of an earlier run'):
         train(scene, slower, tmp_path / 'again', field_of=tmp_path)
+
+
+def test_a_scene_that_was_renamed_is_that_of_its_run(
+        flat_scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out, renamed = tmp_path / 'out', shutil.copytree(flat_scene, tmp_path / 'renamed')
+    out.mkdir()
+    claim(out, read_upright_scene(flat_scene), TINY)
+    model = write_box_model(out).rename(out / 'flat.onnx')
+    (out / 'field.npz').touch()
+    found = UpdateRun.find(out, renamed, TINY)
+    assert found.model == model and found.scene.name == 'flat'
+    exported = list[Path]()
+
+    def note(run: TrainingRun, threads: int) -> None:
+        exported.append(run.model_path)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr('neo_ros.training.time_plan.settings_of', lambda *_: TINY)
+    monkeypatch.setattr('neo_ros.training.variants.export_variants', note)
+    CliRunner().invoke(app, ['export', str(renamed), '--out', str(out)])
+    assert exported == [model]
 
 
 def test_another_view_of_the_test_frames_is_another_run(

@@ -3,9 +3,14 @@ from dataclasses import replace
 from pathlib import Path
 
 from neo_ros.field.voxel_field import VoxelField
+from neo_ros.geometry import CameraPose
+from neo_ros.geometry.camera_pose import rotation_from_vector
+from neo_ros.machine.progress import no_stage_progress
 from neo_ros.pictures.usable import write_usable
+from neo_ros.scenes.upright import read_upright_scene
 from neo_ros.training.run import TrainingRun
-from neo_ros.training.views import make_stream, real_frames, real_usable, RealFrames
+from neo_ros.training.views import (
+    make_sampler, make_stream, real_frames, real_usable, RealFrames)
 import numpy as np
 import pytest
 from tiny_training import TINY
@@ -43,3 +48,18 @@ def test_masks_are_read_one_by_one_too(tiny_run: TrainingRun, tmp_path: Path) ->
     np.testing.assert_array_equal(usable[0], mask)
     assert all(one.all() for one in usable[1:])
     assert real_usable(tiny_run, 5, photos) is None
+
+
+@pytest.mark.parametrize('down_deg', [0.0, 25.0], ids=['level', 'tilted'])
+def test_on_a_floor_map_views_are_tilted_as_the_photos(
+        flat_scene: Path, tmp_path: Path, down_deg: float) -> None:
+    scene, down = read_upright_scene(flat_scene), np.eye(4)
+    down[:3, :3] = rotation_from_vector(np.array([-np.radians(down_deg), 0, 0]))
+    train = replace(scene.train, poses=tuple(
+        CameraPose(pose.T_world_cam @ down) for pose in scene.train.poses))
+    run = TrainingRun(replace(scene, train=train), TINY, tmp_path, no_stage_progress)
+    assert run.sampling_area == 'walkable'
+    means, deviations = make_sampler(run, None).pitch_roll
+    assert means == pytest.approx((-np.radians(down_deg), 0), abs=1e-6)
+    assert deviations == pytest.approx((0, 0), abs=1e-6)
+    assert down_deg or (means, deviations) == ((0.0, 0.0), (0.0, 0.0))

@@ -9,12 +9,13 @@ from typing import Any
 
 from aiohttp import ClientWebSocketResponse, WSMsgType
 from aiohttp.test_utils import TestClient, TestServer
+from box_board import teach_board, with_board
 from box_room import EXPANSION, planar, view, write_box_model, write_model_without_floor
 import cv2
 from hand_clock import HandClock
 from neo_ros.errors import ModelError, SceneError
 from neo_ros.geometry import Intrinsics
-from neo_ros.memory.look_around import LookAround
+from neo_ros.memory.look_around import Direction, LookAround
 from neo_ros.memory.panorama import REMEMBERED, SEEN
 from neo_ros.scenes.walkable import WalkableMap
 from neo_ros.viewer.clock import Clock
@@ -162,6 +163,28 @@ def test_a_look_shows_the_room_with_the_live_image_in_it(model: Path) -> None:
             put(hub, pose=planar(2.0, 1.7, 30))
             await receive(socket, 'place')
     run(test)
+
+
+def test_a_look_shows_what_was_learnt(tmp_path: Path) -> None:
+    ahead = Direction(math.radians(12), 0.0, math.radians(90), CAMERA.width, CAMERA.height)
+    model, pose = write_box_model(tmp_path), ahead.pose(planar(1.8, 1.7, 12).position)
+    truth, _, board = with_board(pose, CAMERA)
+
+    def off() -> float:
+        looks = Surroundings(model).looks
+        assert looks is not None
+        shown = looks.draw(pose.position, ahead, None).image.astype(int)
+        return float(np.abs(shown - truth)[board].mean())
+
+    untaught = off()
+    teach_board(model)
+    assert off() < 0.5 * untaught
+
+
+def test_images_come_in_while_the_map_is_drawn(model: Path) -> None:
+    surroundings = Surroundings(model)
+    with surroundings._drawing:
+        assert surroundings.seen(Place(HERE, 0.0, lambda: view(HERE, EXPANSION.target)[0]))
 
 
 def test_places_go_on_where_a_look_cannot_be_drawn(

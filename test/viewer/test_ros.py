@@ -2,6 +2,7 @@
 from array import array
 import asyncio
 import json
+from pathlib import Path
 import time
 
 import aiohttp
@@ -9,8 +10,11 @@ from camera_messages import noise_image
 import cv2
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from neo_ros.messages import image_fields
+from neo_ros.viewer.main import read_settings
 import numpy as np
 import pytest
+from rclpy.node import Node
+from rclpy.parameter import Parameter
 from ros_graph import ros_graph, WAIT_S
 from sensor_msgs.msg import CompressedImage, Image
 from tiny_model import TINY_EXPANSION, write_tiny_model
@@ -159,13 +163,26 @@ def test_compressed_pictures_and_warnings_of_the_node(graph):
 
 
 @pytest.mark.parametrize('parameter, words', [
-    ('quality:=500', 'quality: expected 1 to 100, got 500'), ('max_mbit:=20', 'max_mbit')],
-    ids=['range', 'type'])
+    ('quality:=500', 'quality: expected 1 to 100, got 500'), ('max_mbit:=20', 'max_mbit'),
+    ('model:=package://nowhere/room.onnx', "there is no package 'nowhere'")],
+    ids=['range', 'type', 'package'])
 def test_settings_that_cannot_be(graph, parameter, words):
     process = graph.start('-m', 'neo_ros.viewer.main', *PORT_ARGUMENTS, '-p', parameter)
     text = process.communicate(timeout=WAIT_S)[0]
     assert words in text and 'Traceback' not in text
     assert process.returncode == 1
+
+
+def test_the_model_is_named_as_the_nodes(graph, monkeypatch):
+    monkeypatch.setenv('HOME', '/home/ada')
+    for number, (place, path) in enumerate((
+            ('', None), ('~/a.onnx', '/home/ada/a.onnx'),
+            ('file:///data/a%20room.onnx', '/data/a room.onnx'))):
+        node = Node(f'viewer_{number}', context=graph.context, parameter_overrides=[
+            Parameter('model', value=place)])
+        found = read_settings(node).model
+        node.destroy_node()
+        assert found == (None if path is None else Path(path))
 
 
 def test_no_picture_from_before_a_pause_is_shown_after_it(graph):
