@@ -124,7 +124,8 @@ def read_bag_capture(path: Path, options: BagOptions = BagOptions(),
         places, frames = _without_start(path, image, places, frames, notes, stream)
         stream = _stream(path, image, places, depth_as_grey)
     next(stream([0]), None)  # What cannot be decoded at all is refused before anything is written.
-    capture = Capture(tuple(frames), tuple(notes), stream, origin_of(path),
+    topics = [image.name, image.msgtype, *([] if depth is None else [depth.topic.name])]
+    capture = Capture(tuple(frames), tuple(notes), stream, origin_of(path, topics),
                       z_up=source is not None)  # REP-103
     return capture if depth is None else with_depth(capture, path, depth, scan.depths[depth.topic])
 
