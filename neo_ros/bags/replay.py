@@ -27,6 +27,9 @@ from neo_ros.messages.stamps import stamp_of
 from neo_ros.runtime import FovExtrapolator, ModelCard
 import numpy as np
 
+# A replay ends where so many images were rejected for one of these, and none was widened: what a
+# calibration says holds for all images of a bag.
+MOST_REJECTED, OF_CALIBRATION = 100, ('camera', 'camera_info')
 # Truth and prediction of one stamp lie close together in a bag; unmatched ones are let go.
 MAX_UNMATCHED = 64
 OnImages = Callable[[int, np.ndarray, np.ndarray], None]
@@ -50,6 +53,12 @@ class ReplayResult:
     wall_seconds: float = 0.0
     expand_seconds: float = 0.0
     damages: list[Damage] = field(default_factory=list)
+
+    @property
+    def is_hopeless(self) -> bool:
+        """Whether no image was widened, and many were rejected for their calibration alone."""
+        return not self.frames and len(self.rejected) == 1 and any(
+            self.rejected[reason] >= MOST_REJECTED for reason in OF_CALIBRATION)
 
 
 class _Decoded(NamedTuple):
@@ -82,8 +91,9 @@ def replay(bag: Path | str, extrapolator: FovExtrapolator, out: Path | str,
     `on_frame(stamp_ns, image, wide_image)` gets the model's input and output, RGB uint8. With
     `truth_topic` (wide images), `on_pair(stamp_ns, truth, wide_image)` gets the images of equal
     header stamp. Both are called from the thread that writes. `on_progress(done, total)` counts
-    messages. Images that cannot be used are counted by reason and skipped; raises BagError for
-    bags, topics and outputs that cannot be used.
+    messages. Images that cannot be used are counted by reason and skipped; the replay ends early
+    where the calibration lets none be used. Raises BagError for bags, topics and outputs that
+    cannot be used.
     """
     started = time.perf_counter()
     check_outputs(outputs)
@@ -107,6 +117,8 @@ def replay(bag: Path | str, extrapolator: FovExtrapolator, out: Path | str,
                 if copy:
                     run.copy(entry.message, start_ns)
                 run.take(entry)
+                if result.is_hopeless:
+                    break
                 on_progress(done if section.is_all else min(done, total - 1), total)
             if not section.is_all:
                 on_progress(total, total)

@@ -106,8 +106,7 @@ def _replay_one(bag: Path, model: Path, out: Path, options: Any, side_by_side: P
     for written in (out, side_by_side):
         if written is not None and written.exists():
             rich.print(f'Written: {escape(str(written))}')
-    if found.result.frames:
-        tell_next('neo', 'view', '--bag', out)
+    tell_next('neo', 'view', '--bag', out)
 
 
 def _replay_many(bags: Sequence[Path], model: Path, out: Path, options: Any, cluster: bool
@@ -152,7 +151,7 @@ def _print_result(result: Any, guided: float | None) -> None:
         words = escape(result.words[reason])
         rich.print(f'[yellow]rejected: {count} x {reason}, the first: {words}[/yellow]')
     rate = result.frames / result.wall_seconds
-    model_rate = result.frames / result.expand_seconds if result.frames else 0.0
+    model_rate = result.frames / result.expand_seconds
     rich.print(f'{escape(result.image_topic)}: {result.frames} frames at {rate:.1f} Hz '
                f'(the model alone: {model_rate:.1f} Hz)')
     if guided is not None:

@@ -5,7 +5,6 @@ A new bag is written under another name and gets its own once it is whole, with 
 for beside it. So what has the name is finished: a run that was broken off goes on behind it, and
 a job that was begun twice is done once.
 """
-from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -121,8 +120,6 @@ def _replay(job: BagJob, on_progress: Progress) -> ReplayedBag:
     replayer = _replayer(job.model, job.asked['model'], job.threads)
     with _attempt(job.out) as partial:
         found = replayer.replay(job.bag, partial, job.options, on_progress=on_progress)
-        if not found.result.frames:
-            raise BagError(f'{job.bag}: no image could be widened{_why(found)}')
         if found.scores is not None:
             found.scores.write(partial, found.about)
         row = _row(job, found)
@@ -151,13 +148,6 @@ def _row(job: BagJob, found: ScoredReplay) -> ReplayedBag:
         truth_topic=None if scores is None else found.truth_topic,
         rejected=dict(sorted(result.rejected.items())), lost=lost,
         damages=[str(damage) for damage in result.damages])
-
-
-def _why(found: ScoredReplay) -> str:
-    """Say why no image was widened; empty where there was none."""
-    rejected: Counter[str] = found.result.rejected
-    return ''.join(f'; rejected: {count} x {reason}, the first: {found.result.words[reason]}'
-                   for reason, count in rejected.most_common(1))
 
 
 @functools.lru_cache(1)
