@@ -63,6 +63,16 @@ class CameraTopics:
         first = reader.first(self.info) if self.info is not None else None
         return None if first is None else camera_info_of(first, self.image.name)
 
+    def check_rectify(self, reader: BagReader) -> None:
+        """Raise BagError where nothing says which distortion is to be taken out."""
+        if self.first_info(reader) is None:
+            infos = info_topics(reader)
+            remedy = (f'choose one with --info-topic: {describe_topics(infos)}' if infos else
+                      'record it with the images')
+            raise BagError(f'{reader.path}: --rectify: expected a camera_info beside '
+                           f'{self.image.name}, which says the distortion; {remedy}, or leave '
+                           'the option out where the images are straight')
+
 
 def find_camera(reader: BagReader, source: Intrinsics, name: str | None,
                 info_name: str | None = None) -> CameraTopics:

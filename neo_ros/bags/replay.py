@@ -20,6 +20,7 @@ from neo_ros.errors import BagError, ImageRejected
 from neo_ros.geometry import ViewExpansion
 from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.messages import camera_info_of, FrameProcessor, image_fields, read_image
+from neo_ros.messages.camera_fit import assumed_camera
 from neo_ros.messages.image_reader import ImageReader
 from neo_ros.messages.memory_messages import MEMORY_OUTPUTS, MemorySettings
 from neo_ros.messages.scene_outputs import default_scene_frame, STATUS, WIDENING
@@ -42,6 +43,7 @@ class ReplayResult:
 
     rejected  how many messages, by reason; `words` says why the first one of a reason was
     guided   frames that the scene memory guided
+    assumed  what the camera is taken for, where no camera_info says it; else empty
     """
 
     image_topic: str
@@ -53,6 +55,7 @@ class ReplayResult:
     wall_seconds: float = 0.0
     expand_seconds: float = 0.0
     damages: list[Damage] = field(default_factory=list)
+    assumed: str = ''
 
     @property
     def is_hopeless(self) -> bool:
@@ -99,6 +102,8 @@ def replay(bag: Path | str, extrapolator: FovExtrapolator, out: Path | str,
     check_outputs(outputs)
     with BagReader(bag) as reader:
         camera = find_camera(reader, extrapolator.expansion.source, image_topic, info_topic)
+        if rectify:
+            camera.check_rectify(reader)
         truth = None if truth_topic is None else image_topics(reader, truth_topic)[0]
         result = ReplayResult(camera.image.name)
         start_ns, stop_ns, share = section.stamps(reader)
@@ -256,6 +261,7 @@ class _Replay:
             self._memory.add(stamp_ns, content.header, frame, self._result.rejected)
         self._result.frames += 1
         self._result.guided += frame.guided
+        self._result.assumed = assumed_camera(frame.camera_note) or self._result.assumed
         if self.on_frame is not None:
             # The camera's pixels come back unchanged: the crop is what the model saw.
             self._behind.submit(self.on_frame, stamp_of(content.header),

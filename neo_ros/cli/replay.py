@@ -130,8 +130,8 @@ def _replay_many(bags: Sequence[Path], model: Path, out: Path, options: Any, clu
     table.add_row(*map(escape, last))
     rich.print(table)
     for row in rows:
-        for damage in row.damages:
-            rich.print(f'[yellow]{escape(row.name)}: {escape(damage)}[/yellow]')
+        for words in filter(None, (row.assumed, *row.damages)):
+            rich.print(f'[yellow]{escape(row.name)}: {escape(words)}[/yellow]')
     failed = [row for row in rows if row.error]
     for row in failed:
         rich.print(f'[red]{escape(row.name)} failed: {escape(row.error)}[/red]')
@@ -147,6 +147,8 @@ def _print_result(result: Any, guided: float | None) -> None:
 
     for damage in result.damages:
         rich.print(f'[yellow]{escape(str(damage))}[/yellow]')
+    if result.assumed:
+        rich.print(f'[yellow]{escape(result.assumed)}[/yellow]')
     for reason, count in sorted(result.rejected.items()):
         words = escape(result.words[reason])
         rich.print(f'[yellow]rejected: {count} x {reason}, the first: {words}[/yellow]')

@@ -147,7 +147,7 @@ def _row(job: BagJob, found: ScoredReplay) -> ReplayedBag:
         ring_psnr=None if scores is None else scores.mean['ring_psnr'],
         truth_topic=None if scores is None else found.truth_topic,
         rejected=dict(sorted(result.rejected.items())), lost=lost,
-        damages=[str(damage) for damage in result.damages])
+        damages=[str(damage) for damage in result.damages], assumed=result.assumed)
 
 
 @functools.lru_cache(1)

@@ -82,6 +82,25 @@ def test_a_replay_that_widens_nothing_fails_and_is_not_in_the_way(
     assert f'{MOST_REJECTED + 20} frames' in result.output
 
 
+def test_a_camera_that_nobody_described_is_told_and_not_rectified(
+        tmp_path: Path, app: typer.Typer) -> None:
+    with CameraBag(tmp_path / 'bag') as bag:
+        bag.image('/camera/image_raw', 0, walk_frames(EXPANSION, 1)[0][1][:24, :32])
+        bag.info('/eye/info', 0, EXPANSION.source)
+    arguments = ['replay', str(tmp_path / 'bag'), '--out', str(tmp_path / 'out'), '--model',
+                 str(write_tiny_model(tmp_path / 'm.onnx', EXPANSION))]
+    result = CliRunner().invoke(app, [*arguments, '--rectify'])
+    assert isinstance(result.exception, BagError) and not (tmp_path / 'out').exists()
+    assert 'expected a camera_info beside /camera/image_raw' in str(result.exception)
+    assert '--info-topic: /eye/info' in str(result.exception)
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 0, result.output
+    assert 'no camera_info: the camera is assumed' in ' '.join(result.output.split())
+    with BagReader(tmp_path / 'out') as reader:
+        status = next(reader.messages(['/diagnostics'])).read().status[0]
+    assert status.level == 1 and 'no camera_info' in status.message
+
+
 def test_score_finds_the_truth_or_takes_the_camera_itself(
         tmp_path: Path, app: typer.Typer) -> None:
     expansion = ViewExpansion.to_size(Intrinsics.from_hfov(64, 48, math.pi / 2), 128, 96)

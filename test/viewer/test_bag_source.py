@@ -168,6 +168,10 @@ def test_what_cannot_be_shown_is_named(walk_bag, model, tmp_path):
         BagSource(walk_bag, '/front', model)
     with pytest.raises(ConfigError, match='rate'):
         BagSource(walk_bag, None, model, rate=0)
+    with CameraBag(tmp_path / 'bare') as bag:
+        bag.image('/eye/image_raw', 0, np.zeros((24, 32, 3), np.uint8))
+    with pytest.raises(BagError, match='--rectify: expected a camera_info beside /eye/image_raw'):
+        BagSource(tmp_path / 'bare', None, model, rectify=True)
 
 
 def test_a_bag_is_shown_without_ros():
