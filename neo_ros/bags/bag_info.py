@@ -5,7 +5,7 @@ from pathlib import Path
 import shlex
 
 from neo_ros.bags.bag_scan import BagCamera, BagScan, TopicInfo
-from neo_ros.bags.camera_topics import IMAGE, info_topics, same_frame
+from neo_ros.bags.camera_topics import find_truth_topic, IMAGE, info_topics, same_frame
 from neo_ros.bags.depth_topics import find_depth
 from neo_ros.bags.reading import BagReader
 from neo_ros.bags.recorded_poses import (
@@ -150,18 +150,15 @@ class _Choices:
 
     def find_truth(self, image: BagCamera | None,
                    expansion: ViewExpansion | None) -> BagTopic | None:
-        """Return images of the same frame that are larger: those of the model's wide size."""
+        """Return what a replay scores against; without a model, larger images of one frame."""
         if image is None or image.size is None:
             return None
-        for camera in self._scan.cameras.values():
-            if camera.size is None or camera.frame != image.frame:
-                continue
-            larger = camera.size != image.size and all(
-                a >= b for a, b in zip(camera.size, image.size))
-            if camera.size == (expansion.target.width, expansion.target.height) if (
-                    expansion is not None) else larger:
-                return camera.topic
-        return None
+        if expansion is not None:
+            return find_truth_topic(self._reader, image.topic,
+                                    (expansion.target.width, expansion.target.height))
+        return next((camera.topic for camera in self._scan.cameras.values()
+                     if camera.size not in (None, image.size) and camera.frame == image.frame
+                     and all(a >= b for a, b in zip(camera.size or (), image.size))), None)
 
 
 def _next_command(path: Path, model: Path | None, scan: BagScan, image: BagCamera | None,

@@ -31,7 +31,8 @@ def replay(
         '--score', help='Score: against the wide images of the bag, or, if it has none, '
                         "against the camera's own border.")] = False,
     truth_topic: Annotated[Optional[str], typer.Option(
-        help='Wide images to score against; default: the only ones of that size.')] = None,
+        help='Wide images to score against; default: the only ones of that size in the frame of '
+             'the camera, with its stamps.')] = None,
     output: Annotated[Optional[list[str]], typer.Option(
         help='Also write what the scene memory knows: pose, status, depth, points, panorama, '
              'panorama_mask; may be given several times; default: pose and status.')] = None,
