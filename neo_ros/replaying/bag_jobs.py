@@ -17,7 +17,6 @@ import tempfile
 from typing import Any
 
 from neo_ros import __version__
-from neo_ros.bags.bag_folder import MCAP, plain_name, SQLITE
 from neo_ros.errors import BagError, NeoError
 from neo_ros.machine.files import write_bytes
 from neo_ros.machine.progress import no_progress, Progress
@@ -70,13 +69,6 @@ def asked_of_bag(bag: Path) -> dict[str, Any]:
     """Return what the bytes of one new bag depend on: its size tells of one that was repaired."""
     files = bag.iterdir() if bag.is_dir() else [bag]
     return {'bag': str(bag), 'bytes': sum(file.stat().st_size for file in files if file.is_file())}
-
-
-def bag_name(bag: Path) -> str:
-    """Return the name of a bag folder, or that of a bare file without its endings."""
-    if bag.is_dir():
-        return bag.name
-    return plain_name(bag.name).removesuffix(MCAP).removesuffix(SQLITE)
 
 
 def finished(job: BagJob) -> ReplayedBag | None:

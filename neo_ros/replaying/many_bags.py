@@ -6,12 +6,13 @@ import os
 from pathlib import Path
 import shutil
 
+from neo_ros.bags.bag_folder import bag_name
 from neo_ros.errors import BagError, ConfigError, NeoError
 from neo_ros.machine.files import make_output_folder
 from neo_ros.machine.progress import no_stage_progress, StageProgress
 from neo_ros.machine.ray_jobs import check_ray, map_on_ray
 from neo_ros.replaying.bag_jobs import (
-    asked_of_all, asked_of_bag, bag_name, BagJob, do_job, failed_bag, finished, PARTIAL)
+    asked_of_all, asked_of_bag, BagJob, do_job, failed_bag, finished, PARTIAL)
 from neo_ros.replaying.bag_replayer import ReplayOptions
 from neo_ros.replaying.summary import ReplayedBag, REPORT_FILE, SUMMARY_FILE, write_summary
 from neo_ros.runtime import read_model_card
