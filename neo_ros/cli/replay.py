@@ -12,8 +12,8 @@ def replay(
     bag: Annotated[list[Path], typer.Argument(
         help='Bag folder (MCAP or sqlite3), .mcap or .db3; may be several.')],
     out: Annotated[Path, typer.Option(
-        help='Folder of the new bag; must not exist yet. Of several: folder of the new bags; what '
-             'is finished there is not done again.')],
+        help='Folder of the new bag; must not exist yet. Of several, or where several were '
+             'written before: folder of the new bags; what is finished there is not done again.')],
     model: Annotated[Optional[Path], typer.Option(
         help='Model file (.onnx); default: the shipped demo_flat.onnx.')] = None,
     image_topic: ImageTopic = None,
@@ -58,12 +58,13 @@ def replay(
     from neo_ros.cli.options import refuse
     from neo_ros.machine.files import share_dir
     from neo_ros.replaying.bag_replayer import ReplayOptions
+    from neo_ros.replaying.summary import SUMMARY_FILE
 
     model = model or share_dir() / 'models' / 'demo_flat.onnx'
     options = ReplayOptions(
         image_topic, info_topic, Section(start, end, every), rectify, score, truth_topic,
         tuple(DEFAULT_OUTPUTS if output is None else output), copy)
-    if len(bag) == 1:
+    if len(bag) == 1 and not (out / SUMMARY_FILE).is_file():
         refuse('it shares out several bags, and there is one', cluster=cluster)
         _replay_one(bag[0], model, out, options, side_by_side, learn)
         return
