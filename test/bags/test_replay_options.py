@@ -173,7 +173,7 @@ def test_truth_has_frame_and_stamps_of_the_camera(
     with CameraBag(tmp_path / 'bag') as bag:
         for stamp in (10, 20, 30):
             bag.image(IMAGE, stamp, np.zeros((48, 64, 3), np.uint8))
-            for compressed in (False, True):
+            for compressed in (False, True)[:1 + found]:  # A copy is no second truth.
                 bag.image('/any/image' + '/compressed' * compressed, stamp + late_ns,
                           np.zeros((96, 128, 3), np.uint8), frame, compressed)
     with BagReader(tmp_path / 'bag') as reader:
