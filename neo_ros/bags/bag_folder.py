@@ -79,6 +79,13 @@ def plain_name(name: Any) -> str:
     return Path(str(name)).name.removesuffix(PACKED)
 
 
+def bag_name(bag: Path) -> str:
+    """Return the name of a bag folder, or that of a bare file without its endings."""
+    if bag.is_dir():
+        return bag.name
+    return plain_name(bag.name).removesuffix(MCAP).removesuffix(SQLITE)
+
+
 def _dicts(value: Any) -> list[dict[str, Any]]:
     return [entry for entry in value if isinstance(entry, dict)] if isinstance(
         value, list) else []

@@ -4,8 +4,10 @@ import math
 from pathlib import Path
 import shlex
 
+from neo_ros.bags.bag_folder import bag_name
 from neo_ros.bags.bag_scan import BagCamera, BagScan, TopicInfo
-from neo_ros.bags.camera_topics import IMAGE, info_topics, same_frame
+from neo_ros.bags.camera_topics import (
+    find_truth_topic, IMAGE, info_topics, read_lens, same_frame)
 from neo_ros.bags.depth_topics import find_depth
 from neo_ros.bags.reading import BagReader
 from neo_ros.bags.recorded_poses import (
@@ -104,12 +106,21 @@ class _Choices:
     def _tell_lack_of_info(self, image: BagCamera) -> None:
         infos = info_topics(self._reader)
         near = same_frame(self._reader, image.topic, infos)
-        image.info_option = near[0].name if len(near) == 1 else ''
+        if len(near) == 1:
+            image.info_option = near[0].name
+            image.distorted = self._is_distorted(near[0], image.topic)
         others = (f', as {describe_topics(infos)} with --info-topic, or a file with --camera-info'
                   if infos else '; give a file with --camera-info')
         self.notes.append(f'{image.topic.name} has no camera_info beside it: an import with poses '
                           f'needs it{others}; an import without poses estimates the camera, a '
                           'replay trusts the size of the images')
+
+    def _is_distorted(self, info: BagTopic, image: BagTopic) -> bool:
+        first = self._reader.first(info)
+        try:
+            return first is not None and not read_lens(first, image, info.name).is_pinhole
+        except BagError:  # An import says so.
+            return False
 
     def find_pose(self, image: BagCamera | None) -> tuple[BagTopic | None, str]:
         """
@@ -150,18 +161,15 @@ class _Choices:
 
     def find_truth(self, image: BagCamera | None,
                    expansion: ViewExpansion | None) -> BagTopic | None:
-        """Return images of the same frame that are larger: those of the model's wide size."""
+        """Return what a replay scores against; without a model, larger images of one frame."""
         if image is None or image.size is None:
             return None
-        for camera in self._scan.cameras.values():
-            if camera.size is None or camera.frame != image.frame:
-                continue
-            larger = camera.size != image.size and all(
-                a >= b for a, b in zip(camera.size, image.size))
-            if camera.size == (expansion.target.width, expansion.target.height) if (
-                    expansion is not None) else larger:
-                return camera.topic
-        return None
+        if expansion is not None:
+            return find_truth_topic(self._reader, image.topic,
+                                    (expansion.target.width, expansion.target.height))
+        return next((camera.topic for camera in self._scan.cameras.values()
+                     if camera.size not in (None, image.size) and camera.frame == image.frame
+                     and all(a >= b for a, b in zip(camera.size or (), image.size))), None)
 
 
 def _next_command(path: Path, model: Path | None, scan: BagScan, image: BagCamera | None,
@@ -169,16 +177,18 @@ def _next_command(path: Path, model: Path | None, scan: BagScan, image: BagCamer
     """Return the command line, with topics named where there is a choice."""
     if image is None:
         return ''
-    name = path.resolve().stem
-    several = ['--image-topic', image.topic.name] if len(scan.cameras) > 1 else []
+    name = bag_name(path.resolve())
+    info = ['--info-topic', image.info_option] if image.info_option else []
+    # A replay looks for images of the model's size, or with a camera_info beside them.
+    choose = len(scan.cameras) > 1 or (model is not None and info)
+    several = ['--image-topic', image.topic.name] if choose else []
     if model is not None:
         score = ['--truth-topic', truth.name] if truth is not None else ['--score']
         words = ['replay', str(path), '--model', str(model), '--out', f'out/{name}_wide',
-                 *several, *(['--rectify'] if image.distorted else []), *score]
+                 *several, *info, *(['--rectify'] if image.distorted else []), *score]
     else:
         if pose is not None and not image.calibrated and not image.info_option:
             pose_option = NO_POSES
         chosen = ['--pose-topic', pose_option] if pose_option else []
-        info = ['--info-topic', image.info_option] if image.info_option else []
         words = ['import', str(path), f'out/scenes/{name}', *several, *info, *chosen]
     return shlex.join(['neo', *words])

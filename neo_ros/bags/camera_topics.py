@@ -5,6 +5,7 @@ from typing import Any
 
 from neo_ros.bags.foxglove import VIDEO
 from neo_ros.bags.reading import BagReader, PACKET
+from neo_ros.bags.tf_tree import frame_name
 from neo_ros.bags.topic import BagTopic, CDR, describe_topics, describe_unread
 from neo_ros.errors import BagError, ImageRejected
 from neo_ros.geometry import Intrinsics
@@ -13,6 +14,7 @@ from neo_ros.messages import camera_info_of, image_fields
 from neo_ros.messages.camera_info import read_lens as info_lens
 from neo_ros.messages.depth_image import COMPRESSED_DEPTH, depth_encoding
 from neo_ros.messages.image_reader import ImageReader
+from neo_ros.messages.stamps import stamp_of
 
 IMAGE, COMPRESSED = 'sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage'
 IMAGE_TYPES = (IMAGE, COMPRESSED, VIDEO, PACKET)
@@ -62,6 +64,16 @@ class CameraTopics:
         """Return what the first camera_info says of the images, those before it, too."""
         first = reader.first(self.info) if self.info is not None else None
         return None if first is None else camera_info_of(first, self.image.name)
+
+    def check_rectify(self, reader: BagReader) -> None:
+        """Raise BagError where nothing says which distortion is to be taken out."""
+        if self.first_info(reader) is None:
+            infos = info_topics(reader)
+            remedy = (f'choose one with --info-topic: {describe_topics(infos)}' if infos else
+                      'record it with the images')
+            raise BagError(f'{reader.path}: --rectify: expected a camera_info beside '
+                           f'{self.image.name}, which says the distortion; {remedy}, or leave '
+                           'the option out where the images are straight')
 
 
 def find_camera(reader: BagReader, source: Intrinsics, name: str | None,
@@ -114,10 +126,39 @@ def made_topics(reader: BagReader) -> set[str]:
 
 def find_truth_topic(reader: BagReader, camera: BagTopic, size: tuple[int, int] | None
                      ) -> BagTopic | None:
-    """Return the one image topic of this width and height that no model made, but `camera`."""
+    """
+    Return the one topic that shows what `camera` does in this width and height; no model made it.
+
+    It has the frame of the camera: another camera of the robot may have this size. And an image
+    of each must have one stamp.
+    """
+    frame = first_frame(reader, camera)
     found = [topic for topic in image_topics(reader, None)
-             if topic != camera and first_size(reader, topic) == size]
-    return found[0] if len(found) == 1 else None
+             if topic != camera and first_frame(reader, topic) == frame
+             and first_size(reader, topic) == size]
+    found = without_copies(found)
+    return found[0] if len(found) == 1 and _share_a_stamp(reader, camera, found[0]) else None
+
+
+def first_frame(reader: BagReader, topic: BagTopic) -> str:
+    """Return the frame of a topic's first message; empty where there is none."""
+    first = reader.first(topic)
+    return '' if first is None else frame_name(first.header.frame_id)
+
+
+def _share_a_stamp(reader: BagReader, one: BagTopic, other: BagTopic) -> bool:
+    seen: dict[BagTopic, set[int]] = {one: set(), other: set()}
+    for message in reader.messages([one.name, other.name]):
+        if message.topic not in seen:
+            continue
+        try:
+            stamp_ns = stamp_of(message.read().header)
+        except BagError:
+            continue
+        seen[message.topic].add(stamp_ns)
+        if all(stamp_ns in stamps for stamps in seen.values()):
+            return True
+    return False
 
 
 def image_topics(reader: BagReader, name: str | None) -> list[BagTopic]:

@@ -3,9 +3,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from neo_ros.bags.camera_topics import (
-    base_name, COMPRESSED, find_info_topic, IMAGE, made_topics, read_lens, without_copies)
+    base_name, COMPRESSED, find_info_topic, first_frame, IMAGE, made_topics, read_lens,
+    without_copies)
 from neo_ros.bags.reading import BagReader
-from neo_ros.bags.tf_tree import frame_name, PoseSource, TransformTree
+from neo_ros.bags.tf_tree import PoseSource, TransformTree
 from neo_ros.bags.topic import BagTopic
 from neo_ros.errors import BagError
 from neo_ros.geometry.camera_pose import T_BODY_OPTICAL
@@ -54,8 +55,8 @@ def find_depth(reader: BagReader, image: BagTopic, tree: TransformTree, stamps: 
     that has a camera_info, and transforms that do not change. stamps: of some images.
     """
     topics = depth_topics(reader, image)
-    camera = _frame(reader, image)
-    same = [topic for topic in topics if _frame(reader, topic) == camera]
+    camera = first_frame(reader, image)
+    same = [topic for topic in topics if first_frame(reader, topic) == camera]
     if same:
         # Of several, the one that most images may have.
         topic = max(same, key=lambda one: one.count)
@@ -65,7 +66,7 @@ def find_depth(reader: BagReader, image: BagTopic, tree: TransformTree, stamps: 
     choices: list[tuple[float, DepthChoice]] = []
     lacks = []
     for topic in topics:
-        frame, lens = _frame(reader, topic), _lens(reader, topic)
+        frame, lens = first_frame(reader, topic), _lens(reader, topic)
         T = _between(tree, camera, frame, stamps, x_forward)
         if T is None:
             lacks.append(f'{topic.name}: no transforms that stay from its frame, {frame!r}, to '
@@ -83,11 +84,6 @@ def find_depth(reader: BagReader, image: BagTopic, tree: TransformTree, stamps: 
 
 def _unit(reader: BagReader, topic: BagTopic) -> float:
     return UNITS[str(depth_encoding(reader.first(topic)))]
-
-
-def _frame(reader: BagReader, topic: BagTopic) -> str:
-    first = reader.first(topic)
-    return '' if first is None else frame_name(first.header.frame_id)
 
 
 def _lens(reader: BagReader, topic: BagTopic) -> Lens | None:

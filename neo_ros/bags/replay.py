@@ -20,6 +20,7 @@ from neo_ros.errors import BagError, ImageRejected
 from neo_ros.geometry import ViewExpansion
 from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.messages import camera_info_of, FrameProcessor, image_fields, read_image
+from neo_ros.messages.camera_fit import assumed_camera
 from neo_ros.messages.image_reader import ImageReader
 from neo_ros.messages.memory_messages import MEMORY_OUTPUTS, MemorySettings
 from neo_ros.messages.scene_outputs import default_scene_frame, STATUS, WIDENING
@@ -27,6 +28,9 @@ from neo_ros.messages.stamps import stamp_of
 from neo_ros.runtime import FovExtrapolator, ModelCard
 import numpy as np
 
+# A replay ends where so many images were rejected for one of these, and none was widened: what a
+# calibration says holds for all images of a bag.
+MOST_REJECTED, OF_CALIBRATION = 100, ('camera', 'camera_info')
 # Truth and prediction of one stamp lie close together in a bag; unmatched ones are let go.
 MAX_UNMATCHED = 64
 OnImages = Callable[[int, np.ndarray, np.ndarray], None]
@@ -39,6 +43,7 @@ class ReplayResult:
 
     rejected  how many messages, by reason; `words` says why the first one of a reason was
     guided   frames that the scene memory guided
+    assumed  what the camera is taken for, where no camera_info says it; else empty
     """
 
     image_topic: str
@@ -50,6 +55,13 @@ class ReplayResult:
     wall_seconds: float = 0.0
     expand_seconds: float = 0.0
     damages: list[Damage] = field(default_factory=list)
+    assumed: str = ''
+
+    @property
+    def is_hopeless(self) -> bool:
+        """Whether no image was widened, and many were rejected for their calibration alone."""
+        return not self.frames and len(self.rejected) == 1 and any(
+            self.rejected[reason] >= MOST_REJECTED for reason in OF_CALIBRATION)
 
 
 class _Decoded(NamedTuple):
@@ -82,13 +94,16 @@ def replay(bag: Path | str, extrapolator: FovExtrapolator, out: Path | str,
     `on_frame(stamp_ns, image, wide_image)` gets the model's input and output, RGB uint8. With
     `truth_topic` (wide images), `on_pair(stamp_ns, truth, wide_image)` gets the images of equal
     header stamp. Both are called from the thread that writes. `on_progress(done, total)` counts
-    messages. Images that cannot be used are counted by reason and skipped; raises BagError for
-    bags, topics and outputs that cannot be used.
+    messages. Images that cannot be used are counted by reason and skipped; the replay ends early
+    where the calibration lets none be used. Raises BagError for bags, topics and outputs that
+    cannot be used.
     """
     started = time.perf_counter()
     check_outputs(outputs)
     with BagReader(bag) as reader:
         camera = find_camera(reader, extrapolator.expansion.source, image_topic, info_topic)
+        if rectify:
+            camera.check_rectify(reader)
         truth = None if truth_topic is None else image_topics(reader, truth_topic)[0]
         result = ReplayResult(camera.image.name)
         start_ns, stop_ns, share = section.stamps(reader)
@@ -107,6 +122,8 @@ def replay(bag: Path | str, extrapolator: FovExtrapolator, out: Path | str,
                 if copy:
                     run.copy(entry.message, start_ns)
                 run.take(entry)
+                if result.is_hopeless:
+                    break
                 on_progress(done if section.is_all else min(done, total - 1), total)
             if not section.is_all:
                 on_progress(total, total)
@@ -244,6 +261,7 @@ class _Replay:
             self._memory.add(stamp_ns, content.header, frame, self._result.rejected)
         self._result.frames += 1
         self._result.guided += frame.guided
+        self._result.assumed = assumed_camera(frame.camera_note) or self._result.assumed
         if self.on_frame is not None:
             # The camera's pixels come back unchanged: the crop is what the model saw.
             self._behind.submit(self.on_frame, stamp_of(content.header),

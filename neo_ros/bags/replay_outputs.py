@@ -6,6 +6,7 @@ from typing import Any
 
 from neo_ros.errors import BagError
 from neo_ros.messages import SceneWatch, WideFrame
+from neo_ros.messages.camera_fit import assumed_camera
 from neo_ros.messages.memory_messages import (
     MEMORY_OUTPUTS, MemoryMessages, MemorySettings)
 from neo_ros.messages.scene_outputs import diagnostics_message, Make, OK, WARN, WIDENING
@@ -81,6 +82,8 @@ class ReplayOutputs:
                 'covered, in the dark or out of focus')
         elif rejected:
             level, words = WARN, 'some images are rejected: ' + ', '.join(sorted(rejected))
+        if assumed := assumed_camera(frames[-1].camera_note):
+            level, words = WARN, f'{words}; {assumed}'
         return diagnostics_message(self._make, header, self._name, level, words, {
             'published': str(self._published),
             'rejected': str(rejected.total()),

@@ -18,6 +18,7 @@ from neo_ros.geometry import CameraPose
 from neo_ros.geometry.camera_pose import rotation_from_vector, T_BODY_OPTICAL
 from neo_ros.geometry.lens import Lens
 from neo_ros.machine.progress import no_progress, Progress
+from neo_ros.messages.depth_image import depth_encoding
 from neo_ros.messages.image_reader import ImageReader, is_video
 import numpy as np
 
@@ -96,6 +97,11 @@ def read_bag_capture(path: Path, options: BagOptions = BagOptions(),
                                  [stamp for stamp, _ in scan.images[:MOST_ASKED]],
                                  options.x_forward)
         notes += [lack] if lack else []
+        if (encoding := depth_encoding(reader.first(image))) is not None:
+            notes.append(f'{image.name} has the encoding {encoding}, which is depth: only an '
+                         'import takes it for grey. A model of it is of no use, as replay, node, '
+                         'viewer and update refuse such images: publish them as mono16, and '
+                         'record again')
     notes += [f'{count} messages of {name} are damaged and are left out'
               for name, count in sorted(scan.damaged.items())]
     lens = _lens(path, scan, image, info, options.camera_info, notes)
@@ -124,7 +130,8 @@ def read_bag_capture(path: Path, options: BagOptions = BagOptions(),
         places, frames = _without_start(path, image, places, frames, notes, stream)
         stream = _stream(path, image, places, depth_as_grey)
     next(stream([0]), None)  # What cannot be decoded at all is refused before anything is written.
-    capture = Capture(tuple(frames), tuple(notes), stream, origin_of(path),
+    topics = [image.name, image.msgtype, *([] if depth is None else [depth.topic.name])]
+    capture = Capture(tuple(frames), tuple(notes), stream, origin_of(path, topics),
                       z_up=source is not None)  # REP-103
     return capture if depth is None else with_depth(capture, path, depth, scan.depths[depth.topic])
 

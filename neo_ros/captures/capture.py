@@ -163,12 +163,17 @@ class Capture:
             depth_stream=None if depth_stream is None else _chosen(depth_stream, chosen))
 
 
-def origin_of(source: Path) -> str:
-    """Describe the files of a bag or video: another recording has others."""
+def origin_of(source: Path, topics: Sequence[str] = ()) -> str:
+    """
+    Describe the files of a bag or video: another recording has others.
+
+    topics: of a bag, those that are read. Two cameras may share stamps, frame and lens.
+    """
     files = sorted(path for path in source.iterdir() if path.is_file()) if (
         source.is_dir()) else [source]
-    return repr([(str(path.resolve()), path.stat().st_size, path.stat().st_mtime_ns)
-                 for path in files])
+    states = [(str(path.resolve()), path.stat().st_size, path.stat().st_mtime_ns)
+              for path in files]
+    return repr([*states, *topics])
 
 
 def scene_name(file: Path, folder: Path) -> str:

@@ -12,8 +12,8 @@ def replay(
     bag: Annotated[list[Path], typer.Argument(
         help='Bag folder (MCAP or sqlite3), .mcap or .db3; may be several.')],
     out: Annotated[Path, typer.Option(
-        help='Folder of the new bag; must not exist yet. Of several: folder of the new bags; what '
-             'is finished there is not done again.')],
+        help='Folder of the new bag; must not exist yet. Of several, or where several were '
+             'written before: folder of the new bags; what is finished there is not done again.')],
     model: Annotated[Optional[Path], typer.Option(
         help='Model file (.onnx); default: the shipped demo_flat.onnx.')] = None,
     image_topic: ImageTopic = None,
@@ -31,7 +31,8 @@ def replay(
         '--score', help='Score: against the wide images of the bag, or, if it has none, '
                         "against the camera's own border.")] = False,
     truth_topic: Annotated[Optional[str], typer.Option(
-        help='Wide images to score against; default: the only ones of that size.')] = None,
+        help='Wide images to score against; default: the only ones of that size in the frame of '
+             'the camera, with its stamps.')] = None,
     output: Annotated[Optional[list[str]], typer.Option(
         help='Also write what the scene memory knows: pose, status, depth, points, panorama, '
              'panorama_mask; may be given several times; default: pose and status.')] = None,
@@ -57,12 +58,13 @@ def replay(
     from neo_ros.cli.options import refuse
     from neo_ros.machine.files import share_dir
     from neo_ros.replaying.bag_replayer import ReplayOptions
+    from neo_ros.replaying.summary import SUMMARY_FILE
 
     model = model or share_dir() / 'models' / 'demo_flat.onnx'
     options = ReplayOptions(
         image_topic, info_topic, Section(start, end, every), rectify, score, truth_topic,
         tuple(DEFAULT_OUTPUTS if output is None else output), copy)
-    if len(bag) == 1:
+    if len(bag) == 1 and not (out / SUMMARY_FILE).is_file():
         refuse('it shares out several bags, and there is one', cluster=cluster)
         _replay_one(bag[0], model, out, options, side_by_side, learn)
         return
@@ -106,8 +108,7 @@ def _replay_one(bag: Path, model: Path, out: Path, options: Any, side_by_side: P
     for written in (out, side_by_side):
         if written is not None and written.exists():
             rich.print(f'Written: {escape(str(written))}')
-    if found.result.frames:
-        tell_next('neo', 'view', '--bag', out)
+    tell_next('neo', 'view', '--bag', out)
 
 
 def _replay_many(bags: Sequence[Path], model: Path, out: Path, options: Any, cluster: bool
@@ -131,8 +132,8 @@ def _replay_many(bags: Sequence[Path], model: Path, out: Path, options: Any, clu
     table.add_row(*map(escape, last))
     rich.print(table)
     for row in rows:
-        for damage in row.damages:
-            rich.print(f'[yellow]{escape(row.name)}: {escape(damage)}[/yellow]')
+        for words in filter(None, (row.assumed, *row.damages)):
+            rich.print(f'[yellow]{escape(row.name)}: {escape(words)}[/yellow]')
     failed = [row for row in rows if row.error]
     for row in failed:
         rich.print(f'[red]{escape(row.name)} failed: {escape(row.error)}[/red]')
@@ -148,11 +149,13 @@ def _print_result(result: Any, guided: float | None) -> None:
 
     for damage in result.damages:
         rich.print(f'[yellow]{escape(str(damage))}[/yellow]')
+    if result.assumed:
+        rich.print(f'[yellow]{escape(result.assumed)}[/yellow]')
     for reason, count in sorted(result.rejected.items()):
         words = escape(result.words[reason])
         rich.print(f'[yellow]rejected: {count} x {reason}, the first: {words}[/yellow]')
     rate = result.frames / result.wall_seconds
-    model_rate = result.frames / result.expand_seconds if result.frames else 0.0
+    model_rate = result.frames / result.expand_seconds
     rich.print(f'{escape(result.image_topic)}: {result.frames} frames at {rate:.1f} Hz '
                f'(the model alone: {model_rate:.1f} Hz)')
     if guided is not None:

@@ -3,7 +3,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Optional
 
-from neo_ros.cli.options import Rectify
+from neo_ros.cli.options import InfoTopic, Rectify
 import typer
 
 
@@ -20,6 +20,7 @@ def view(
         'map.')] = None,
     rate: Annotated[Optional[float], typer.Option(
         help='How many times as fast as the bag was recorded; default: 1.', min=0.001)] = None,
+    info_topic: InfoTopic = None,
     rectify: Rectify = False,
     sim_time: Annotated[bool, typer.Option(
         '--sim-time', help='Take the time from /clock, as for a bag that is played.')] = False,
@@ -57,11 +58,11 @@ def view(
 
         refuse('expected only without --bag, whose time is its own', sim_time=sim_time)
         source = BagSource(bag, topic, model or share_dir() / 'models' / 'demo_flat.onnx',
-                           1.0 if rate is None else rate, rectify)
+                           1.0 if rate is None else rate, rectify, info_topic)
         serve(source, settings(model=model or source.model), typer.echo)
         end_if_busy()
         return
-    refuse('expected only with --bag', rate=rate, rectify=rectify)
+    refuse('expected only with --bag', rate=rate, rectify=rectify, info_topic=info_topic)
     from neo_ros.viewer.main import serve_topic
     import rclpy
     from rclpy.parameter import Parameter

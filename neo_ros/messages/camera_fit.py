@@ -108,6 +108,11 @@ class CameraFit:
         return fields | {'r': r}
 
 
+def assumed_camera(note: str) -> str:
+    """Return what a camera is taken for by the note of its fit; empty where it is known."""
+    return f'{note}, without distortion' if note.startswith(NO_CAMERA_INFO) else ''
+
+
 def camera_key(message: Any | None) -> Hashable:
     """Return what tells two CameraInfo messages apart, apart from their headers."""
     if message is None:

@@ -175,7 +175,7 @@ def _refuse_distortion(message: Any) -> None:
         raise _rejected(
             f'd: rectified input required, got distortion {distortion.tolist()!s:.200} '
             f'({message.distortion_model!r:.40}); take image_rect of image_proc, or set the '
-            'parameter rectify')
+            'parameter rectify, as an option --rectify')
 
 
 def _fold_window(message: Any, matrix: np.ndarray, columns: int,

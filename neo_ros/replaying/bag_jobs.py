@@ -5,7 +5,6 @@ A new bag is written under another name and gets its own once it is whole, with 
 for beside it. So what has the name is finished: a run that was broken off goes on behind it, and
 a job that was begun twice is done once.
 """
-from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -18,7 +17,6 @@ import tempfile
 from typing import Any
 
 from neo_ros import __version__
-from neo_ros.bags.bag_folder import MCAP, plain_name, SQLITE
 from neo_ros.errors import BagError, NeoError
 from neo_ros.machine.files import write_bytes
 from neo_ros.machine.progress import no_progress, Progress
@@ -73,13 +71,6 @@ def asked_of_bag(bag: Path) -> dict[str, Any]:
     return {'bag': str(bag), 'bytes': sum(file.stat().st_size for file in files if file.is_file())}
 
 
-def bag_name(bag: Path) -> str:
-    """Return the name of a bag folder, or that of a bare file without its endings."""
-    if bag.is_dir():
-        return bag.name
-    return plain_name(bag.name).removesuffix(MCAP).removesuffix(SQLITE)
-
-
 def finished(job: BagJob) -> ReplayedBag | None:
     """
     Return what became of a job that is finished; None where nothing has its name.
@@ -121,8 +112,6 @@ def _replay(job: BagJob, on_progress: Progress) -> ReplayedBag:
     replayer = _replayer(job.model, job.asked['model'], job.threads)
     with _attempt(job.out) as partial:
         found = replayer.replay(job.bag, partial, job.options, on_progress=on_progress)
-        if not found.result.frames:
-            raise BagError(f'{job.bag}: no image could be widened{_why(found)}')
         if found.scores is not None:
             found.scores.write(partial, found.about)
         row = _row(job, found)
@@ -150,14 +139,7 @@ def _row(job: BagJob, found: ScoredReplay) -> ReplayedBag:
         ring_psnr=None if scores is None else scores.mean['ring_psnr'],
         truth_topic=None if scores is None else found.truth_topic,
         rejected=dict(sorted(result.rejected.items())), lost=lost,
-        damages=[str(damage) for damage in result.damages])
-
-
-def _why(found: ScoredReplay) -> str:
-    """Say why no image was widened; empty where there was none."""
-    rejected: Counter[str] = found.result.rejected
-    return ''.join(f'; rejected: {count} x {reason}, the first: {found.result.words[reason]}'
-                   for reason, count in rejected.most_common(1))
+        damages=[str(damage) for damage in result.damages], assumed=result.assumed)
 
 
 @functools.lru_cache(1)

@@ -1,12 +1,14 @@
 """One bag: widened, and scored if asked."""
 from dataclasses import dataclass
 from pathlib import Path
+import shutil
 from typing import Any
 
 from neo_ros.bags import BagReader, replay, ReplayResult, Section
 from neo_ros.bags.camera_topics import find_camera, find_truth_topic
 from neo_ros.bags.replay import OnImages
 from neo_ros.bags.replay_outputs import DEFAULT_OUTPUTS
+from neo_ros.errors import BagError
 from neo_ros.evaluation.bag_scores import BagScores
 from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.runtime import FovExtrapolator
@@ -73,7 +75,8 @@ class BagReplayer:
         Write the new bag `out`; its scores are the caller's to write.
 
         on_frame  as in `bags.replay`
-        Raises BagError as `bags.replay` does.
+        Raises BagError as `bags.replay` does, and where no image could be widened; of that nothing
+        is left.
         """
         self.extrapolator.reset()
         if not self._learns:  # Else a bag would depend on those before it.
@@ -92,8 +95,11 @@ class BagReplayer:
             options.section, options.rectify, take if takers else None,
             None if scores is None else scores.add_pair, on_progress, options.outputs,
             options.info_topic)
+        if not result.frames:
+            shutil.rmtree(out, ignore_errors=True)  # It would stand in the way of the next try.
+            raise BagError(f'{bag}: no image could be widened{_why(result)}')
         card, guided = self.extrapolator.card, None
-        if card.memory is not None and result.frames:
+        if card.memory is not None:
             guided = round(result.guided / result.frames, 4)
         about = {'bag': bag.name, 'image_topic': result.image_topic, 'truth_topic': truth_topic,
                  'model': self.model.name, 'scene_id': card.scene_id,
@@ -125,3 +131,10 @@ class BagReplayer:
         self._scored.forget_light()
         expand = self._scored.expand
         return BagScores(expansion, lambda image: expand(image).wide_image), None
+
+
+def _why(result: ReplayResult) -> str:
+    """Say why no image was widened; empty where there was none."""
+    rejected = [f'rejected: {count} x {reason}, the first: {result.words[reason]}'
+                for reason, count in result.rejected.most_common(1)]
+    return ''.join(f'; {words}' for words in (*rejected, *result.damages))

@@ -6,12 +6,13 @@ import os
 from pathlib import Path
 import shutil
 
+from neo_ros.bags.bag_folder import bag_name
 from neo_ros.errors import BagError, ConfigError, NeoError
 from neo_ros.machine.files import make_output_folder
 from neo_ros.machine.progress import no_stage_progress, StageProgress
 from neo_ros.machine.ray_jobs import check_ray, map_on_ray
 from neo_ros.replaying.bag_jobs import (
-    asked_of_all, asked_of_bag, bag_name, BagJob, do_job, failed_bag, finished, PARTIAL)
+    asked_of_all, asked_of_bag, BagJob, do_job, failed_bag, finished, PARTIAL)
 from neo_ros.replaying.bag_replayer import ReplayOptions
 from neo_ros.replaying.summary import ReplayedBag, REPORT_FILE, SUMMARY_FILE, write_summary
 from neo_ros.runtime import read_model_card
@@ -24,21 +25,22 @@ def replay_bags(bags: Sequence[Path], model: Path, out: Path, options: ReplayOpt
     Replay bags into a folder with one new bag each, bags.json and report.html.
 
     What is finished there, of the same bag with the same model and options, is not done again. A
-    bag that fails says so in its ReplayedBag; the others go on. `cluster` hands them to Ray, see
+    bag that fails, or in whose place something else is, says so in its ReplayedBag; the others go
+    on. `cluster` hands them to Ray, see
     `map_on_ray`: all its machines need the same paths. Returns the bags in their order.
     Raises ConfigError for names that clash and a cluster that is not there, BagError where
-    something else is in the way, ModelError as `read_model_card` does.
+    something else is in the way of all, ModelError as `read_model_card` does.
     """
     if cluster:
         check_ray()
     card = read_model_card(model)
     jobs = bag_jobs(bags, model, out, options, threads=1 if cluster else 0)
     if (out / 'metadata.yaml').exists():
-        raise BagError(f'{out}: is a bag itself; choose another folder for several')
+        raise BagError(f'{out}: is a bag itself, as neo replay makes it of a single one; remove '
+                       'it or choose another folder for several')
     with _alone_in(make_output_folder(out)):
         shutil.rmtree(out / PARTIAL, ignore_errors=True)
-        found = {index: done for index, job in enumerate(jobs)
-                 if (done := finished(job)) is not None}
+        found = _finished(jobs)
         left = [index for index in range(len(jobs)) if index not in found]
         progress('replaying, bags', len(found), len(jobs))
         for index, row in _done(jobs, left, cluster, progress):
@@ -71,6 +73,22 @@ def bag_jobs(bags: Sequence[Path], model: Path, out: Path, options: ReplayOption
         jobs.append(BagJob(bag, out / name, model, options, threads,
                            {**asked, **asked_of_bag(bag)}))
     return jobs
+
+
+def _finished(jobs: Sequence[BagJob]) -> dict[int, ReplayedBag]:
+    """Return by number the bags that are finished, and those in whose place something else is."""
+    found, refused = dict[int, ReplayedBag](), list[BagError]()
+    for index, job in enumerate(jobs):
+        try:
+            done = finished(job)
+        except BagError as error:
+            done = failed_bag(job, str(error))
+            refused.append(error)
+        if done is not None:
+            found[index] = done
+    if len(refused) == len(jobs):  # Nothing can be done, and the folder may be somebody else's.
+        raise refused[0]
+    return found
 
 
 def _done(jobs: Sequence[BagJob], left: Sequence[int], cluster: bool, progress: StageProgress

@@ -22,6 +22,7 @@ class ReplayedBag:
     truth_topic  the wide images they were scored against; None: the camera's own border
     rejected     how many messages, by reason
     lost         messages that could not be read; None where nobody knows how many there were
+    assumed      what its camera was taken for, where no camera_info says it
     error        why there is no new bag; empty where there is one
     """
 
@@ -35,6 +36,7 @@ class ReplayedBag:
     rejected: dict[str, int] = field(default_factory=dict)
     lost: int | None = 0
     damages: list[str] = field(default_factory=list)
+    assumed: str = ''
     error: str = ''
 
     @property
@@ -99,7 +101,8 @@ def write_summary(folder: Path, rows: Sequence[ReplayedBag], about: dict[str, An
               'scored. The ring is what the model made up.', strong_row=len(rows))]
     failed = [f'{row.name}: {row.error}' for row in rows if row.error]
     damages = [f'{row.name}: {damage}' for row in rows for damage in row.damages]
-    for title, told in (('Failed', failed), ('Damaged', damages)):
+    assumed = [f'{row.name}: {row.assumed}' for row in rows if row.assumed]
+    for title, told in (('Failed', failed), ('Damaged', damages), ('Assumed', assumed)):
         if told:
             sections.append(Text('\n'.join(told), title))
     write_report(folder / REPORT_FILE, f'{len(rows)} bags, widened', sections)

@@ -2,6 +2,7 @@
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+import logging
 from pathlib import Path
 from typing import cast, NamedTuple
 
@@ -14,11 +15,13 @@ from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.memory.learning import LearningThresholds
 from neo_ros.memory.sight import Guide
 from neo_ros.messages import camera_info_of, FrameProcessor
+from neo_ros.messages.camera_fit import assumed_camera
 from neo_ros.messages.frame_processor import WideFrame
 from neo_ros.messages.image_reader import ImageReader
 from neo_ros.runtime import FovExtrapolator
 import numpy as np
 
+logger = logging.getLogger(__name__)
 # Of a bag so many photos are kept at most; of a longer one those that are farther apart.
 MOST_PHOTOS = 400
 # Images without a pose are kept where they differ from the one before by so many grey levels.
@@ -43,7 +46,8 @@ class Drive:
     """
     Photos of a bag, uint8 RGB (h, w, 3) each, their poses, and how many images it has.
 
-    numbers: of the photos in the bag; lost: images between them.
+    numbers: of the photos in the bag; lost: images between them. assumed: what the camera is
+    taken for, where no camera_info says it.
     """
 
     images: list[np.ndarray]
@@ -51,6 +55,7 @@ class Drive:
     seen: int
     numbers: list[int]
     lost: list[LostImage]
+    assumed: str = ''
 
     def with_more(self, images: list[np.ndarray], poses: list[CameraPose],
                   numbers: list[int]) -> 'Drive':
@@ -71,6 +76,8 @@ def drive_through(bag: Path, extrapolator: FovExtrapolator, image_topic: str | N
     images that cannot be used, and where no image is believed.
     """
     drive, other = _drive(bag, extrapolator, image_topic, info_topic, rectify, progress, limits)
+    if drive.assumed:
+        logger.warning('%s: %s', bag, drive.assumed)
     if other:
         drive, _ = _drive(bag, extrapolator, image_topic, info_topic, rectify, progress, limits)
     return drive
@@ -81,13 +88,14 @@ def _drive(bag: Path, extrapolator: FovExtrapolator, image_topic: str | None,
            ) -> tuple[Drive, bool]:
     """Return the drive, and whether a photo of it was taken in another light."""
     other, photos = False, list[tuple[np.ndarray, CameraPose, int]]()
-    seen, metres, radians = 0, limits.metres, limits.radians
+    assumed, seen, metres, radians = '', 0, limits.metres, limits.radians
     lost, rejected = _LostImages(), Counter[str]()
     extrapolator.reset()
     with BagReader(bag) as reader:
         for frame in _frames(reader, extrapolator, image_topic, info_topic, rectify, rejected,
                              progress):
             seen += 1
+            assumed = assumed_camera(frame.camera_note) or assumed
             guide = cast(Guide | None, frame.guide)
             assert frame.image is not None
             image = np.array(extrapolator.expansion.crop(frame.image))
@@ -108,7 +116,7 @@ def _drive(bag: Path, extrapolator: FovExtrapolator, image_topic: str | None,
         raise BagError(f'{bag}: of {seen} images none shows the scene of '
                        f'{extrapolator.card.scene_id}; give bags of the same place and camera')
     images, poses, numbers = map(list, zip(*photos)) if photos else ([], [], [])
-    return Drive(images, poses, seen, numbers, lost.kept), other
+    return Drive(images, poses, seen, numbers, lost.kept, assumed), other
 
 
 class _LostImages:
@@ -139,6 +147,8 @@ def _frames(reader: BagReader, extrapolator: FovExtrapolator, image_topic: str |
             ) -> Iterator[WideFrame]:
     """Yield the WideFrame of each image that can be read; count why others are rejected."""
     topics = find_camera(reader, extrapolator.expansion.source, image_topic, info_topic)
+    if rectify:
+        topics.check_rectify(reader)
     processor, images = FrameProcessor(extrapolator, rectify), ImageReader()
     info = topics.first_info(reader)
     names = [topic.name for topic in (topics.image, topics.info) if topic is not None]

@@ -37,15 +37,16 @@ class BagSource:
 
     A bag with a topic .../wide/image, as `neo replay` and `neo record` write it, is shown as it
     is; else the camera (`topic`, or the only one) is widened with the model of `model`, without
-    its lens distortion if `rectify`. Of several wide topics the viewers choose. Raises BagError
-    for bags and topics that cannot be used, ModelError for the model.
+    its lens distortion if `rectify`; `info_topic` names its calibration where that is not beside
+    it. Of several wide topics the viewers choose. Raises BagError for bags and topics that cannot
+    be used, ModelError for the model.
     """
 
     def __init__(self, bag: Path, topic: str | None, model: Path, rate: float = 1.0,
-                 rectify: bool = False) -> None:
+                 rectify: bool = False, info_topic: str | None = None) -> None:
         if not rate > 0:
             raise ConfigError(f'rate: expected a number > 0, got {rate}')
-        self._bag, self._rectify = bag, rectify
+        self._bag, self._rectify, self._info_topic = bag, rectify, info_topic
         # The model that its camera is widened with; None where it has wide images.
         self.model: Path | None = None
         with BagReader(bag) as reader:
@@ -73,7 +74,10 @@ class BagSource:
         self.model, target = model, extrapolator.expansion.target
         self._memory = extrapolator.card.memory is not None
         self._processor = FrameProcessor(extrapolator, self._rectify)
-        self._camera = find_camera(reader, extrapolator.expansion.source, topic)
+        self._camera = find_camera(reader, extrapolator.expansion.source, topic,
+                                   self._info_topic)
+        if self._rectify:
+            self._camera.check_rectify(reader)
         image, info = self._camera.image, self._camera.info
         self._info = '' if info is None else info.name, self._camera.first_info(reader)
         return image.name, find_truth_topic(reader, image, (target.width, target.height))

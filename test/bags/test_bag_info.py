@@ -174,6 +174,29 @@ def test_a_calibration_that_is_not_beside_the_images_is_proposed_where_its_frame
         assert result.exit_code == 0, result.output
 
 
+def test_a_replay_is_proposed_with_the_calibration_that_was_found(tmp_path: Path) -> None:
+    with CameraBag(tmp_path / 'drive_2024.05.01') as bag:
+        bag.info('/eye/info_raw', 0, Intrinsics.from_hfov(64, 48, 2.0), d=np.full(5, 1e-3))
+        bag.image('/eye/image_raw', 1, np.zeros((48, 64, 3), np.uint8))
+    model = write_tiny_model(tmp_path / 'm.onnx', EXPANSION)
+    command = shlex.split(read_bag_info(tmp_path / 'drive_2024.05.01', model, EXPANSION).next)
+    assert command[5:-1] == [
+        '--out', 'out/drive_2024.05.01_wide', '--image-topic', '/eye/image_raw', '--info-topic',
+        '/eye/info_raw', '--rectify']
+    command[6] = str(tmp_path / 'out')
+    assert command.pop() == '--score'  # These images are too small for it.
+    result = CliRunner().invoke(app, command[1:])
+    assert result.exit_code == 0, result.output
+
+
+def test_two_drives_of_one_month_become_two_scenes(tmp_path: Path) -> None:
+    for day in ('01', '02'):
+        with CameraBag(tmp_path / f'drive_2024.05.{day}') as bag:
+            bag.image(IMAGE, 1, np.zeros((24, 32, 3), np.uint8))
+        for path in (bag.path, bag.path / f'{bag.path.name}.mcap'):
+            assert f'out/scenes/drive_2024.05.{day} ' in read_bag_info(path).next + ' '
+
+
 def test_depth_is_told_by_its_encoding_not_by_a_name(tmp_path: Path) -> None:
     with CameraBag(tmp_path / 'bag') as bag:
         for stamp in range(2):

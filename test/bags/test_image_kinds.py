@@ -188,5 +188,8 @@ def test_depth_is_grey_where_its_topic_is_named(tmp_path: Path) -> None:
         fields = vars(encoded_message(FLAT, '16UC1'))
         bag.send(topic, IMAGE, stamp_ns, **(fields | {'header': header}))
 
-    images, _ = imported(write_drive(tmp_path / 'bag', TOPIC, send), TOPIC)
+    images, notes = imported(write_drive(tmp_path / 'bag', TOPIC, send), TOPIC)
     np.testing.assert_array_equal(images[0], read_image(encoded_message(FLAT, 'mono16')))
+    # A model of them would widen nothing: all else takes them for depth.
+    warning, = [note for note in notes if f'{TOPIC} has the encoding 16UC1' in note]
+    assert 'publish them as mono16' in warning

@@ -88,7 +88,9 @@ def test_the_viewer_reads_the_diagnosis_of_the_replay(tmp_path, bag, extrapolato
     assert names.count('/motors') == 3 and names.count('/eye/fov_extrapolator: widening') == 2
     reader = NodeDiagnosis('/eye')
     verdicts = [found for array in arrays if (found := reader.read(array.status))]
-    assert [verdict['level'] for verdict in verdicts] == [0, 0]
+    # A warning: the bag says nothing of its camera.
+    assert [verdict['level'] for verdict in verdicts] == [1, 1]
+    assert all('; no camera_info: the camera' in verdict['message'] for verdict in verdicts)
     assert not any(verdict['out_of_scene'] for verdict in verdicts)
     assert all(verdict['node_ms'] is None for verdict in verdicts)
 

@@ -9,6 +9,7 @@ from bag_files import START_NS, walk_frames, write_walk_bag
 import box_room
 from camera_bags import CameraBag
 from neo_ros.bags import BagReader, replay, Section
+from neo_ros.bags.bag_info import read_bag_info
 from neo_ros.bags.camera_topics import CAMERA_INFO, find_camera, find_truth_topic
 from neo_ros.bags.demo_bag import write_demo_bag
 from neo_ros.bags.qos import LATCHED
@@ -16,6 +17,7 @@ from neo_ros.cli.main import app
 from neo_ros.errors import BagError, NeoError
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.messages import image_fields, read_image
+from neo_ros.replaying.bag_replayer import BagReplayer, ReplayOptions
 from neo_ros.reports.side_by_side import SideBySide
 from neo_ros.runtime import FovExtrapolator
 import numpy as np
@@ -160,6 +162,30 @@ def test_what_a_model_made_is_no_truth_without_its_mask(tmp_path) -> None:
         bag.image('/front/wide/image', 1, np.zeros((24, 32, 3), np.uint8))
     with BagReader(tmp_path / 'other') as reader:
         assert find_camera(reader, EXPANSION.source, None).image.name == '/front/wide/image'
+
+
+@pytest.mark.parametrize(('frame', 'late_ns', 'found'), [
+    ('optical', 0, True), ('/optical', 0, True), ('rear', 0, False), ('optical', 1, False)],
+    ids=['its own', 'of ROS 1', 'of another camera', 'other stamps'])
+def test_truth_has_frame_and_stamps_of_the_camera(
+        tmp_path: Path, frame: str, late_ns: int, found: bool) -> None:
+    expansion = ViewExpansion.to_size(Intrinsics.from_hfov(64, 48, math.pi / 2), 128, 96)
+    with CameraBag(tmp_path / 'bag') as bag:
+        for stamp in (10, 20, 30):
+            bag.image(IMAGE, stamp, np.zeros((48, 64, 3), np.uint8))
+            for compressed in (False, True)[:1 + found]:  # A copy is no second truth.
+                bag.image('/any/image' + '/compressed' * compressed, stamp + late_ns,
+                          np.zeros((96, 128, 3), np.uint8), frame, compressed)
+    with BagReader(tmp_path / 'bag') as reader:
+        truth = find_truth_topic(reader, find_camera(reader, expansion.source, None).image,
+                                 (128, 96))
+    assert (truth.name if truth is not None else None) == ('/any/image' if found else None)
+    info = read_bag_info(tmp_path / 'bag', Path('m.onnx'), expansion)
+    assert info.next.endswith('--truth-topic /any/image' if found else '--score')
+    replayer = BagReplayer(write_tiny_model(tmp_path / 'm.onnx', expansion))
+    replayed = replayer.replay(tmp_path / 'bag', tmp_path / 'out', ReplayOptions(score=True))
+    assert replayed.scores is not None and len(replayed.scores.rows) == 3
+    assert (replayed.truth_topic is not None) == found
 
 
 def test_an_error_of_a_callback_ends_the_replay(tmp_path, walk_bag, extrapolator) -> None:

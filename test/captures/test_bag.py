@@ -1,6 +1,7 @@
 """A recorded bag as a capture: cameras, calibrations and poses however they were recorded."""
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 import math
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import cv2
 from neo_ros.bags import BagReader, BagWriter
 from neo_ros.bags.tf_tree import PoseTrack
 from neo_ros.captures.bag import BagOptions, read_bag_capture
+from neo_ros.captures.capture import origin_of
 from neo_ros.captures.scene_writing import write_capture
 from neo_ros.errors import BagError, SceneError
 from neo_ros.geometry import CameraPose, Intrinsics
@@ -179,6 +181,27 @@ def test_one_of_two_cameras_is_chosen_by_name(tmp_path: Path, image_topic: str) 
         read_bag_capture(tmp_path / 'bag')
     assert len(read_bag_capture(tmp_path / 'bag', BagOptions(image_topic))) == (
         4 if 'left' in image_topic else 2)
+
+
+def test_the_other_camera_does_not_keep_the_images_of_the_first(tmp_path: Path) -> None:
+    # A rectified pair has one frame, one lens and the same stamps.
+    left, right = '/left/image_rect', '/right/image_rect'
+    with CameraBag(tmp_path / 'bag') as bag:
+        add_mount(bag)
+        add_tf(bag)
+        add_camera(bag, left, '/left/camera_info')
+        for i in range(COUNT):
+            bag.image(right, START + i * STEP, 255 - IMAGES[i])
+            bag.info('/right/camera_info', START + i * STEP, CAMERA)
+    scene, shown = tmp_path / 'scene', {left: IMAGES, right: 255 - IMAGES}
+    for topic in (left, right):
+        capture = read_bag_capture(tmp_path / 'bag', BagOptions(topic))
+        write_capture(capture, scene)
+        np.testing.assert_array_equal(read_scene(scene).train.read_images(), shown[topic])
+    # An import of before noted no topics: nobody knows which images lie there.
+    write_capture(replace(capture, origin=origin_of(tmp_path / 'bag')), scene)
+    write_capture(read_bag_capture(tmp_path / 'bag', BagOptions(left)), scene)
+    np.testing.assert_array_equal(read_scene(scene).train.read_images(), IMAGES)
 
 
 def test_raw_images_are_preferred_to_their_compressed_copies(tmp_path: Path) -> None:

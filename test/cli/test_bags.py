@@ -4,14 +4,17 @@ import math
 from pathlib import Path
 
 from bag_files import walk_frames, write_walk_bag
+from camera_bags import CameraBag
 from neo_ros.bags import BagReader, BagWriter
 from neo_ros.bags.camera_topics import find_image_topic
+from neo_ros.bags.replay import MOST_REJECTED
 from neo_ros.cli.inspect import inspect
 from neo_ros.cli.replay import replay
-from neo_ros.errors import ModelError
+from neo_ros.errors import BagError, ModelError
 from neo_ros.evaluation.metrics import score_frame
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.runtime import FovExtrapolator
+import numpy as np
 import pytest
 from tiny_model import write_tiny_model
 import typer
@@ -57,6 +60,45 @@ def test_replay_without_truth_writes_no_scores(tmp_path: Path, app: typer.Typer)
         'replay', str(bag), '--model', str(model), '--out', str(tmp_path / 'out'), '--no-copy'])
     assert result.exit_code == 0, result.output
     assert not (tmp_path / 'out' / 'scores.json').exists()
+
+
+def test_a_replay_that_widens_nothing_fails_and_is_not_in_the_way(
+        tmp_path: Path, app: typer.Typer) -> None:
+    seen = [wide for _, wide, _ in walk_frames(EXPANSION, 1)]
+    with CameraBag(tmp_path / 'bag') as bag:
+        bag.info('/camera/camera_info', 0, Intrinsics.from_hfov(64, 48, 2.0), d=np.full(5, 1e-3))
+        for stamp in range(MOST_REJECTED + 20):
+            bag.image('/camera/image_raw', stamp, seen[0])
+    arguments = ['replay', str(tmp_path / 'bag'), '--out', str(tmp_path / 'out'), '--model',
+                 str(write_tiny_model(tmp_path / 'm.onnx', EXPANSION))]
+    result = CliRunner().invoke(app, arguments)
+    assert isinstance(result.exception, BagError)
+    # It ends early: the other images have the same calibration.
+    assert f'no image could be widened; rejected: {MOST_REJECTED} x camera_info' in str(
+        result.exception)
+    assert '--rectify' in str(result.exception) and not (tmp_path / 'out').exists()
+    result = CliRunner().invoke(app, [*arguments, '--rectify'])
+    assert result.exit_code == 0, result.output
+    assert f'{MOST_REJECTED + 20} frames' in result.output
+
+
+def test_a_camera_that_nobody_described_is_told_and_not_rectified(
+        tmp_path: Path, app: typer.Typer) -> None:
+    with CameraBag(tmp_path / 'bag') as bag:
+        bag.image('/camera/image_raw', 0, walk_frames(EXPANSION, 1)[0][1][:24, :32])
+        bag.info('/eye/info', 0, EXPANSION.source)
+    arguments = ['replay', str(tmp_path / 'bag'), '--out', str(tmp_path / 'out'), '--model',
+                 str(write_tiny_model(tmp_path / 'm.onnx', EXPANSION))]
+    result = CliRunner().invoke(app, [*arguments, '--rectify'])
+    assert isinstance(result.exception, BagError) and not (tmp_path / 'out').exists()
+    assert 'expected a camera_info beside /camera/image_raw' in str(result.exception)
+    assert '--info-topic: /eye/info' in str(result.exception)
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 0, result.output
+    assert 'no camera_info: the camera is assumed' in ' '.join(result.output.split())
+    with BagReader(tmp_path / 'out') as reader:
+        status = next(reader.messages(['/diagnostics'])).read().status[0]
+    assert status.level == 1 and 'no camera_info' in status.message
 
 
 def test_score_finds_the_truth_or_takes_the_camera_itself(

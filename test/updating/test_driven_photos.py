@@ -2,6 +2,7 @@
 from pathlib import Path
 
 from box_room import box_walk, EXPANSION, view, write_box_model
+from camera_bags import CameraBag
 from neo_ros.bags import write_demo_bag
 from neo_ros.bags.demo_bag import RobotFrame, write_robot_bag
 from neo_ros.errors import BagError
@@ -39,6 +40,19 @@ def test_photos_are_brought_into_the_light_of_the_training(tmp_path: Path, slope
             ratio = np.median(truth / np.maximum(shown, 1))  # One exposure is as good as another.
             errors.append(np.abs(ratio * shown - truth).mean())
     assert np.mean(off) < (0.5 * np.mean(before) if slope else 1.01 * np.mean(before))
+
+
+def test_a_camera_that_nobody_described_is_told_and_not_rectified(
+        tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    with CameraBag(tmp_path / 'drive') as bag:
+        for number, pose in enumerate(box_walk(4), 1):
+            bag.image('/eye/image_raw', number * 10 ** 8, view(pose, EXPANSION.source)[0])
+    extrapolator = FovExtrapolator.load(write_box_model(tmp_path))
+    assert drive_through(tmp_path / 'drive', extrapolator).seen == 4
+    assert [words for words in caplog.messages if 'no camera_info' in words] == [
+        words for words in caplog.messages if str(tmp_path / 'drive') in words] != []
+    with pytest.raises(BagError, match='--rectify: expected a camera_info beside /eye/image_raw'):
+        drive_through(tmp_path / 'drive', extrapolator, rectify=True)
 
 
 def test_a_bag_of_a_lens_that_bends_says_what_to_do(tmp_path: Path) -> None:

@@ -168,6 +168,22 @@ def test_what_cannot_be_shown_is_named(walk_bag, model, tmp_path):
         BagSource(walk_bag, '/front', model)
     with pytest.raises(ConfigError, match='rate'):
         BagSource(walk_bag, None, model, rate=0)
+    with CameraBag(tmp_path / 'bare') as bag:
+        bag.image('/eye/image_raw', 0, np.zeros((24, 32, 3), np.uint8))
+    with pytest.raises(BagError, match='--rectify: expected a camera_info beside /eye/image_raw'):
+        BagSource(tmp_path / 'bare', None, model, rectify=True)
+
+
+def test_a_calibration_that_is_not_beside_the_images_is_named(model, tmp_path):
+    with CameraBag(tmp_path / 'bag') as bag:
+        bag.info('/eye/info', 0, Intrinsics.from_hfov(64, 48, 2.0), d=np.full(5, 1e-3))
+        bag.image('/eye/image_raw', 1, np.full((48, 64, 3), 90, np.uint8))
+    source = BagSource(tmp_path / 'bag', '/eye/image_raw', model, rectify=True,
+                       info_topic='/eye/info')
+    picture, = collect(source, 1).pictures
+    assert picture.image.shape == (48, 64, 3) and (EXPANSION.crop(picture.image) == 90).all()
+    with pytest.raises(BagError, match='--info-topic: expected a .*CameraInfo on /none'):
+        BagSource(tmp_path / 'bag', '/eye/image_raw', model, info_topic='/none')
 
 
 def test_a_bag_is_shown_without_ros():
