@@ -245,7 +245,8 @@ def _photos_that_see(old: VoxelField, field: VoxelField, space: ChangedSpace,
         seen[place][pixels] = np.where(now.coverage > rules.least_coverage, now.depth, 0)
         if index < compared.old:
             right[place] = stale[place] & pixels & agree[index]
-            past, depth = pixels & ~agree[index] & ~stale[place], compared.depth[index]
+            past, depth = pixels & ~agree[index], compared.depth[index]
+            past &= compared.photos.usable[index]  # Else it is out of date already.
             # A surface outside of the space did not change, whatever is before it now.
             outside = past & (depth > 0)
             outside[outside] = ~space.holds(

@@ -169,16 +169,16 @@ def test_what_a_model_made_is_no_truth_without_its_mask(tmp_path) -> None:
     ids=['its own', 'of ROS 1', 'of another camera', 'other stamps'])
 def test_truth_has_frame_and_stamps_of_the_camera(
         tmp_path: Path, frame: str, late_ns: int, found: bool) -> None:
-    expansion = ViewExpansion.to_size(Intrinsics.from_hfov(64, 48, math.pi / 2), 128, 96)
+    expansion = ViewExpansion.to_size(Intrinsics.from_hfov(64, 64, math.pi / 2), 128, 128)
     with CameraBag(tmp_path / 'bag') as bag:
         for stamp in (10, 20, 30):
-            bag.image(IMAGE, stamp, np.zeros((48, 64, 3), np.uint8))
+            bag.image(IMAGE, stamp, np.zeros((64, 64, 3), np.uint8))
             for compressed in (False, True)[:1 + found]:  # A copy is no second truth.
                 bag.image('/any/image' + '/compressed' * compressed, stamp + late_ns,
-                          np.zeros((96, 128, 3), np.uint8), frame, compressed)
+                          np.zeros((128, 128, 3), np.uint8), frame, compressed)
     with BagReader(tmp_path / 'bag') as reader:
         truth = find_truth_topic(reader, find_camera(reader, expansion.source, None).image,
-                                 (128, 96))
+                                 (128, 128))
     assert (truth.name if truth is not None else None) == ('/any/image' if found else None)
     info = read_bag_info(tmp_path / 'bag', Path('m.onnx'), expansion)
     assert info.next.endswith('--truth-topic /any/image' if found else '--score')
