@@ -167,9 +167,11 @@ class _Choices:
         if expansion is not None:
             return find_truth_topic(self._reader, image.topic,
                                     (expansion.target.width, expansion.target.height))
-        return next((camera.topic for camera in self._scan.cameras.values()
-                     if camera.size not in (None, image.size) and camera.frame == image.frame
-                     and all(a >= b for a, b in zip(camera.size or (), image.size))), None)
+        for camera in self._scan.cameras.values():
+            if camera.frame == image.frame and camera.size not in (None, image.size) and all(
+                    a >= b for a, b in zip(camera.size, image.size)):
+                return camera.topic
+        return None
 
 
 def _next_command(path: Path, model: Path | None, scan: BagScan, image: BagCamera | None,

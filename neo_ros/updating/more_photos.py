@@ -35,8 +35,8 @@ def write_more_photos(folder: Path, scene: Scene, chosen: Sequence[int], photos:
     Write a scene folder that can be trained on, or updated again.
 
     chosen: which of the scene's photos are the first of `photos`, whose pixels count as far as
-    they are usable; the others, whose numbers are higher, are new. What was usable in the capture
-    is noted as out of date.
+    they are usable; the others, whose numbers are higher, are new. What was usable once, and is
+    not now, is noted as out of date.
     """
     train = scene.train
     assert photos.usable is not None

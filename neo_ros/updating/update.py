@@ -35,7 +35,6 @@ from neo_ros.updating.growth import grow, Growth, stand_outside
 from neo_ros.updating.more_photos import write_more_photos
 from neo_ros.updating.new_keyframes import (
     joined_floor, new_floor, new_positions, recipe_of, with_place)
-from neo_ros.updating.past import Past
 from neo_ros.updating.placing import place_lost
 from neo_ros.updating.refit import refit, still_right
 from neo_ros.updating.tuned_network import CHECKPOINT, tune_network
@@ -175,11 +174,8 @@ def update_once(run: UpdateRun, bag: Path, out: Path, options: UpdateOptions,
             memory=named.sha256, bag=bag.name, photos=len(drive.poses),
             at=f'{datetime.now(timezone.utc):%Y-%m-%d %H:%M:%S}'))))
     write_more_photos(out / run.scene.name, scene, chosen, photos)
-    placed = 0 if growth is None else len(growth.tied.poses)
-    founders = np.flatnonzero(np.array(chosen) >= compared.old + len(drive.poses) - placed)
-    Past.read(run.folder).with_more(
-        field, changed, len(run.card.updates) + 1,
-        founders - sum(index < compared.old for index in chosen) + compared.old).write(out)
+    run.past.with_more(field, changed, len(run.card.updates) + 1,
+                       _founders(chosen, compared.old, drive, growth)).write(out)
     note_update(out, run.folder, read_upright_scene(out / run.scene.name))
     for name in (PLAN_FILE, 'field.json', CHECKPOINT):
         if (run.folder / name).exists():
@@ -264,13 +260,20 @@ def _keep(run: UpdateRun, drive: Drive, compared: ComparedPhotos, chosen: list[i
 
     def usable(index: int, wrong: np.ndarray, right: np.ndarray) -> np.ndarray:
         off, back = (_enlarged(one, camera.width, camera.height) for one in (wrong, right))
-        once = run.photo(drive, index)[1]
-        return once & ~off & (back | ~run.stale(index)) if index < compared.old else once & ~off
+        now = run.ever_usable(index) & ~off
+        return now & (back | ~run.stale(index)) if index < compared.old else now
 
     return SharedScene.of_rows(
         field, camera, compared.photos.T_world_cam[chosen],
         (run.photo(drive, index)[0] for index in chosen),
         map(usable, chosen, wrong, right), folder)
+
+
+def _founders(chosen: list[int], old: int, drive: Drive, growth: Growth | None) -> np.ndarray:
+    """Return the numbers that photos of a new place have behind the `old` ones of the scene."""
+    known = len(drive.poses) - (0 if growth is None else len(growth.tied.poses))
+    new = np.array([index for index in chosen if index >= old], int)
+    return old + np.flatnonzero(new >= old + known)
 
 
 def _enlarged(mask: np.ndarray, width: int, height: int) -> np.ndarray:

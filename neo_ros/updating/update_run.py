@@ -1,6 +1,7 @@
 """The run that is updated, and its photos with those of a drive behind them."""
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import cv2
@@ -82,6 +83,11 @@ class UpdateRun:
         """The camera of photos as the field is fitted to them."""
         return self.scene.train.intrinsics.scaled(self.experiment.field_scale)
 
+    @cached_property
+    def past(self) -> Past:
+        """What earlier updates changed. Raises SceneError."""
+        return Past.read(self.folder)
+
     def photo(self, drive: Drive, index: int) -> tuple[np.ndarray, np.ndarray]:
         """
         Return photo `index` of the run, or of the drive behind them, and what was ever usable.
@@ -90,13 +96,20 @@ class UpdateRun:
         """
         train, camera = self.scene.train, self.camera
         if index < len(train):
-            image, usable = train.read_shown(index, self.experiment.scale)
-            return image, usable | self.stale(index)
+            return train.read_image(index, self.experiment.scale), self.ever_usable(index)
         image = np.zeros((camera.height, camera.width, 3), np.uint8)
-        usable = np.zeros(image.shape[:2], bool)
-        window = camera.window(self.card.expansion.source)
-        image[window], usable[window] = drive.images[index - len(train)], True
-        return image, usable
+        image[camera.window(self.card.expansion.source)] = drive.images[index - len(train)]
+        return image, self.ever_usable(index)
+
+    def ever_usable(self, index: int) -> np.ndarray:
+        """Return what of a photo was ever usable, bool (H, W), as `photo` does."""
+        train, camera = self.scene.train, self.camera
+        usable = np.zeros((camera.height, camera.width), bool)
+        if index >= len(train):
+            usable[camera.window(self.card.expansion.source)] = True
+            return usable
+        now = train.read_usable(index, self.experiment.scale)
+        return ~usable if now is None else now | self.stale(index)
 
     def stale(self, index: int) -> np.ndarray:
         """Return what an update found out of date in photo `index`, bool (H, W)."""
@@ -106,19 +119,18 @@ class UpdateRun:
         """Return what updates changed, for its photos, and so many more, of a smaller camera."""
         if not self.card.updates:
             return None
-        train, past = self.scene.train, Past.read(self.folder)
+        train = self.scene.train
         stale = np.zeros((len(train) + more, camera.height, camera.width), bool)
         for index in range(len(train)):
             fine = self.stale(index)
             if fine.any():
-                usable = train.read_usable(index, self.experiment.scale)
-                usable = ~fine if usable is None else usable
-                stale[index] = clear_pixels(usable | fine, camera) & ~clear_pixels(usable, camera)
+                once = self.ever_usable(index)
+                stale[index] = clear_pixels(once, camera) & ~clear_pixels(once & ~fine, camera)
         # Each update gave its photos a number of their own.
         ids = np.array(train.path_ids)
         updates = np.maximum(ids - (ids.max() - len(self.card.updates)), 0).astype(np.int32)
-        return Before(field, past.dates(field), updates,
-                      (updates == 0) | np.isin(np.arange(len(train)), past.founders), stale)
+        founders = (updates == 0) | np.isin(np.arange(len(train)), self.past.founders)
+        return Before(field, self.past.dates(field), updates, founders, stale)
 
     def photos(self, drive: Drive, chosen: Sequence[int], camera: Intrinsics) -> Photos:
         """Return photos as a camera of fewer pixels sees them."""
