@@ -182,7 +182,7 @@ def _next_command(path: Path, model: Path | None, scan: BagScan, image: BagCamer
     name = bag_name(path.resolve())
     info = ['--info-topic', image.info_option] if image.info_option else []
     # A replay looks for images of the model's size, or with a camera_info beside them.
-    choose = len(scan.cameras) > 1 or (model is not None and info)
+    choose = len(scan.cameras) > 1 or (model is not None and bool(info))
     several = ['--image-topic', image.topic.name] if choose else []
     if model is not None:
         score = ['--truth-topic', truth.name] if truth is not None else ['--score']

@@ -18,6 +18,8 @@ from neo_ros.messages.stamps import stamp_of
 
 IMAGE, COMPRESSED = 'sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage'
 IMAGE_TYPES = (IMAGE, COMPRESSED, VIDEO, PACKET)
+# Images that are taken at once have one stamp from the beginning, or they never have.
+MOST_STAMPS = 1000
 CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
 
 
@@ -65,19 +67,9 @@ class CameraTopics:
         first = reader.first(self.info) if self.info is not None else None
         return None if first is None else camera_info_of(first, self.image.name)
 
-    def check_rectify(self, reader: BagReader) -> None:
-        """Raise BagError where nothing says which distortion is to be taken out."""
-        if self.first_info(reader) is None:
-            infos = info_topics(reader)
-            remedy = (f'choose one with --info-topic: {describe_topics(infos)}' if infos else
-                      'record it with the images')
-            raise BagError(f'{reader.path}: --rectify: expected a camera_info beside '
-                           f'{self.image.name}, which says the distortion; {remedy}, or leave '
-                           'the option out where the images are straight')
-
 
 def find_camera(reader: BagReader, source: Intrinsics, name: str | None,
-                info_name: str | None = None) -> CameraTopics:
+                info_name: str | None = None, rectify: bool = False) -> CameraTopics:
     """
     Return the camera of this image topic, or the only one with images of the size of `source`.
 
@@ -85,7 +77,8 @@ def find_camera(reader: BagReader, source: Intrinsics, name: str | None,
 
     Where no topic has this size, the only camera with a calibration is taken: its images may be
     resampled. Of raw and compressed images of one camera, the raw ones are taken. Raises
-    BagError that lists the choice.
+    BagError that lists the choice, and where it is to be rectified, but nothing says of which
+    distortion.
     """
     wanted = (source.width, source.height)
     sizes = {topic: first_size(reader, topic) for topic in image_topics(reader, name)}
@@ -96,16 +89,23 @@ def find_camera(reader: BagReader, source: Intrinsics, name: str | None,
         raise BagError(f'{reader.path}: expected camera images, got '
                        f'{describe_unread(reader.topics) or describe_topics(reader.topics)}')
     if len(fitting) != 1:
-        found = ', '.join(f'{topic.name} ({size[0]}x{size[1]})' if size else topic.name
-                          for topic, size in sizes.items())
+        listed = ', '.join(f'{topic.name} ({size[0]}x{size[1]})' if size else topic.name
+                           for topic, size in sizes.items())
         raise BagError(
             f'{reader.path}: expected one image topic of {source.width}x{source.height} pixels '
-            f'as the model takes, got {found}; name one with '
-            '--image-topic')
+            f'as the model takes, got {listed}; name one with --image-topic')
     image, = fitting
     info = find_info_topic(reader, image, info_name)
     camera = (info.name if info is not None else base_name(image)).rpartition('/')[0]
-    return CameraTopics(image, info, f'{camera}/wide')
+    found = CameraTopics(image, info, f'{camera}/wide')
+    if rectify and found.first_info(reader) is None:
+        infos = info_topics(reader)
+        remedy = (f'choose one with --info-topic: {describe_topics(infos)}' if infos else
+                  'record it with the images')
+        raise BagError(f'{reader.path}: --rectify: expected a camera_info beside {image.name}, '
+                       f'which says the distortion; {remedy}, or leave the option out where the '
+                       'images are straight')
+    return found
 
 
 def made_topics(reader: BagReader) -> set[str]:
@@ -147,6 +147,7 @@ def first_frame(reader: BagReader, topic: BagTopic) -> str:
 
 
 def _share_a_stamp(reader: BagReader, one: BagTopic, other: BagTopic) -> bool:
+    """Tell whether any of the first images of two topics were taken at once."""
     seen: dict[BagTopic, set[int]] = {one: set(), other: set()}
     for message in reader.messages([one.name, other.name]):
         if message.topic not in seen:
@@ -158,6 +159,8 @@ def _share_a_stamp(reader: BagReader, one: BagTopic, other: BagTopic) -> bool:
         seen[message.topic].add(stamp_ns)
         if all(stamp_ns in stamps for stamps in seen.values()):
             return True
+        if min(map(len, seen.values())) >= MOST_STAMPS:
+            break
     return False
 
 
@@ -246,12 +249,8 @@ def info_topics(reader: BagReader) -> list[BagTopic]:
 
 def same_frame(reader: BagReader, image: BagTopic, infos: list[BagTopic]) -> list[BagTopic]:
     """Return the calibrations whose frame is the one of the images."""
-    def frame(topic: BagTopic) -> str | None:
-        first = reader.first(topic)
-        return None if first is None else first.header.frame_id
-
-    wanted = frame(image)
-    return [topic for topic in infos if wanted and frame(topic) == wanted]
+    wanted = first_frame(reader, image)
+    return [topic for topic in infos if wanted and first_frame(reader, topic) == wanted]
 
 
 def read_lens(message: Any, image: BagTopic, where: str) -> Lens:

@@ -29,7 +29,8 @@ from neo_ros.runtime import FovExtrapolator, ModelCard
 import numpy as np
 
 # A replay ends where so many images were rejected for one of these, and none was widened: what a
-# calibration says holds for all images of a bag.
+# calibration says holds for all images of a bag. A driver that is calibrated later is not waited
+# for.
 MOST_REJECTED, OF_CALIBRATION = 100, ('camera', 'camera_info')
 # Truth and prediction of one stamp lie close together in a bag; unmatched ones are let go.
 MAX_UNMATCHED = 64
@@ -101,9 +102,8 @@ def replay(bag: Path | str, extrapolator: FovExtrapolator, out: Path | str,
     started = time.perf_counter()
     check_outputs(outputs)
     with BagReader(bag) as reader:
-        camera = find_camera(reader, extrapolator.expansion.source, image_topic, info_topic)
-        if rectify:
-            camera.check_rectify(reader)
+        camera = find_camera(reader, extrapolator.expansion.source, image_topic, info_topic,
+                             rectify)
         truth = None if truth_topic is None else image_topics(reader, truth_topic)[0]
         result = ReplayResult(camera.image.name)
         start_ns, stop_ns, share = section.stamps(reader)

@@ -68,7 +68,7 @@ def replay(
         refuse('it shares out several bags, and there is one', cluster=cluster)
         _replay_one(bag[0], model, out, options, side_by_side, learn)
         return
-    refuse('of one bag only, and there are several', side_by_side=side_by_side)
+    refuse(f'of one bag only, and {out} is of several', side_by_side=side_by_side)
     refuse('what is learnt from one bag would change the next', learn=learn)
     _replay_many(bag, model, out, options, cluster)
 

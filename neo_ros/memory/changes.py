@@ -89,21 +89,25 @@ class Changes:
 
     def reach(self, position: np.ndarray, band: Band, coded: np.ndarray) -> bool:
         """
-        Tell whether `put_into` changes more of a keyframe of such a depth than some texels.
+        Tell whether `put_into` may change a keyframe, coded uint16 (h, w), at position (3,).
 
-        A patch is asked for its samples: what lies between them is shown where they are.
+        Of what is drawn samples are asked: what lies between them is shown where they are.
         """
         depth = depth_of(coded)
-        rays, blocks, left = _rays(band, *coded.shape), _blocks(depth), depth.copy()
-        bound_blocks(rays, depth, blocks)
         sphere = _sphere(band, np.empty((0, 0, 3), np.uint8), depth)
-        for _, patch, shown in self.layers:
-            samples = patch.samples
-            points = samples.points[shown[samples.parts], 0] - position.astype(np.float32)
-            if is_shown(points, sphere) or carve(
-                    rays, left, blocks, *_seen_from(patch, shown, position)):
-                return True
-        return False
+        if is_shown(self._shown_points - position.astype(np.float32), sphere):
+            return True
+        rays, blocks = _rays(band, *coded.shape), _blocks(depth)
+        bound_blocks(rays, depth, blocks)
+        return any(carve(rays, depth, blocks, *_seen_from(patch, shown, position))
+                   for _, patch, shown in self.layers)
+
+    @cached_property
+    def _shown_points(self) -> np.ndarray:
+        """Samples, (N, 3) world metres, of what patches saw, as far as it is shown."""
+        return np.concatenate([np.empty((0, 3), np.float32), *(
+            patch.samples.points[shown[patch.samples.parts], 0]
+            for _, patch, shown in self.layers)])
 
     def put_into(self, position: np.ndarray, band: Band, reduced: int, texture: np.ndarray,
                  coded: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

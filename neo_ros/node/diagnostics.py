@@ -3,7 +3,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
-from neo_ros.messages.camera_fit import NO_CAMERA_INFO
+from neo_ros.messages.camera_fit import assumed_camera
 from neo_ros.messages.scene_outputs import WIDENING
 from neo_ros.node.frame_statistics import Snapshot
 from neo_ros.node.stamp_watch import judge_stamps, StampReport
@@ -84,9 +84,8 @@ def judge(health: Health) -> tuple[bytes, str]:
     """Return the level and the one line that tells an operator what to do."""
     level, message = _judge_frames(health)
     transform = health.transform if health.subscribed else ''
-    notes = [note for note in (health.conflict, transform, health.twin) if note]
-    if health.subscribed and health.counts.camera_note.startswith(NO_CAMERA_INFO):
-        notes.append(health.counts.camera_note)
+    assumed = assumed_camera(health.counts.camera_note) if health.subscribed else ''
+    notes = [note for note in (health.conflict, transform, health.twin, assumed) if note]
     if notes:
         return max(level, DiagnosticStatus.WARN), '; '.join([message, *notes])
     return level, message

@@ -19,8 +19,8 @@ class MapPublisher:
     """
     Publishes the map of a model to whoever listens, also to those who come later.
 
-    Nothing is drawn before somebody listens: it takes a second of a core, in a thread of its own.
-    `report` gets what went wrong.
+    Nothing is drawn before somebody listens: it takes a second of a core, longer the more was
+    learnt, in a thread of its own. `report` gets what went wrong.
     """
 
     def __init__(self, node: Node, report: Callable[[str], None]) -> None:

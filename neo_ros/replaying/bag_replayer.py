@@ -39,7 +39,7 @@ class ScoredReplay:
     """
     What a replay did, and its scores.
 
-    guided       share of the frames that the scene memory knew; None without memory or frames
+    guided       share of the frames that the scene memory knew; None without memory
     scores       None where nothing was or could be scored
     truth_topic  the wide images that were looked for to score against
     about        what was scored, for `BagScores.write`

@@ -16,9 +16,10 @@ import numpy as np
 FLOOR_INTERVAL, PHOTOS_INTERVAL = 0.05, 0.2
 # Of a grid, before what is not free is left out; to look at so many takes 6 GB.
 MOST_PLACES = 100_000_000
-# A sampler's `pitch_roll`, and what is taken for it: poses of a camera that was mounted level are
-# off by less.
-LEVEL, LEAST_TILT = ((0.0, 0.0), (0.0, 0.0)), math.radians(1.0)
+# Means and deviations of pitch and roll, radians, of a camera that is mounted level.
+LEVEL = (0.0, 0.0), (0.0, 0.0)
+# Its poses are off by less than so many radians.
+LEAST_TILT = math.radians(1.0)
 
 
 @dataclass(frozen=True)

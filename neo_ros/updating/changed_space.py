@@ -61,20 +61,18 @@ class ChangedSpace:
         """
         return rays_meet_cells(field, self.cells, origin, rays_d, reach)
 
-    def reached_by(self, field: VoxelField, compared: ComparedPhotos, beyond: float,
-                   first: int = 0, stale: bool = False) -> np.ndarray:
+    def reached_by(self, field: VoxelField, compared: ComparedPhotos, beyond: float
+                   ) -> np.ndarray:
         """
-        Tell which usable pixels of photos, from the first on, see it: bool (N, h, w).
+        Tell which usable, or stale, pixels of photos see it: bool (N, h, w).
 
-        As far as a surface, and a share `beyond` of its distance behind it. stale: those that are
-        out of date, too.
+        As far as a surface, and a share `beyond` of its distance behind it.
         """
         photos = compared.photos
         assert photos.usable is not None
         reached = np.zeros(photos.usable.shape, bool)
-        asked = photos.usable | compared.stale if stale else photos.usable
-        for index in range(first, len(reached)):
-            reached[index] = asked[index] & self.met_by(
+        for index in range(len(reached)):
+            reached[index] = (photos.usable[index] | compared.stale[index]) & self.met_by(
                 field, *world_rays(photos.intrinsics, compared.pose(index)),
                 (1 + beyond) * compared.depth[index])
         return reached
@@ -87,7 +85,7 @@ class ChangedSpace:
 def find_changed_space(field: VoxelField, compared: ComparedPhotos,
                        rules: ChangeRules = ChangeRules()) -> ChangedSpace:
     """Let the new photos vote on every cell of the field, and then those it was made of."""
-    new = np.arange(compared.old, len(compared.photos.images))
+    new = slice(compared.old, None)
     photos = np.zeros(field.shape, np.int32)
     changed = np.zeros(field.shape, bool)
     for plane in range(field.shape[0] - 1):  # One by one: positions are float64.
@@ -107,8 +105,9 @@ def find_changed_space(field: VoxelField, compared: ComparedPhotos,
     return space_of(field, changed, photos, rules, rules.margin)
 
 
-def _vote(field: VoxelField, index: np.ndarray, compared: ComparedPhotos, photos: np.ndarray,
-          rules: ChangeRules) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _vote(field: VoxelField, index: np.ndarray, compared: ComparedPhotos,
+          photos: slice | np.ndarray, rules: ChangeRules
+          ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return what `count_votes` says of cells (..., 3): against, agree, cosine (...)."""
     lead = index.shape[:-1]
     points = field.world_points(index + 0.5).reshape(-1, 3).astype(np.float32)

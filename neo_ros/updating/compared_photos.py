@@ -35,14 +35,14 @@ class WitnessRules:
 
 
 @dataclass(frozen=True, eq=False)
-class Before:
+class EarlierChanges:
     """
-    What updates have changed of the field that photos of before (P of them) were taken of.
+    What earlier updates changed in a field, and what photos (P of before, N in all) know of it.
 
-    field, dates int32 (X, Y, Z): the number of the update that changed a cell last, 0 = none;
-    updates int32 (P,): the update whose drive took a photo, 0 = the training's; founders bool
-    (P,): what such a photo contradicts is poor in the field, see `Past`; stale bool (N, h, w), of
-    all photos: what an update found out of date.
+    dates int32 (X, Y, Z): the number of the update that changed a cell last, 0 = none; updates
+    int32 (P,): the update whose drive took a photo, 0 = the training's; founders bool (P,): what
+    such a photo contradicts is poor in the field, see `Past`; stale bool (N, h, w): what an update
+    found out of date.
     """
 
     field: VoxelField
@@ -58,15 +58,15 @@ class Before:
 
         depth float32 (h, w), metres along the ray to what is there now, 0 = unknown.
         """
-        update = min(int(self.updates[index]), len(self._changed_after) - 1)
-        return rays_meet_cells(
-            self.field, self._changed_after[update], *world_rays(camera, pose),
-            (1 + BakingRules.one_surface) * depth)
+        update = int(self.updates[index])
+        if update >= self._last:
+            return np.zeros(depth.shape, bool)
+        return rays_meet_cells(self.field, self.dates, *world_rays(camera, pose),
+                               (1 + BakingRules.one_surface) * depth, above=update)
 
     @cached_property
-    def _changed_after(self) -> list[np.ndarray]:
-        """Cells, bool (X, Y, Z), that changed after each update, from 0 on; in the end none."""
-        return [self.dates > update for update in range(self.dates.max() + 1)]
+    def _last(self) -> int:
+        return int(self.dates.max())
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,12 +74,12 @@ class ComparedPhotos:
     """
     Photos (N of them) of one small camera: the first `old` are those of before.
 
-    founders bool (old,): see `Before`. gains (N, 3) multiply a photo's colours to the memory's;
-    depth float32 (N, h, w), metres along the ray, 0 = unknown, as the memory has it. contradicts,
-    agrees bool (N, h, w): the photo shows something else than the memory, or the same; of a new
-    photo only what photos of before bear out contradicts, and what they show, too, agrees. stale
-    bool (N, h, w): out of date, or of what was on that ray before it changed; without a say, but
-    it may be right again. What an update masked is not usable either.
+    founders bool (old,): see `EarlierChanges`. gains (N, 3) multiply a photo's colours to the
+    memory's; depth float32 (N, h, w), metres along the ray, 0 = unknown, as the memory has it.
+    contradicts, agrees bool (N, h, w): the photo shows something else than the memory, or the
+    same; of a new photo only what photos of before bear out contradicts, and what they show, too,
+    agrees. stale bool (N, h, w): out of date, or of what was on that ray before it changed;
+    without a say, but it may be right again. What an update masked is not usable either.
     """
 
     photos: Photos
@@ -95,6 +95,10 @@ class ComparedPhotos:
         """Return where a photo was taken."""
         return CameraPose(self.photos.T_world_cam[index])
 
+    def speaking(self) -> np.ndarray:
+        """Return the depth of photos of before, float32 (old, h, w), 0 where they have no say."""
+        return np.where(self.stale[:self.old], np.float32(0), self.depth[:self.old])
+
     def first(self, count: int) -> 'ComparedPhotos':
         """Return the first photos alone."""
         photos = self.photos
@@ -108,16 +112,16 @@ class ComparedPhotos:
 
 def compare(photos: Photos, old: int, memory: SceneMemory, progress: Progress = no_progress,
             rules: WitnessRules = WitnessRules(), elsewhere: int = 0,
-            before: Before | None = None) -> ComparedPhotos:
+            earlier: EarlierChanges | None = None) -> ComparedPhotos:
     """
     Compare photos, of which the first `old` are those that the memory was made of.
 
-    elsewhere: so many, the last ones, are of where it shows nothing; they have no say. before:
+    elsewhere: so many, the last ones, are of where it shows nothing; they have no say. earlier:
     None if nothing was ever updated.
     """
     camera, renderer = photos.intrinsics, MemoryRenderer(memory)
     assert photos.usable is not None
-    stale = np.zeros_like(photos.usable) if before is None else before.stale.copy()
+    stale = np.zeros_like(photos.usable) if earlier is None else earlier.stale.copy()
     usable = photos.usable & ~stale
     stretch = np.linalg.norm(camera.pixel_rays(), axis=-1).astype(np.float32)
     gains = np.ones((len(photos.images), 3), np.float32)
@@ -131,8 +135,8 @@ def compare(photos: Photos, old: int, memory: SceneMemory, progress: Progress = 
         view = renderer.render(poses[index], camera)
         known = (view.depth > 0) & ~view.stretched
         depth[index] = np.where(known & photos.usable[index], view.depth * stretch, 0)
-        if before is not None and index < old:
-            stale[index] |= before.through_changes(index, camera, poses[index], depth[index])
+        if earlier is not None and index < old:
+            stale[index] |= earlier.through_changes(index, camera, poses[index], depth[index])
         known &= usable[index] & ~stale[index]
         now = photos.images[index].astype(np.float32)
         if known.any():
@@ -144,8 +148,8 @@ def compare(photos: Photos, old: int, memory: SceneMemory, progress: Progress = 
         progress(done, len(poses))
     compared = ComparedPhotos(replace(photos, usable=usable), gains, depth, off,
                               (depth > 0) & ~off & ~stale, stale, old,
-                              np.ones(old, bool) if before is None else before.founders)
-    speaking = np.where(stale[:old], 0, depth[:old])
+                              np.ones(old, bool) if earlier is None else earlier.founders)
+    speaking = compared.speaking()
     for index in range(old, len(poses)):
         _ask_photos_of_before(compared, index, speaking, rules)
     return compared

@@ -146,9 +146,7 @@ def _frames(reader: BagReader, extrapolator: FovExtrapolator, image_topic: str |
             info_topic: str | None, rectify: bool, rejected: Counter[str], progress: Progress
             ) -> Iterator[WideFrame]:
     """Yield the WideFrame of each image that can be read; count why others are rejected."""
-    topics = find_camera(reader, extrapolator.expansion.source, image_topic, info_topic)
-    if rectify:
-        topics.check_rectify(reader)
+    topics = find_camera(reader, extrapolator.expansion.source, image_topic, info_topic, rectify)
     processor, images = FrameProcessor(extrapolator, rectify), ImageReader()
     info = topics.first_info(reader)
     names = [topic.name for topic in (topics.image, topics.info) if topic is not None]

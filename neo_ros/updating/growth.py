@@ -68,8 +68,8 @@ def stand_outside(compared: ComparedPhotos, placed: int, rules: GrowthRules = Gr
     """Return which of the last photos were taken where none of before looks; none if few were."""
     count = len(compared.photos.images)
     new = np.arange(count - placed, count)
-    outside = new[_looks(compared.photos.T_world_cam[new, :3, 3], compared,
-                         slice(compared.old), 0) < rules.least_looks]
+    outside = new[_looks(compared.photos.T_world_cam[new, :3, 3], compared.photos,
+                         compared.speaking(), 0) < rules.least_looks]
     return outside if len(outside) >= rules.least_photos else outside[:0]
 
 
@@ -135,15 +135,16 @@ def _gains(compared: ComparedPhotos, chosen: Sequence[int], unknown: np.ndarray)
     return gains
 
 
-def _looks(points: np.ndarray, compared: ComparedPhotos, photos: slice, behind: float
-           ) -> np.ndarray:
-    """Count the photos that see points (N, 3), up to `behind` metres behind a surface: (N,)."""
-    photo = compared.photos
-    depth = np.where(compared.stale[photos], np.float32(0), compared.depth[photos])
+def _looks(points: np.ndarray, photos: Photos, depth: np.ndarray, behind: float) -> np.ndarray:
+    """
+    Count the photos that see points (N, 3), up to `behind` metres behind a surface: (N,).
+
+    depth float32 (M, h, w), metres along the ray, of the first M photos.
+    """
     everything = np.ones(depth.shape, bool)
     against, looks = np.zeros((2, len(points)), np.int32)
     count_votes(points.astype(np.float32),
-                pinholes(photo.intrinsics, photo.T_world_cam[photos]), depth,
+                pinholes(photos.intrinsics, photos.T_world_cam[:len(depth)]), depth,
                 ~everything, everything, np.float32(behind), against, looks,
                 np.ones(len(points), np.float32))
     return looks
@@ -164,14 +165,14 @@ def _new_cells(field: VoxelField, own: VoxelField, compared: ComparedPhotos,
     # What they show behind surfaces that the field has, through the door, is shown roughly.
     hidden = (known > 0) & ((seen == 0) | (known < seen))
     seen[hidden] = known[hidden]
-    looks = replace(compared, photos=theirs, depth=seen, stale=np.zeros(seen.shape, bool))
+    before = compared.speaking()
     cells = np.zeros(field.shape, bool)
     for plane in range(field.shape[0] - 1):  # One by one: positions are float64.
         indices = np.moveaxis(np.indices((1, *(size - 1 for size in field.shape[1:]))), 0, -1)
         index = indices.reshape(-1, 3) + np.array([plane, 0, 0])
         points = field.world_points(index + 0.5)
-        found = _looks(points, looks, slice(None), behind) > 0
-        found[found] = _looks(points[found], compared, slice(compared.old), behind) == 0
+        found = _looks(points, theirs, seen, behind) > 0
+        found[found] = _looks(points[found], photos, before, behind) == 0
         cells[tuple(index[found].T)] = True
     labels, _ = ndimage.label(cells)
     reached = np.unique(labels[tuple(field.cells_at(positions).T)])

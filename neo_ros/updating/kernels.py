@@ -49,12 +49,12 @@ def _seen_at(point, cameras, n, width, height):
 
 
 @njit(parallel=True, fastmath=FAST, error_model='numpy')
-def ask_witnesses(points, colours, cameras, depth, images, gains, founders, one_surface,
-                  grey_levels, witnesses, founding, same):
+def ask_witnesses(points, colours, cameras, depth, images, gains, is_founder, one_surface,
+                  grey_levels, witnesses, founders, same):
     """
     Count the photos that see points float32 (N, 3), and how many of these are founders.
 
-    And of the founders, bool (P,), those that show these colours there.
+    And of these those that show these colours there; is_founder bool (P,).
 
     colours float32 (N, 3) in 0 ... 255; cameras: Pinholes; depth float32 (P, h, w), metres along
     the ray, 0 = unknown; images uint8 (P, h, w, 3), which gains (P, 3) multiply. A photo sees a
@@ -62,20 +62,20 @@ def ask_witnesses(points, colours, cameras, depth, images, gains, founders, one_
     """
     height, width = depth.shape[1], depth.shape[2]
     for i in prange(len(points)):
-        count, founded, alike = 0, 0, 0
+        count, count_founders, alike = 0, 0, 0
         for n in range(len(depth)):
             u, v, distance = _seen_at(points[i], cameras, n, width, height)
             if u < 0 or abs(depth[n, v, u] - distance) > one_surface * distance:
                 continue
             count += 1
-            if not founders[n]:
+            if not is_founder[n]:
                 continue
-            founded += 1
+            count_founders += 1
             most = 0.0
             for k in range(3):
                 most = max(most, abs(colours[i, k] - images[n, v, u, k] * gains[n, k]))
             alike += most <= grey_levels
-        witnesses[i], founding[i], same[i] = count, founded, alike
+        witnesses[i], founders[i], same[i] = count, count_founders, alike
 
 
 @njit(parallel=True, fastmath=FAST, error_model='numpy')
@@ -133,11 +133,12 @@ def _cell_at(origin, rays_d, r, t, box, shape):
 
 
 @njit(parallel=True, error_model='numpy')
-def rays_meet(origin, rays_d, reach, box, shape, cells, near, met):
+def rays_meet(origin, rays_d, reach, box, shape, cells, above, near, met):
     """
-    Tell which unit rays float32 (N, 3) from one point meet a marked cell nearer than `reach` (N,).
+    Tell which unit rays float32 (N, 3) from one point meet certain cells nearer than `reach` (N,).
 
-    box, shape as in `FieldArrays`; cells uint8 (X * Y * Z,); near in metres. Fills met uint8 (N,).
+    Those whose number, integer (X * Y * Z,), is above a number; box, shape as in `FieldArrays`;
+    near in metres. Fills met uint8 (N,).
     """
     for r in prange(len(rays_d)):
         met[r] = 0
@@ -146,25 +147,27 @@ def rays_meet(origin, rays_d, reach, box, shape, cells, near, met):
             cell, stretch = _cell_at(origin, rays_d, r, t, box, shape)
             if cell < 0:
                 break
-            if cells[cell]:
+            if cells[cell] > above:
                 met[r] = 1
                 break
             t += 0.5 * box[7] * stretch
 
 
 def rays_meet_cells(field: VoxelField, cells: np.ndarray, origin: np.ndarray, rays_d: np.ndarray,
-                    reach: np.ndarray) -> np.ndarray:
+                    reach: np.ndarray, above: int = 0) -> np.ndarray:
     """
     Tell which unit rays (..., 3) from one point (3,) meet cells of a field: bool (...).
 
-    cells bool (X, Y, Z); reach float32 (...): metres along the ray to what hides the rest, 0 =
-    nothing does.
+    cells bool or integer (X, Y, Z): those whose number is larger than `above`; reach float32
+    (...): metres along the ray to what hides the rest, 0 = nothing does.
     """
     met = np.empty(reach.size, np.uint8)
     rays_meet(np.asarray(origin, np.float64),
               np.ascontiguousarray(rays_d.reshape(-1, 3), np.float32),
               np.where(reach > 0, reach, np.inf).ravel().astype(np.float32), field.box,
-              np.array(field.shape), cells.ravel().view(np.uint8), field.near, met)
+              np.array(field.shape),
+              (cells.view(np.uint8) if cells.dtype == bool else cells).ravel(), above, field.near,
+              met)
     return met.reshape(reach.shape).view(bool)
 
 

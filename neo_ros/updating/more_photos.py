@@ -7,6 +7,7 @@ import cv2
 from neo_ros.baking.keyframes import Photos
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.machine.files import share_file, write_bytes
+from neo_ros.pictures.depth import nearest
 from neo_ros.pictures.usable import read_usable, write_usable
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.scene import floor_file, Scene
@@ -14,8 +15,8 @@ from neo_ros.scenes.transforms_json import write_transforms
 from neo_ros.scenes.walkable import write_walkable
 import numpy as np
 
-
-STALE = 'out_of_date'  # Pictures beside the masks: white where these are black for an update.
+# Beside the masks, which are black there: white where only an update has left pixels out.
+STALE = 'out_of_date'
 
 
 def read_stale(photos: PosedImages, index: int, camera: Intrinsics) -> np.ndarray:
@@ -53,8 +54,7 @@ def write_more_photos(folder: Path, scene: Scene, chosen: Sequence[int], photos:
             write_usable(mask_paths[-1], usable)
 
     def enlarged(usable: np.ndarray) -> np.ndarray:
-        return cv2.resize(usable.astype(np.uint8), size,
-                          interpolation=cv2.INTER_NEAREST_EXACT) > 0
+        return nearest(usable.view(np.uint8), *size) > 0
 
     (folder / 'train').mkdir(parents=True)
     for index, path in enumerate(train.image_paths):

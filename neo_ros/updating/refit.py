@@ -61,7 +61,7 @@ def refit(field: VoxelField, space: ChangedSpace, compared: ComparedPhotos,
     fitted to. minutes: of fitting; None: as many as it takes.
     """
     beyond = BakingRules.one_surface
-    reached = space.reached_by(field, compared, beyond, stale=True)
+    reached = space.reached_by(field, compared, beyond)
     usable = reached.copy()
     usable[:compared.old] = False
     if not usable.any():
@@ -81,7 +81,7 @@ def refit(field: VoxelField, space: ChangedSpace, compared: ComparedPhotos,
     rows = points.ravel()
     narrower.grid[narrower.row_of[rows]] = fitted.grid[fitted.row_of[rows]]
     narrower.update_occupancy()
-    usable[:] = space.reached_by(field, compared, beyond, stale=True)
+    usable[:] = space.reached_by(field, compared, beyond)
     usable[:compared.old] = still_right(field, narrower, space, compared, usable)
     fitted_to[:] = _in_size_of(photos, usable[chosen])
     trainer.change_only(narrower, points)
@@ -203,15 +203,14 @@ def _seen_differently(one: VoxelField, other: VoxelField, reached: np.ndarray,
 
 
 def still_right(before: VoxelField, after: VoxelField, space: ChangedSpace,
-                compared: ComparedPhotos, reached: np.ndarray,
-                nearer: float = RefitRules.grey_levels) -> np.ndarray:
+                compared: ComparedPhotos, reached: np.ndarray) -> np.ndarray:
     """
     Tell which reached pixels of the photos of before show what an updated field shows there.
 
     reached bool (N, h, w), of all photos; returns bool (old, h, w). Pixels behind matter that came
     do not: beside slats and legs they seem to agree, would wear these away, and paint them in the
     colours of the floor. Stale ones may show that very thing, which came back: then they are
-    `nearer` to the updated field, grey levels.
+    nearer to the updated field.
     """
     photos, right = compared.photos, reached[:compared.old].copy()
     came = ChangedSpace(ndimage.binary_dilation(
@@ -219,19 +218,22 @@ def still_right(before: VoxelField, after: VoxelField, space: ChangedSpace,
     for index in map(int, np.flatnonzero(right.any((1, 2)))):
         pixels, stale = right[index], compared.stale[index]
         origin, rays = world_rays(photos.intrinsics, compared.pose(index))
-        asked = pixels & ~stale
-        pixels[asked] = ~came.met_by(
-            before, origin, rays[asked],
-            (1 + BakingRules.one_surface) * compared.depth[index][asked])
+        current = pixels & ~stale
+        pixels[current] = ~came.met_by(
+            before, origin, rays[current],
+            (1 + BakingRules.one_surface) * compared.depth[index][current])
         image, gain = photos.images[index].astype(np.float32), compared.gains[index]
-        shown, asked = image.copy(), pixels & stale
+        shown = image.copy()
         shown[pixels] = 255 * render_rays(after, origin, rays[pixels]).image / gain
-        then = 255 * render_rays(before, origin, rays[asked]).image / gain
-        came_back = np.zeros_like(pixels)
-        came_back[asked] = (np.abs(then - image[asked]).max(-1)
-                            - np.abs(shown[asked] - image[asked]).max(-1)) > nearer
-        # Beside them both fields may have one colour.
-        pixels &= ~stale | (cv2.dilate(came_back.view(np.uint8), np.ones((3, 3), np.uint8)) > 0)
+        out_of_date = pixels & stale
+        if out_of_date.any():
+            then = 255 * render_rays(before, origin, rays[out_of_date]).image / gain
+            off_then, off = (np.abs(one - image[out_of_date]).max(-1)
+                             for one in (then, shown[out_of_date]))
+            came_back = np.zeros(pixels.shape, np.uint8)
+            came_back[out_of_date] = off_then - off > RefitRules.grey_levels
+            # Beside them both fields may have one colour.
+            pixels &= ~stale | (cv2.dilate(came_back, np.ones((3, 3), np.uint8)) > 0)
         pixels &= ~contradicted(contradiction(image, shown, pixels))
     return right
 

@@ -7,7 +7,6 @@ from pathlib import Path
 import shutil
 import time
 
-import cv2
 from neo_ros.baking.keyframes import BakingRules
 from neo_ros.baking.memory_baking import make_keyframes
 from neo_ros.baking.worker_files import SharedScene
@@ -20,6 +19,7 @@ from neo_ros.machine.progress import no_stage_progress, of_stage, StageProgress
 from neo_ros.machine.ray_jobs import check_ray
 from neo_ros.memory.landmarks import Landmarks
 from neo_ros.memory.scene_memory import SceneMemory
+from neo_ros.pictures.depth import nearest
 from neo_ros.reports.report import Section, write_report
 from neo_ros.runtime import FovExtrapolator
 from neo_ros.runtime.model_card import MemoryFile, Update, write_model_card
@@ -175,7 +175,7 @@ def update_once(run: UpdateRun, bag: Path, out: Path, options: UpdateOptions,
             at=f'{datetime.now(timezone.utc):%Y-%m-%d %H:%M:%S}'))))
     write_more_photos(out / run.scene.name, scene, chosen, photos)
     run.past.with_more(field, changed, len(run.card.updates) + 1,
-                       _founders(chosen, compared.old, drive, growth)).write(out)
+                       _founders(chosen, compared, growth)).write(out)
     note_update(out, run.folder, read_upright_scene(out / run.scene.name))
     for name in (PLAN_FILE, 'field.json', CHECKPOINT):
         if (run.folder / name).exists():
@@ -196,7 +196,7 @@ def _grown(run: UpdateRun, bag: Path, field: VoxelField, before: SceneMemory, dr
                              [one.number for one in tied.images])
     compared = compare(run.photos(longer, range(train + known + placed), run.small_camera), train,
                        before, of_stage(progress, 'photos'), elsewhere=tied.elsewhere,
-                       before=run.before(field, run.small_camera, known + placed))
+                       earlier=run.earlier_changes(field, run.small_camera, known + placed))
     outside = stand_outside(compared, tied.elsewhere)
     growth = None
     if len(outside):
@@ -226,7 +226,7 @@ def _photos_that_see(old: VoxelField, field: VoxelField, space: ChangedSpace,
     what is there again.
     """
     rules, small = BakingRules(), compared.photos.intrinsics
-    reached = space.reached_by(field, compared, rules.one_surface, stale=True)
+    reached = space.reached_by(field, compared, rules.one_surface)
     chosen = [index for index, pixels in enumerate(reached) if pixels.any()]
     assert compared.photos.usable is not None
     passing = (compared.depth > 0) & ~compared.agrees & ~reached & ~compared.stale
@@ -258,27 +258,23 @@ def _keep(run: UpdateRun, drive: Drive, compared: ComparedPhotos, chosen: list[i
     """Keep chosen photos, and what of them shows what is there, in files: they may be large."""
     camera = run.camera
 
-    def usable(index: int, wrong: np.ndarray, right: np.ndarray) -> np.ndarray:
-        off, back = (_enlarged(one, camera.width, camera.height) for one in (wrong, right))
-        now = run.ever_usable(index) & ~off
-        return now & (back | ~run.stale(index)) if index < compared.old else now
+    def usable(index: int, *small: np.ndarray) -> np.ndarray:
+        off, back = (nearest(one.view(np.uint8), camera.width, camera.height) > 0
+                     for one in small)
+        return run.ever_usable(index) & ~off & (back | ~run.stale(index))
 
     return SharedScene.of_rows(
         field, camera, compared.photos.T_world_cam[chosen],
-        (run.photo(drive, index)[0] for index in chosen),
+        (run.image(drive, index) for index in chosen),
         map(usable, chosen, wrong, right), folder)
 
 
-def _founders(chosen: list[int], old: int, drive: Drive, growth: Growth | None) -> np.ndarray:
-    """Return the numbers that photos of a new place have behind the `old` ones of the scene."""
-    known = len(drive.poses) - (0 if growth is None else len(growth.tied.poses))
-    new = np.array([index for index in chosen if index >= old], int)
-    return old + np.flatnonzero(new >= old + known)
-
-
-def _enlarged(mask: np.ndarray, width: int, height: int) -> np.ndarray:
-    return cv2.resize(mask.astype(np.uint8), (width, height),
-                      interpolation=cv2.INTER_NEAREST_EXACT) > 0
+def _founders(chosen: list[int], compared: ComparedPhotos, growth: Growth | None) -> np.ndarray:
+    """Return the numbers, int32 (K,), that photos of a new place have in the updated scene."""
+    placed = 0 if growth is None else len(growth.tied.poses)  # The last ones.
+    new = [index for index in chosen if index >= compared.old]
+    return np.array([compared.old + number for number, index in enumerate(new)
+                     if index >= len(compared.photos.images) - placed], np.int32)
 
 
 def _landmarks_outside(landmarks: Landmarks | None, field: VoxelField, space: ChangedSpace

@@ -18,7 +18,7 @@ from neo_ros.scenes.scene import Scene
 from neo_ros.scenes.upright import read_upright_scene
 from neo_ros.training.folder import check_run, named_as_trained, scene_folder
 from neo_ros.training.time_plan import settings_of
-from neo_ros.updating.compared_photos import Before
+from neo_ros.updating.compared_photos import EarlierChanges
 from neo_ros.updating.driven_photos import Drive
 from neo_ros.updating.more_photos import read_stale
 from neo_ros.updating.past import Past
@@ -88,21 +88,21 @@ class UpdateRun:
         """What earlier updates changed. Raises SceneError."""
         return Past.read(self.folder)
 
-    def photo(self, drive: Drive, index: int) -> tuple[np.ndarray, np.ndarray]:
+    def image(self, drive: Drive, index: int) -> np.ndarray:
         """
-        Return photo `index` of the run, or of the drive behind them, and what was ever usable.
+        Return photo `index` of the run, or of the drive behind them: uint8 RGB (H, W, 3).
 
-        uint8 RGB (H, W, 3), bool (H, W); a photo of the drive stands in the middle of a black one.
+        One of the drive stands in the middle of a black one.
         """
         train, camera = self.scene.train, self.camera
         if index < len(train):
-            return train.read_image(index, self.experiment.scale), self.ever_usable(index)
+            return train.read_image(index, self.experiment.scale)
         image = np.zeros((camera.height, camera.width, 3), np.uint8)
         image[camera.window(self.card.expansion.source)] = drive.images[index - len(train)]
-        return image, self.ever_usable(index)
+        return image
 
     def ever_usable(self, index: int) -> np.ndarray:
-        """Return what of a photo was ever usable, bool (H, W), as `photo` does."""
+        """Return what of a photo of `image` shows the scene, now or once, bool (H, W)."""
         train, camera = self.scene.train, self.camera
         usable = np.zeros((camera.height, camera.width), bool)
         if index >= len(train):
@@ -112,13 +112,19 @@ class UpdateRun:
         return ~usable if now is None else now | self.stale(index)
 
     def stale(self, index: int) -> np.ndarray:
-        """Return what an update found out of date in photo `index`, bool (H, W)."""
+        """Return what an update found out of date in a photo of `image`, bool (H, W)."""
+        if index >= len(self.scene.train):
+            return np.zeros((self.camera.height, self.camera.width), bool)
         return read_stale(self.scene.train, index, self.camera)
 
-    def before(self, field: VoxelField, camera: Intrinsics, more: int) -> Before | None:
-        """Return what updates changed, for its photos, and so many more, of a smaller camera."""
-        if not self.card.updates:
-            return None
+    def earlier_changes(self, field: VoxelField, camera: Intrinsics, more: int
+                        ) -> EarlierChanges:
+        """
+        Return what earlier updates changed, for the scene's photos and `more` of the drive.
+
+        What is out of date is so in pixels of a smaller camera; also of a scene that was trained
+        anew since.
+        """
         train = self.scene.train
         stale = np.zeros((len(train) + more, camera.height, camera.width), bool)
         for index in range(len(train)):
@@ -130,15 +136,15 @@ class UpdateRun:
         ids = np.array(train.path_ids)
         updates = np.maximum(ids - (ids.max() - len(self.card.updates)), 0).astype(np.int32)
         founders = (updates == 0) | np.isin(np.arange(len(train)), self.past.founders)
-        return Before(field, self.past.dates(field), updates, founders, stale)
+        return EarlierChanges(field, self.past.dates(field), updates, founders, stale)
 
     def photos(self, drive: Drive, chosen: Sequence[int], camera: Intrinsics) -> Photos:
         """Return photos as a camera of fewer pixels sees them."""
         images = np.empty((len(chosen), camera.height, camera.width, 3), np.uint8)
         usable = np.ones(images.shape[:3], bool)
         for place, index in enumerate(chosen):
-            image, mask = self.photo(drive, index)
-            images[place] = cv2.resize(image, (camera.width, camera.height),
+            mask = self.ever_usable(index)
+            images[place] = cv2.resize(self.image(drive, index), (camera.width, camera.height),
                                        interpolation=cv2.INTER_AREA)
             if not mask.all():
                 usable[place] = clear_pixels(mask, camera)

@@ -75,9 +75,7 @@ class BagSource:
         self._memory = extrapolator.card.memory is not None
         self._processor = FrameProcessor(extrapolator, self._rectify)
         self._camera = find_camera(reader, extrapolator.expansion.source, topic,
-                                   self._info_topic)
-        if self._rectify:
-            self._camera.check_rectify(reader)
+                                   self._info_topic, self._rectify)
         image, info = self._camera.image, self._camera.info
         self._info = '' if info is None else info.name, self._camera.first_info(reader)
         return image.name, find_truth_topic(reader, image, (target.width, target.height))

@@ -68,7 +68,11 @@ class Surroundings:
         self.looks = look_around.LookAround(self._memory, self._card.expansion)
 
     def plan(self) -> PlanPicture | None:
-        """Draw the plan, which takes a second, or return it; where there is none `why` says it."""
+        """
+        Draw the plan, or return it; where there is none `why` says it.
+
+        It takes a second for a flat, longer the more was learnt.
+        """
         with self._drawing:
             if self._plan is None and not self.why:
                 try:

@@ -47,7 +47,8 @@ REJECTING = snapshot(recent_rejected=3, last_rejection='size: too big')
     (health(snapshot(recent_received=0), conflict='/x is best effort'), WARN,
      'waiting for image; /x is best effort'),
     (health(snapshot(camera_note=f'{NO_CAMERA_INFO} 4x3')), WARN,
-     'widening 29.8 images per second; no camera_info: the camera is assumed to be 4x3'),
+     'widening 29.8 images per second; no camera_info: the camera is assumed to be 4x3, without '
+     'distortion'),
     (health(snapshot(camera_note=f'{NO_CAMERA_INFO} 4x3'), subscribed=False), OK,
      'nobody subscribes to wide/*: waiting for image'),
     (health(conflict='/x is best effort'), WARN,

@@ -9,7 +9,7 @@ from neo_ros.field.rendering import render_rays, world_rays
 from neo_ros.field.voxel_field import VoxelField
 from neo_ros.geometry import CameraPose
 from neo_ros.updating.changed_space import ChangedSpace, find_changed_space
-from neo_ros.updating.compared_photos import Before, compare, ComparedPhotos
+from neo_ros.updating.compared_photos import compare, ComparedPhotos, EarlierChanges
 from neo_ros.updating.refit import still_right
 import numpy as np
 import pytest
@@ -72,17 +72,18 @@ def test_where_the_memory_was_wrong_before_nothing_has_changed() -> None:
     assert not find_changed_space(empty_field(), found).places
 
 
-def of_a_drive(found: ComparedPhotos) -> Before:
+def of_a_drive(found: ComparedPhotos) -> EarlierChanges:
     """Return that photos of before are those of the drive of an update, after all changes."""
     field = empty_field()
-    return Before(field, np.zeros(field.shape, np.int32), np.ones(found.old, np.int32),
-                  np.zeros(found.old, bool), np.zeros(found.depth.shape, bool))
+    return EarlierChanges(
+        field, np.zeros(field.shape, np.int32), np.ones(found.old, np.int32),
+        np.zeros(found.old, bool), np.zeros(found.depth.shape, bool))
 
 
 def test_where_an_update_was_wrong_the_next_drive_may_say_so() -> None:
     found = compared(AFTER, BEFORE, AFTER)
     space = find_changed_space(empty_field(), compare(
-        found.photos, found.old, remembered(BEFORE), before=of_a_drive(found)))
+        found.photos, found.old, remembered(BEFORE), earlier=of_a_drive(found)))
     assert at(space, BEFORE) and at(space, AFTER)
 
 
@@ -100,8 +101,9 @@ def test_what_came_may_leave_again(told: bool) -> None:
         dates[(abs(x - post[0]) < 0.4) & (abs(y - post[1]) < 0.4)] = 1
     updates = np.repeat(np.arange(2, dtype=np.int32), [len(trained), len(first)])
     found = compare(Photos(images, SOURCE, T, np.ones(shape, bool)), old, remembered(AFTER),
-                    before=Before(field, dates if told else np.zeros_like(dates), updates,
-                                  updates == 0, np.zeros(shape, bool)))
+                    earlier=EarlierChanges(
+                        field, dates if told else np.zeros_like(dates), updates, updates == 0,
+                        np.zeros(shape, bool)))
     space = find_changed_space(field, found)
     assert at(space, AFTER) == at(space, BEFORE) == told
 
@@ -110,9 +112,8 @@ def test_what_is_out_of_date_has_no_say() -> None:
     found = compared(AFTER, BEFORE, AFTER)
     stale = np.zeros(found.depth.shape, bool)
     stale[:found.old] = found.contradicts[:found.old]
-    again = compare(found.photos, found.old, remembered(BEFORE),
-                    before=replace(of_a_drive(found), stale=stale,
-                                   founders=np.ones(found.old, bool)))
+    again = compare(found.photos, found.old, remembered(BEFORE), earlier=replace(
+        of_a_drive(found), stale=stale, founders=np.ones(found.old, bool)))
     assert not again.contradicts[:found.old].any() and not again.agrees[stale].any()
     assert (again.depth[stale] > 0).all()
     # They are no witnesses of what was there either.

@@ -49,8 +49,8 @@ def test_a_camera_that_nobody_described_is_told_and_not_rectified(
             bag.image('/eye/image_raw', number * 10 ** 8, view(pose, EXPANSION.source)[0])
     extrapolator = FovExtrapolator.load(write_box_model(tmp_path))
     assert drive_through(tmp_path / 'drive', extrapolator).seen == 4
-    assert [words for words in caplog.messages if 'no camera_info' in words] == [
-        words for words in caplog.messages if str(tmp_path / 'drive') in words] != []
+    told, = [words for words in caplog.messages if 'no camera_info' in words]
+    assert told.startswith(f'{tmp_path / "drive"}: ')
     with pytest.raises(BagError, match='--rectify: expected a camera_info beside /eye/image_raw'):
         drive_through(tmp_path / 'drive', extrapolator, rectify=True)
 

@@ -5,6 +5,7 @@ from contextlib import asynccontextmanager
 import json
 import math
 from pathlib import Path
+import threading
 from typing import Any
 
 from aiohttp import ClientWebSocketResponse, WSMsgType
@@ -181,10 +182,23 @@ def test_a_look_shows_what_was_learnt(tmp_path: Path) -> None:
     assert off() < 0.5 * untaught
 
 
-def test_images_come_in_while_the_map_is_drawn(model: Path) -> None:
+def test_images_come_in_while_the_map_is_drawn(
+        model: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    begun, may_end = threading.Event(), threading.Event()
+
+    def draw(_: Surroundings) -> None:
+        begun.set()
+        may_end.wait(60)
+
+    monkeypatch.setattr(Surroundings, '_draw_plan', draw)
     surroundings = Surroundings(model)
-    with surroundings._drawing:
-        assert surroundings.seen(Place(HERE, 0.0, lambda: view(HERE, EXPANSION.target)[0]))
+    drawing = threading.Thread(target=surroundings.plan)
+    drawing.start()
+    assert begun.wait(60)
+    assert surroundings.seen(Place(HERE, 0.0, lambda: view(HERE, EXPANSION.target)[0]))
+    assert drawing.is_alive()
+    may_end.set()
+    drawing.join()
 
 
 def test_places_go_on_where_a_look_cannot_be_drawn(
