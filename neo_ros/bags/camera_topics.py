@@ -18,7 +18,7 @@ from neo_ros.messages.stamps import stamp_of
 
 IMAGE, COMPRESSED = 'sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage'
 IMAGE_TYPES = (IMAGE, COMPRESSED, VIDEO, PACKET)
-# Images that are taken at once have one stamp from the beginning, or they never have.
+# Images that are taken at once share a stamp early: after so many of each nobody looks further.
 MOST_STAMPS = 1000
 CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
 
@@ -77,8 +77,7 @@ def find_camera(reader: BagReader, source: Intrinsics, name: str | None,
 
     Where no topic has this size, the only camera with a calibration is taken: its images may be
     resampled. Of raw and compressed images of one camera, the raw ones are taken. Raises
-    BagError that lists the choice, and where it is to be rectified, but nothing says of which
-    distortion.
+    BagError that lists the choice, and, with `rectify`, where the bag has no camera_info for it.
     """
     wanted = (source.width, source.height)
     sizes = {topic: first_size(reader, topic) for topic in image_topics(reader, name)}
@@ -130,7 +129,7 @@ def find_truth_topic(reader: BagReader, camera: BagTopic, size: tuple[int, int] 
     Return the one topic that shows what `camera` does in this width and height; no model made it.
 
     It has the frame of the camera: another camera of the robot may have this size. And an image
-    of each must have one stamp.
+    of each must have one stamp, which alone decides where drivers name no frame.
     """
     frame = first_frame(reader, camera)
     found = [topic for topic in image_topics(reader, None)
@@ -159,7 +158,8 @@ def _share_a_stamp(reader: BagReader, one: BagTopic, other: BagTopic) -> bool:
         seen[message.topic].add(stamp_ns)
         if all(stamp_ns in stamps for stamps in seen.values()):
             return True
-        if min(map(len, seen.values())) >= MOST_STAMPS:
+        if all(len(stamps) >= min(MOST_STAMPS, topic.count)
+               for topic, stamps in seen.items()):
             break
     return False
 

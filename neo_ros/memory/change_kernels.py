@@ -158,11 +158,11 @@ def _on_sphere(sphere, x, y, z):
 
 
 @njit(**FAST)
-def is_shown(points, sphere):
+def shows_any(points, sphere):
     """
     Tell whether a keyframe may show one of some points, float32 (N, 3), metres from it.
 
-    The sphere's surface are the depths of its mesh.
+    sphere.surface: the depths of the mesh, not of the texture.
     """
     rows, columns = sphere.surface.shape
     for n in range(len(points)):

@@ -7,7 +7,7 @@ from itertools import groupby, product
 import cv2
 from neo_ros.geometry import Band, CameraPose, Intrinsics
 from neo_ros.memory.change_kernels import (
-    BLOCK, bound_blocks, carve, draw_patch, is_shown, SAME, Seen, Sphere, take_depths)
+    BLOCK, bound_blocks, carve, draw_patch, SAME, Seen, shows_any, Sphere, take_depths)
 from neo_ros.memory.kernels import Pinhole
 from neo_ros.memory.keyframe import code_of, depth_of
 from neo_ros.memory.patch import PARTS, Patch
@@ -87,15 +87,15 @@ class Changes:
         found.sort(key=lambda layer: layer[0])
         return [layer[1:] for layer in found]
 
-    def reach(self, position: np.ndarray, band: Band, coded: np.ndarray) -> bool:
+    def reaches(self, position: np.ndarray, band: Band, coded: np.ndarray) -> bool:
         """
         Tell whether `put_into` may change a keyframe, coded uint16 (h, w), at position (3,).
 
-        Of what is drawn samples are asked: what lies between them is shown where they are.
+        Patches are asked by their samples: what lies between two is hardly elsewhere.
         """
         depth = depth_of(coded)
         sphere = _sphere(band, np.empty((0, 0, 3), np.uint8), depth)
-        if is_shown(self._shown_points - position.astype(np.float32), sphere):
+        if shows_any(self._shown_points - position.astype(np.float32), sphere):
             return True
         rays, blocks = _rays(band, *coded.shape), _blocks(depth)
         bound_blocks(rays, depth, blocks)

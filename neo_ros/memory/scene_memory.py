@@ -111,7 +111,7 @@ class SceneMemory:
             raise _damaged(index)
         position = self.positions[index]
         # Whole only where it must be: most keyframes of a large floor show nothing of a change.
-        if reduced > 1 and changes is not None and not changes.reach(position, self.band, coded):
+        if reduced > 1 and changes is not None and not changes.reaches(position, self.band, coded):
             changes = None
         texture = decode_image(self._textures[index], REDUCED[
             reduced if changes is None else 1])

@@ -73,6 +73,9 @@ class PoseInputs:
         if T_camera is None and time.monotonic() - came <= PRIOR_VALID_S:
             return
         self._waiting = None
+        if T_camera is None:
+            self._tell('prior', f'{PRIOR.name}: waited {PRIOR_VALID_S:g} s for the camera and its '
+                       'transform: dropped')
         pose = self._read(PRIOR.name, message.pose.pose, T_camera)
         if pose is not None:
             self.hints.set_prior(pose, came)

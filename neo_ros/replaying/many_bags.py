@@ -26,10 +26,10 @@ def replay_bags(bags: Sequence[Path], model: Path, out: Path, options: ReplayOpt
 
     What is finished there, of the same bag with the same model and options, is not done again. A
     bag that fails, or in whose place something else is, says so in its ReplayedBag; the others go
-    on. `cluster` hands them to Ray, see
-    `map_on_ray`: all its machines need the same paths. Returns the bags in their order.
-    Raises ConfigError for names that clash and a cluster that is not there, BagError where
-    something else is in the way of all, ModelError as `read_model_card` does.
+    on. `cluster` hands them to Ray, see `map_on_ray`: all its machines need the same paths.
+    Returns the bags in their order. Raises ConfigError for names that clash and a cluster that is
+    not there, BagError where something else is in the way of all, ModelError as `read_model_card`
+    does.
     """
     if cluster:
         check_ray()

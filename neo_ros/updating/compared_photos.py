@@ -78,8 +78,8 @@ class ComparedPhotos:
     memory's; depth float32 (N, h, w), metres along the ray, 0 = unknown, as the memory has it.
     contradicts, agrees bool (N, h, w): the photo shows something else than the memory, or the
     same; of a new photo only what photos of before bear out contradicts, and what they show, too,
-    agrees. stale bool (N, h, w): out of date, or of what was on that ray before it changed;
-    without a say, but it may be right again. What an update masked is not usable either.
+    agrees. stale bool (N, h, w): what an update masked, which is not usable, and usable pixels
+    that look at, or through, what changed later. Neither has a say; both may be right again.
     """
 
     photos: Photos
@@ -95,7 +95,7 @@ class ComparedPhotos:
         """Return where a photo was taken."""
         return CameraPose(self.photos.T_world_cam[index])
 
-    def speaking(self) -> np.ndarray:
+    def depth_of_before(self) -> np.ndarray:
         """Return the depth of photos of before, float32 (old, h, w), 0 where they have no say."""
         return np.where(self.stale[:self.old], np.float32(0), self.depth[:self.old])
 
@@ -149,9 +149,9 @@ def compare(photos: Photos, old: int, memory: SceneMemory, progress: Progress = 
     compared = ComparedPhotos(replace(photos, usable=usable), gains, depth, off,
                               (depth > 0) & ~off & ~stale, stale, old,
                               np.ones(old, bool) if earlier is None else earlier.founders)
-    speaking = compared.speaking()
+    known_depth = compared.depth_of_before()
     for index in range(old, len(poses)):
-        _ask_photos_of_before(compared, index, speaking, rules)
+        _ask_photos_of_before(compared, index, known_depth, rules)
     return compared
 
 

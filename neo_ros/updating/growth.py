@@ -69,7 +69,7 @@ def stand_outside(compared: ComparedPhotos, placed: int, rules: GrowthRules = Gr
     count = len(compared.photos.images)
     new = np.arange(count - placed, count)
     outside = new[_looks(compared.photos.T_world_cam[new, :3, 3], compared.photos,
-                         compared.speaking(), 0) < rules.least_looks]
+                         compared.depth_of_before(), 0) < rules.least_looks]
     return outside if len(outside) >= rules.least_photos else outside[:0]
 
 
@@ -165,14 +165,14 @@ def _new_cells(field: VoxelField, own: VoxelField, compared: ComparedPhotos,
     # What they show behind surfaces that the field has, through the door, is shown roughly.
     hidden = (known > 0) & ((seen == 0) | (known < seen))
     seen[hidden] = known[hidden]
-    before = compared.speaking()
+    depth = compared.depth_of_before()
     cells = np.zeros(field.shape, bool)
     for plane in range(field.shape[0] - 1):  # One by one: positions are float64.
         indices = np.moveaxis(np.indices((1, *(size - 1 for size in field.shape[1:]))), 0, -1)
         index = indices.reshape(-1, 3) + np.array([plane, 0, 0])
         points = field.world_points(index + 0.5)
         found = _looks(points, theirs, seen, behind) > 0
-        found[found] = _looks(points[found], photos, before, behind) == 0
+        found[found] = _looks(points[found], photos, depth, behind) == 0
         cells[tuple(index[found].T)] = True
     labels, _ = ndimage.label(cells)
     reached = np.unique(labels[tuple(field.cells_at(positions).T)])

@@ -52,9 +52,9 @@ def _seen_at(point, cameras, n, width, height):
 def ask_witnesses(points, colours, cameras, depth, images, gains, is_founder, one_surface,
                   grey_levels, witnesses, founders, same):
     """
-    Count the photos that see points float32 (N, 3), and how many of these are founders.
+    Count the photos that see points float32 (N, 3), the founders, and those that show it alike.
 
-    And of these those that show these colours there; is_founder bool (P,).
+    is_founder bool (P,): of these alone those that show these colours there are counted.
 
     colours float32 (N, 3) in 0 ... 255; cameras: Pinholes; depth float32 (P, h, w), metres along
     the ray, 0 = unknown; images uint8 (P, h, w, 3), which gains (P, 3) multiply. A photo sees a
@@ -135,10 +135,10 @@ def _cell_at(origin, rays_d, r, t, box, shape):
 @njit(parallel=True, error_model='numpy')
 def rays_meet(origin, rays_d, reach, box, shape, cells, above, near, met):
     """
-    Tell which unit rays float32 (N, 3) from one point meet certain cells nearer than `reach` (N,).
+    Tell which unit rays float32 (N, 3) from one point meet cells above a number.
 
-    Those whose number, integer (X * Y * Z,), is above a number; box, shape as in `FieldArrays`;
-    near in metres. Fills met uint8 (N,).
+    Nearer than `reach` (N,); cells integer (X * Y * Z,): their numbers; box, shape as in
+    `FieldArrays`; near in metres. Fills met uint8 (N,).
     """
     for r in prange(len(rays_d)):
         met[r] = 0

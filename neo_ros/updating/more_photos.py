@@ -5,10 +5,9 @@ from pathlib import Path
 
 import cv2
 from neo_ros.baking.keyframes import Photos
-from neo_ros.geometry import CameraPose, Intrinsics
+from neo_ros.geometry import CameraPose
 from neo_ros.machine.files import share_file, write_bytes
-from neo_ros.pictures.depth import nearest
-from neo_ros.pictures.usable import read_usable, write_usable
+from neo_ros.pictures.usable import read_usable, shrunk, write_usable
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.scene import floor_file, Scene
 from neo_ros.scenes.transforms_json import write_transforms
@@ -16,19 +15,17 @@ from neo_ros.scenes.walkable import write_walkable
 import numpy as np
 
 # Beside the masks, which are black there: white where only an update has left pixels out.
-STALE = 'out_of_date'
+_FOLDER = 'out_of_date'
 
 
-def read_stale(photos: PosedImages, index: int, camera: Intrinsics) -> np.ndarray:
-    """Return what updates found out of date in a photo: bool (H, W), as a mask of the camera."""
-    path = _stale_file(photos.image_paths[index])
-    if not path.exists():
-        return np.zeros((camera.height, camera.width), bool)
-    return read_usable(path, camera.width, camera.height)
+def read_stale(photos: PosedImages, index: int) -> np.ndarray | None:
+    """Return what updates found out of date in a photo, bool (H, W); None: nothing."""
+    path, camera = _stale_file(photos.image_paths[index]), photos.intrinsics
+    return read_usable(path, camera.width, camera.height) if path.exists() else None
 
 
 def _stale_file(photo: Path) -> Path:
-    return photo.parent.parent / STALE / f'{photo.stem}.png'
+    return photo.parent.parent / _FOLDER / f'{photo.stem}.png'
 
 
 def write_more_photos(folder: Path, scene: Scene, chosen: Sequence[int], photos: Photos) -> None:
@@ -53,24 +50,21 @@ def write_more_photos(folder: Path, scene: Scene, chosen: Sequence[int], photos:
         if mask_paths[-1] is not None:
             write_usable(mask_paths[-1], usable)
 
-    def enlarged(usable: np.ndarray) -> np.ndarray:
-        return nearest(usable.view(np.uint8), *size) > 0
-
     (folder / 'train').mkdir(parents=True)
     for index, path in enumerate(train.image_paths):
-        usable, stale = train.read_usable(index), read_stale(train, index, camera)
-        usable = np.ones_like(stale) if usable is None else usable
+        usable, stale = train.read_usable(index), read_stale(train, index)
+        usable = np.ones(size[::-1], bool) if usable is None else usable
         if index in masks:
-            once = usable | stale
-            usable = enlarged(masks[index]) & once
+            once = usable if stale is None else usable | stale
+            usable = shrunk(masks[index], *size) & once
             stale = once & ~usable
         add(f'{index:06d}{path.suffix}', usable)
         share_file(path, paths[-1])
-        if stale.any():
+        if stale is not None and stale.any():
             write_usable(_stale_file(paths[-1]), stale)
     for number, (image, usable) in enumerate(zip(photos.images[old:], photos.usable[old:]),
                                              len(train)):
-        add(f'{number:06d}.png', enlarged(usable))
+        add(f'{number:06d}.png', shrunk(usable, *size))
         if image.shape[1::-1] != size:
             image = cv2.resize(image, size, interpolation=cv2.INTER_CUBIC)
         write_bytes(paths[-1], cv2.imencode('.png', image[..., ::-1])[1].tobytes())

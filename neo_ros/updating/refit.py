@@ -82,7 +82,7 @@ def refit(field: VoxelField, space: ChangedSpace, compared: ComparedPhotos,
     narrower.grid[narrower.row_of[rows]] = fitted.grid[fitted.row_of[rows]]
     narrower.update_occupancy()
     usable[:] = space.reached_by(field, compared, beyond)
-    usable[:compared.old] = still_right(field, narrower, space, compared, usable)
+    usable[:compared.old] = still_right(field, narrower, space, compared, usable, rules)
     fitted_to[:] = _in_size_of(photos, usable[chosen])
     trainer.change_only(narrower, points)
     fit_until(trainer, 1.0, progress)
@@ -203,7 +203,8 @@ def _seen_differently(one: VoxelField, other: VoxelField, reached: np.ndarray,
 
 
 def still_right(before: VoxelField, after: VoxelField, space: ChangedSpace,
-                compared: ComparedPhotos, reached: np.ndarray) -> np.ndarray:
+                compared: ComparedPhotos, reached: np.ndarray,
+                rules: RefitRules = RefitRules()) -> np.ndarray:
     """
     Tell which reached pixels of the photos of before show what an updated field shows there.
 
@@ -225,13 +226,12 @@ def still_right(before: VoxelField, after: VoxelField, space: ChangedSpace,
         image, gain = photos.images[index].astype(np.float32), compared.gains[index]
         shown = image.copy()
         shown[pixels] = 255 * render_rays(after, origin, rays[pixels]).image / gain
-        out_of_date = pixels & stale
-        if out_of_date.any():
-            then = 255 * render_rays(before, origin, rays[out_of_date]).image / gain
-            off_then, off = (np.abs(one - image[out_of_date]).max(-1)
-                             for one in (then, shown[out_of_date]))
+        asked = pixels & stale
+        if asked.any():
+            then = 255 * render_rays(before, origin, rays[asked]).image / gain
+            off_then, off = (np.abs(one - image[asked]).max(-1) for one in (then, shown[asked]))
             came_back = np.zeros(pixels.shape, np.uint8)
-            came_back[out_of_date] = off_then - off > RefitRules.grey_levels
+            came_back[asked] = off_then - off > rules.grey_levels
             # Beside them both fields may have one colour.
             pixels &= ~stale | (cv2.dilate(came_back, np.ones((3, 3), np.uint8)) > 0)
         pixels &= ~contradicted(contradiction(image, shown, pixels))

@@ -19,7 +19,7 @@ from neo_ros.machine.progress import no_stage_progress, of_stage, StageProgress
 from neo_ros.machine.ray_jobs import check_ray
 from neo_ros.memory.landmarks import Landmarks
 from neo_ros.memory.scene_memory import SceneMemory
-from neo_ros.pictures.depth import nearest
+from neo_ros.pictures.usable import shrunk
 from neo_ros.reports.report import Section, write_report
 from neo_ros.runtime import FovExtrapolator
 from neo_ros.runtime.model_card import MemoryFile, Update, write_model_card
@@ -259,9 +259,9 @@ def _keep(run: UpdateRun, drive: Drive, compared: ComparedPhotos, chosen: list[i
     camera = run.camera
 
     def usable(index: int, *small: np.ndarray) -> np.ndarray:
-        off, back = (nearest(one.view(np.uint8), camera.width, camera.height) > 0
-                     for one in small)
-        return run.ever_usable(index) & ~off & (back | ~run.stale(index))
+        off, back = (shrunk(one, camera.width, camera.height) for one in small)
+        now, stale = run.masks(index)
+        return (now | stale & back) & ~off
 
     return SharedScene.of_rows(
         field, camera, compared.photos.T_world_cam[chosen],

@@ -11,6 +11,7 @@ from neo_ros.experiment import Experiment
 from neo_ros.field.mesh_field import MeshField
 from neo_ros.field.voxel_field import VoxelField
 from neo_ros.geometry import Intrinsics
+from neo_ros.pictures.usable import shrunk
 from neo_ros.runtime import ModelCard
 from neo_ros.runtime.fov_extrapolator import memory_path
 from neo_ros.runtime.model_card import read_model_card
@@ -101,21 +102,24 @@ class UpdateRun:
         image[camera.window(self.card.expansion.source)] = drive.images[index - len(train)]
         return image
 
-    def ever_usable(self, index: int) -> np.ndarray:
-        """Return what of a photo of `image` shows the scene, now or once, bool (H, W)."""
-        train, camera = self.scene.train, self.camera
-        usable = np.zeros((camera.height, camera.width), bool)
-        if index >= len(train):
-            usable[camera.window(self.card.expansion.source)] = True
-            return usable
-        now = train.read_usable(index, self.experiment.scale)
-        return ~usable if now is None else now | self.stale(index)
+    def masks(self, index: int) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Return what of a photo of `image` shows the scene now, and what did once, bool (H, W) each.
 
-    def stale(self, index: int) -> np.ndarray:
-        """Return what an update found out of date in a photo of `image`, bool (H, W)."""
-        if index >= len(self.scene.train):
-            return np.zeros((self.camera.height, self.camera.width), bool)
-        return read_stale(self.scene.train, index, self.camera)
+        The second is what an update found out of date.
+        """
+        train, camera = self.scene.train, self.camera
+        size = (camera.width, camera.height)
+        now, stale = np.zeros((2, camera.height, camera.width), bool)
+        if index >= len(train):
+            now[camera.window(self.card.expansion.source)] = True
+            return now, stale
+        full, gone = train.read_usable(index), read_stale(train, index)
+        now = ~now if full is None else shrunk(full, *size)
+        if full is not None and gone is not None:
+            # A pixel of a smaller size, a part of which is out of date, was usable once.
+            stale = shrunk(full | gone, *size) & ~now
+        return now, stale
 
     def earlier_changes(self, field: VoxelField, camera: Intrinsics, more: int
                         ) -> EarlierChanges:
@@ -128,10 +132,9 @@ class UpdateRun:
         train = self.scene.train
         stale = np.zeros((len(train) + more, camera.height, camera.width), bool)
         for index in range(len(train)):
-            fine = self.stale(index)
+            now, fine = self.masks(index)
             if fine.any():
-                once = self.ever_usable(index)
-                stale[index] = clear_pixels(once, camera) & ~clear_pixels(once & ~fine, camera)
+                stale[index] = clear_pixels(now | fine, camera) & ~clear_pixels(now, camera)
         # Each update gave its photos a number of their own.
         ids = np.array(train.path_ids)
         updates = np.maximum(ids - (ids.max() - len(self.card.updates)), 0).astype(np.int32)
@@ -143,7 +146,8 @@ class UpdateRun:
         images = np.empty((len(chosen), camera.height, camera.width, 3), np.uint8)
         usable = np.ones(images.shape[:3], bool)
         for place, index in enumerate(chosen):
-            mask = self.ever_usable(index)
+            now, stale = self.masks(index)
+            mask = now | stale
             images[place] = cv2.resize(self.image(drive, index), (camera.width, camera.height),
                                        interpolation=cv2.INTER_AREA)
             if not mask.all():

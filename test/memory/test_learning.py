@@ -177,7 +177,7 @@ def test_what_shows_nothing_of_it_is_decoded_no_larger_than_needed(
     # As far as from the next room, whose wall hides it.
     away = replace(patch, pose=planar(40.0, 40.0, 12))
     changes = Changes([away])
-    seen = [changes.reach(position, memory.band, untouched.pictures(index, 1)[1])
+    seen = [changes.reaches(position, memory.band, untouched.pictures(index, 1)[1])
             for index, position in enumerate(memory.positions)]
     memory.change(changes)
     monkeypatch.setattr(Changes, 'put_into', None)  # Which takes it in full size.
@@ -200,7 +200,7 @@ def test_what_is_changed_was_reached() -> None:
         texture, after = changes.put_into(
             position, band, 1, np.full((128, 256, 3), 90, np.uint8), coded)
         changed.append(not np.array_equal(after, coded) or bool((texture != 90).any()))
-        reached.append(changes.reach(position, band, coded))
+        reached.append(changes.reaches(position, band, coded))
         assert reached[-1] or not changed[-1]
     assert any(changed) and not all(reached)
 

@@ -5,6 +5,7 @@ from pathlib import Path
 from neo_ros.baking.keyframes import Photos
 from neo_ros.benchmark.small_room import write_room
 from neo_ros.pictures.usable import write_usable
+from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.scene import read_scene, Scene
 from neo_ros.updating.more_photos import read_stale, write_more_photos
 import numpy as np
@@ -18,6 +19,11 @@ def counting(scene: Scene, *left_out: tuple[slice, slice]) -> np.ndarray:
     for part in left_out:
         usable[part] = False
     return usable
+
+
+def out_of_date(photos: PosedImages, index: int) -> np.ndarray:
+    stale, camera = read_stale(photos, index), photos.intrinsics
+    return np.zeros((camera.height, camera.width), bool) if stale is None else stale
 
 
 def written(scene: Scene, folder: Path, index: int, usable: np.ndarray) -> Scene:
@@ -38,14 +44,14 @@ def test_what_is_out_of_date_is_kept_apart_from_the_masks_of_the_capture(tmp_pat
     scene = replace(scene, train=replace(scene.train, mask_paths=tuple(masks)))
     first = written(scene, tmp_path / '1', 3, counting(scene, LEFT, RIGHT)).train
     np.testing.assert_array_equal(first.read_usable(3), counting(scene, LEFT, RIGHT))
-    np.testing.assert_array_equal(read_stale(first, 3, camera), ~counting(scene, RIGHT))
+    np.testing.assert_array_equal(out_of_date(first, 3), ~counting(scene, RIGHT))
     # Another change elsewhere: what was out of date is so.
     second = written(read_scene(tmp_path / '1'), tmp_path / '2', 5, counting(scene, LEFT)).train
     for index in range(count):
         stale = {3: counting(scene, RIGHT), 5: counting(scene, LEFT)}.get(index)
-        np.testing.assert_array_equal(read_stale(second, index, camera), (
+        np.testing.assert_array_equal(out_of_date(second, index), (
             np.zeros((camera.height, camera.width), bool) if stale is None else ~stale))
     # It shows what is there again, but for the robot itself, whatever is asked of it.
     third = written(read_scene(tmp_path / '2'), tmp_path / '3', 3, counting(scene)).train
     np.testing.assert_array_equal(third.read_usable(3), counting(scene, LEFT))
-    assert not read_stale(third, 3, camera).any() and read_stale(third, 5, camera).any()
+    assert not out_of_date(third, 3).any() and out_of_date(third, 5).any()

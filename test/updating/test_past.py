@@ -80,4 +80,11 @@ def test_photos_are_of_the_training_or_of_an_update(
     assert found.stale.shape == (9, camera.height, camera.width)
     assert found.stale[2, :, :20].all() and not found.stale[2, :, 24:].any()
     assert found.stale.any((1, 2)).tolist() == [index == 2 for index in range(9)]
-    assert run.ever_usable(2).all() and not run.stale(7).any()
+    now, stale = run.masks(2)
+    assert (now | stale).all() and not (now & stale).any()
+    # Half as fine, a pixel that is in part out of date was usable once, too.
+    usable[:, 20], gone[:, 20] = False, True
+    write_usable(tmp_path / 'room' / 'masks' / 'now.png', usable)
+    write_usable(tmp_path / 'room' / 'out_of_date' / f'{train.image_paths[2].stem}.png', gone)
+    now, stale = replace(run, experiment=replace(ROOM, scale=0.5)).masks(2)
+    assert now.shape[1] == camera.width // 2 and stale[:, 10].all() and (now | stale).all()
