@@ -94,7 +94,7 @@ class Learner:
 
     def _begin_visit(self, changes: Changes) -> None:
         self._changes = changes
-        self._batch = 1 + max((patch.batch for patch in changes.patches), default=-1)
+        self._batch = 1 + max((record.batch for record in changes.records), default=-1)
         self._begun = self._batch  # The first one of this visit.
 
     def see(self, image: np.ndarray, shown: np.ndarray, depth: np.ndarray, pose: CameraPose,

@@ -113,7 +113,8 @@ def find_turn(shots: Sequence[Shot], changes: Changes, camera: Intrinsics, batch
     Return which parts images show in another state that was known before; None: none.
 
     begun: the first batch of this visit. What was learnt since, and just now, is asked of no
-    image: it is one state with what is learnt next. Where a turn explains the most of what
+    image: it is one state with what is learnt next. What turned since stays: something else that
+    is seen there is learnt. Where a turn explains the most of what
     contradicts, nothing does any more: it is taken out of the shots.
     """
     if not changes.patches or not any(shot.contradicted.any() for shot in shots):
@@ -125,6 +126,9 @@ def find_turn(shots: Sequence[Shot], changes: Changes, camera: Intrinsics, batch
     just_now = shots[0].stamp_ns - PAUSE_NS
     own = [one.batch >= begun and one.stamp_ns > just_now for one in changes.patches]
     other[np.repeat(own, PARTS) & (hidden < 0)] = -1
+    turns = [number for number, one in enumerate(changes.records) if isinstance(one, Turn)
+             and one.batch >= begun and one.stamp_ns > just_now]
+    other[np.isin(hidden, turns) | np.isin(changes.again, turns)] = -1
     looks = [_look(shot) for shot in shots]
     votes = np.stack([_weigh(things, other, look, camera, limits)[0] for look in looks])
     turned = _turned(votes, things.of, changes, limits) & (other >= 0)
@@ -165,6 +169,8 @@ def _turned(votes: np.ndarray, things: np.ndarray, changes: Changes, limits: Sta
     turned[(changes.hidden >= 0) & (own[:, STAYS] > limits.times * own[:, OTHER])] = False
     for part in np.flatnonzero(own[:, OTHER] >= np.minimum(limits.least, limits.each * sizes)):
         turned[part] |= _score(votes[:, [part]], sizes[[part]], limits) > 0
+    # Less that is shown of a thing may explain it all: nothing of it comes in the same turn.
+    turned[(changes.hidden >= 0) & np.isin(things, things[turned & (changes.hidden < 0)])] = False
     return turned
 
 

@@ -172,7 +172,7 @@ def choose(total, cost, inverse, depth, error):
     """
     Take the level of the least total (h, w, D), interpolated: depth (h, w) metres.
 
-    error (h, w): what the images differ there by, grey levels.
+    0 where it is the first or the last one: the least may lie beyond. error (h, w): what the images differ there by, grey levels.
     """
     levels = total.shape[2]
     for y in range(total.shape[0]):
@@ -182,13 +182,14 @@ def choose(total, cost, inverse, depth, error):
                 if total[y, x, level] < total[y, x, best]:
                     best = level
             error[y, x] = cost[y, x, best]
+            if best == 0 or best == levels - 1:
+                depth[y, x] = 0
+                continue
             q = inverse[best]
-            if 0 < best < levels - 1:
-                low, mid, high = (total[y, x, best - 1], total[y, x, best],
-                                  total[y, x, best + 1])
-                curve = low - 2 * mid + high
-                if curve > 0:
-                    q += np.float32(0.5) * (low - high) / curve * (inverse[1] - inverse[0])
+            low, mid, high = total[y, x, best - 1], total[y, x, best], total[y, x, best + 1]
+            curve = low - 2 * mid + high
+            if curve > 0:
+                q += np.float32(0.5) * (low - high) / curve * (inverse[1] - inverse[0])
             depth[y, x] = 1 / q
 
 

@@ -25,6 +25,7 @@ from neo_ros.memory.patch_finding import _as_before, PatchThresholds
 from neo_ros.memory.rendering import MemoryRenderer
 from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.memory.stereo import confirm, Shot, StereoThresholds
+from neo_ros.memory.stereo_kernels import choose
 from neo_ros.memory.turn import Record, Turn
 from neo_ros.runtime import FovExtrapolator, read_model_card
 import numpy as np
@@ -298,6 +299,16 @@ def test_what_came_in_the_colour_of_what_is_behind_it_is_not_seen_through(
     found = confirm(shots, 0, np.stack(depths), SOURCE, SOURCE.pixel_rays(), StereoThresholds())
     middle = found[20:40, 28:36]
     assert (middle > 0).all() == stands and middle.any() == stands
+
+
+@pytest.mark.parametrize('best, known', [(0, False), (1, True), (6, True), (7, False)])
+def test_a_least_cost_at_an_end_of_the_range_is_no_depth(best: int, known: bool) -> None:
+    # The sky, or the dark below a table, is alike at all depths, and a little more so far away.
+    total = np.abs(np.arange(8, dtype=np.float32) - best)[None, None]
+    inverse = np.linspace(1 / 14, 1 / 0.6, 8, dtype=np.float32)
+    depth, off = np.empty((1, 1), np.float32), np.empty((1, 1), np.float32)
+    choose(total, total, inverse, depth, off)
+    assert depth[0, 0] == pytest.approx(1 / inverse[best] if known else 0) and off[0, 0] == 0
 
 
 @pytest.mark.parametrize('made, same_depth, stays', [

@@ -69,11 +69,17 @@ def test_what_another_state_explains_contradicts_no_more() -> None:
     assert sum(int(one.contradicted.sum()) for one in looks) < 0.35 * before
 
 
-def test_it_turns_back_as_it_was() -> None:
-    changes = Changes([*PATCHES, Turn(np.arange(3, dtype=np.uint32) * PARTS, LATER, 1)])
-    turn = find_turn(shots(1.8, NOWHERE, LOOKS, slice(0, 40)), changes, SOURCE, 2, 1)
+def test_it_turns_back_as_it_was_but_not_on_the_same_visit() -> None:
+    back = Turn(np.arange(3, dtype=np.uint32) * PARTS, LATER - 1, 1)
+    changes, looks = Changes([*PATCHES, back]), shots(1.8, NOWHERE, LOOKS, slice(0, 40))
+    assert find_turn(looks, changes, SOURCE, 2, 1) is None
+    turn = find_turn(looks, changes, SOURCE, 2, 2)
     assert turn is not None and turn.parts.tolist() == [PARTS * number for number in range(3)]
-    assert (changes.with_more([turn]).hidden < 0).all()
+    again = changes.with_more([turn])
+    assert (again.hidden < 0).all()
+    looks = shots(NOWHERE, 1.8, LOOKS)
+    assert find_turn(looks, again, SOURCE, 3, 2) is None
+    assert find_turn(looks, again, SOURCE, 3, 3) is not None
 
 
 def noise(image: np.ndarray) -> np.ndarray:
@@ -123,6 +129,19 @@ def test_what_is_said_of_a_part_itself_keeps_it_hidden(hidden: bool, expected: l
     votes[:, ::PARTS] = [[200, 0, 0], [0, 0, 0], [5, 30, 0]]
     assert np.flatnonzero(_turned(votes, things, changes, LIMITS)).tolist() == [
         PARTS * number for number in expected]
+
+
+@pytest.mark.parametrize('other, expected', [([200, 0, 0], [0]), ([0, 90, 0], [1])])
+def test_nothing_of_a_thing_comes_while_some_of_it_goes(other: list[int], expected: list[int]
+                                                        ) -> None:
+    changes = Changes([*PATCHES, Turn(np.array([PARTS], np.uint32), LATER, 1)])
+    things = np.full(3 * PARTS, -1)
+    things[::PARTS] = 0
+    votes = np.zeros((3, 3 * PARTS, 3), np.int32)
+    votes[:, ::PARTS] = [other, [150, 0, 0], [0, 0, 0]]  # The second is hidden.
+    turned = _turned(votes, things, changes, LIMITS)
+    assert np.flatnonzero(turned)[0] == PARTS * expected[0]
+    assert turned[PARTS] == (expected == [1])
 
 
 def test_a_part_may_turn_alone() -> None:
