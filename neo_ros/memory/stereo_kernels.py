@@ -172,7 +172,8 @@ def choose(total, cost, inverse, depth, error):
     """
     Take the level of the least total (h, w, D), interpolated: depth (h, w) metres.
 
-    0 where it is the first or the last one: the least may lie beyond. error (h, w): what the images differ there by, grey levels.
+    0 where it is the first or the last one: the least may lie beyond. error (h, w): what the
+    images differ there by, grey levels.
     """
     levels = total.shape[2]
     for y in range(total.shape[0]):
