@@ -10,7 +10,7 @@ from neo_ros.memory.kernels import Pinhole
 from neo_ros.memory.patch import EVERY, PARTS, Patch
 from neo_ros.memory.state_kernels import Look, NEITHER, OTHER, STAYS, weigh
 from neo_ros.memory.stereo import Shot
-from neo_ros.memory.turn import PAUSE_NS, Turn
+from neo_ros.memory.turn import PAUSE_NS, Record, Turn
 import numpy as np
 
 # Of 26 neighbours of a cell those that come behind it.
@@ -113,9 +113,9 @@ def find_turn(shots: Sequence[Shot], changes: Changes, camera: Intrinsics, batch
     Return which parts images show in another state that was known before; None: none.
 
     begun: the first batch of this visit. What was learnt since, and just now, is asked of no
-    image: it is one state with what is learnt next. What turned since stays: something else that
-    is seen there is learnt. Where a turn explains the most of what
-    contradicts, nothing does any more: it is taken out of the shots.
+    image: it is one state with what is learnt next. So is what turned: something else that is
+    seen there is learnt. Where a turn explains the most of what contradicts, nothing does any
+    more: it is taken out of the shots.
     """
     if not changes.patches or not any(shot.contradicted.any() for shot in shots):
         return None
@@ -124,11 +124,14 @@ def find_turn(shots: Sequence[Shot], changes: Changes, camera: Intrinsics, batch
     # What was seen is asked for where it is hidden, else what was before.
     other = np.where(things.of < 0, -1, np.where(hidden < 0, 1, 0)).astype(np.int8)
     just_now = shots[0].stamp_ns - PAUSE_NS
-    own = [one.batch >= begun and one.stamp_ns > just_now for one in changes.patches]
-    other[np.repeat(own, PARTS) & (hidden < 0)] = -1
-    turns = [number for number, one in enumerate(changes.records) if isinstance(one, Turn)
-             and one.batch >= begun and one.stamp_ns > just_now]
-    other[np.isin(hidden, turns) | np.isin(changes.again, turns)] = -1
+
+    def of_now(record: Record) -> bool:
+        return record.batch >= begun and record.stamp_ns > just_now
+
+    learnt = np.repeat([of_now(patch) for patch in changes.patches], PARTS) & (hidden < 0)
+    turns = [number for number, record in enumerate(changes.records)
+             if isinstance(record, Turn) and of_now(record)]
+    other[learnt | np.isin(hidden, turns) | np.isin(changes.again, turns)] = -1
     looks = [_look(shot) for shot in shots]
     votes = np.stack([_weigh(things, other, look, camera, limits)[0] for look in looks])
     turned = _turned(votes, things.of, changes, limits) & (other >= 0)
