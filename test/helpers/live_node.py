@@ -1,6 +1,7 @@
 """The node in a process of its own for tests, and a camera in front of it."""
 from array import array
 from contextlib import contextmanager
+import math
 import re
 import signal
 import time
@@ -68,27 +69,36 @@ class Camera:
 
     def widen(self, image, number):
         """Publish a frame and wait for all four answers."""
-        asked, sent = time.monotonic(), self.publish(image, number)
-
-        def answered():
-            nonlocal asked
-            if time.monotonic() > asked + 5:
-                asked = time.monotonic()
-                self.publish(image, number)  # Best effort: on a busy machine one may get lost.
-            return all(kept and kept[-1].header == sent.header for kept in self.wide.values())
-
-        self.graph.spin_until(answered)
+        sent = []
+        self.send_until(
+            lambda: sent.append(self.publish(image, number).header),
+            lambda: all(kept and kept[-1].header == sent[0] for kept in self.wide.values()))
         return {name: kept[-1] for name, kept in self.wide.items()}
+
+    def send_until(self, send, condition):
+        """Send until the condition holds, return its value: on a busy machine one may get lost."""
+        sent = -math.inf
+
+        def found():
+            nonlocal sent
+            if time.monotonic() > sent + 5:
+                sent = time.monotonic()
+                send()
+            return condition()
+
+        return self.graph.spin_until(found)
 
     def wait_for_diagnosis(self, level, words, task=WIDENING):
         """Wait for a verdict on the widening, or on the 'camera'; return its lines."""
-        def found():
-            for status in (status for entry in self.diagnostics for status in entry.status
-                           if status.name.endswith(f': {task}')):
-                if status.level == level and re.search(words, status.message):
-                    return {pair.key: pair.value for pair in status.values}
-            return None
-        return self.graph.spin_until(found)
+        return self.graph.spin_until(lambda: self.diagnosis(level, words, task))
+
+    def diagnosis(self, level, words, task=WIDENING):
+        """Return the lines of a verdict that came, or None."""
+        for status in (status for entry in self.diagnostics for status in entry.status
+                       if status.name.endswith(f': {task}')):
+            if status.level == level and re.search(words, status.message):
+                return {pair.key: pair.value for pair in status.values}
+        return None
 
 
 def started(graph, model, *parameters):

@@ -145,14 +145,19 @@ def test_each_image_of_a_camera_that_zooms_meets_its_own_camera_info(graph, mode
     with node_beside(graph, model):
         camera.wait_for_node()
         infos = graph.node.create_publisher(CameraInfo, '/robot/camera_info', 10)
-        graph.spin_until(infos.get_subscription_count)
-        graph.spin_for(0.3)
-        for number, degrees in enumerate((100, 110, 95), start=1):
+
+        def send(degrees, number):
             lens = Intrinsics.from_hfov(64, 48, math.radians(degrees))
             sent = camera.publish(noise_image(lens, 0), number)
             message = calibration(lens)
             message.header = sent.header
             infos.publish(message)
+            return sent
+
+        # Until both topics have found the node.
+        camera.send_until(lambda: send(90, 0), lambda: camera.diagnosis(OK, 'widening'))
+        for number, degrees in enumerate((100, 110, 95), start=1):
+            sent = send(degrees, number)
             graph.spin_until(lambda: camera.wide['image'] and
                              camera.wide['image'][-1].header == sent.header)
             camera.diagnostics.clear()
