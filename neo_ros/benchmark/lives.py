@@ -1,25 +1,24 @@
 """
 What a memory learns of a flat that changes from visit to visit, and what an update makes of it.
 
-    python -m neo_ros.benchmark.lives RUN [--frames DIR] [--drive 130] [--visits 20] [--out FILE]
-                                      [--retrain CONFIG] [--learn-only]
+    python -m neo_ros.benchmark.lives RUN --work DIR [--drive 130] [--visits 20] [--out FILE]
+                                      [--retrain CONFIG] [--without learn|update]
 
 RUN is the folder of `neo train` on the demo flat. On each visit (see `flat/visits.py`) a robot
 drives through the flat. Other walks are widened by the memory as it was trained (none), by one
 that learnt on all drives so far (learn), and by the run that `neo update` brought up to date with
 the bags of all drives so far (update). With --retrain a fresh training with CONFIG
 on photos of the last visit is the fourth (retrained). Scores are of the ring in the frames that
-show something changed, with exact truth. Frames are kept in DIR. Rows in FILE of what was not
-measured again stay; --learn-only measures no update, which takes most of the time.
+show something changed, with exact truth. Rows in FILE of what was not measured again stay. DIR
+keeps frames, bags and models: given again, the visits that it has are not gone through anew.
 """
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 import json
 from pathlib import Path
 import shutil
-import tempfile
 from typing import Any
 
 import cv2
@@ -61,6 +60,7 @@ class LivesRules:
 
 RULES = LivesRules()
 DAY_NS = 86400 * NS_PER_S
+DONE = 'rows.json'  # In the folder of a visit: it was gone through.
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,44 +225,54 @@ def rows_of(scene: str, visit: int, models: dict[str, Path], test: Walks, before
     return rows, {mode: shown for mode, (_, shown) in scored.items()}
 
 
-def measure(run: Path, frames: Path, visits: int, driven: int, out: Path,
-            retrain: Path | None, update: bool = True) -> None:
+def measure(run: Path, work: Path, visits: int, driven: int, out: Path,
+            retrain: Path | None, without: Sequence[str] = ()) -> None:
     """Go through the visits; write a row for each and each mode, all of them after each visit."""
     trained, = run.glob('*.onnx')
     expansion = FovExtrapolator.load(trained, guided=False).expansion
-    cast = partial(walks_of, camera=expansion.target, folder=frames)
-    with tempfile.TemporaryDirectory(dir=frames.parent) as folder:
-        learning = Path(folder) / trained.name
-        shutil.copy(trained, learning)
-        shutil.copy(trained.with_suffix('.memory'), folder)
-        newest = run
-        for number, visit in enumerate(VISITS[:visits]):
-            path = cast(visit, RULES.drive_seed + number, 20, name=f'drive_{number}',
-                        most=driven)
-            # Nobody is in the way, and the light is the same, where what changed is told apart.
-            test = cast(replace(visit, people=False), RULES.test_seed, RULES.test_walks,
-                        name=f'test_{number}')
-            before = cast(Visit(light=visit.light), RULES.test_seed, RULES.test_walks,
-                          name=visit.light)
-            drive(learning, path)
-            become_a_day_older(learning)
-            models, minutes = {'none': trained, 'learn': learning}, 0.0
-            if update:
-                bag, after = frames / f'drive_{number}', Path(folder) / str(number)
-                shutil.rmtree(bag, ignore_errors=True)
-                as_bag(bag, path, trained)
-                minutes = end(neo('update', newest, bag, '--out', after)) / 60
-                if after.exists():  # Where nothing has changed nothing is written.
-                    newest = after
-                models['update'] = newest / trained.name
+    cast = partial(walks_of, camera=expansion.target, folder=work / 'frames')
+    learnt, newest = run, run
+    for number, visit in enumerate(VISITS[:visits]):
+        test_of = partial(cast, seed=RULES.test_seed, count=RULES.test_walks)
+        folder, path = work / str(number), cast(
+            visit, RULES.drive_seed + number, 20, name=f'drive_{number}', most=driven)
+        if not (folder / DONE).exists():
+            shutil.rmtree(folder, ignore_errors=True)
+            folder.mkdir(parents=True)
+            models, minutes = {'none': trained}, 0.0
+            if 'learn' not in without:
+                models['learn'] = learn(learnt / trained.name, folder / 'learn', path)
+            if 'update' not in without:
+                as_bag(folder / 'drive', path, trained)
+                minutes = end(neo('update', newest, folder / 'drive',
+                                  '--out', folder / 'update')) / 60
+                # Where nothing has changed nothing is written.
+                after = folder / 'update' if (folder / 'update').exists() else newest
+                models['update'] = after / trained.name
             if retrain is not None and number == visits - 1:
                 models['retrained'] = train_anew(visit, expansion.source, retrain,
-                                                 Path(folder) / 'retrained')
-            found, shown = rows_of('demo_flat', number, models, test, before, {
-                'light': visit.light, 'door': 'closed' if visit.closed else 'open',
-                'people': visit.people}, minutes)
-            np.savez(frames / f'shown_{number}.npz', allow_pickle=False, **shown)
-            write_rows(out, found)
+                                                 folder / 'retrained')
+            # Nobody is in the way, and the light is the same, where what changed is told apart.
+            found, shown = rows_of(
+                'demo_flat', number, models, test_of(replace(visit, people=False),
+                                                     name=f'test_{number}'),
+                test_of(Visit(light=visit.light), name=visit.light), {
+                    'light': visit.light, 'door': 'closed' if visit.closed else 'open',
+                    'people': visit.people}, minutes)
+            np.savez(folder / 'shown.npz', allow_pickle=False, **shown)
+            write_rows(folder / DONE, found)
+        write_rows(out, json.loads((folder / DONE).read_text()))
+        learnt, newest = (folder / mode if (folder / mode).exists() else before
+                          for mode, before in (('learn', learnt), ('update', newest)))
+
+
+def learn(model: Path, folder: Path, path: Walks) -> Path:
+    """Let what a model knows learn from a drive in a folder of its own; return the model there."""
+    shutil.copytree(model.parent, folder, ignore=lambda _, names: [
+        name for name in names if not name.startswith((model.name, f'{model.stem}.memory'))])
+    drive(folder / model.name, path)
+    become_a_day_older(folder / model.name)
+    return folder / model.name
 
 
 def write_rows(out: Path, found: list[dict[str, Any]]) -> None:
@@ -293,16 +303,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('run', type=Path)
-    parser.add_argument('--frames', type=Path, default=Path('frames'))
+    parser.add_argument('--work', type=Path, default=Path('out/lives'), metavar='DIR')
     parser.add_argument('--drive', type=int, default=130, help='frames of each drive')
     parser.add_argument('--visits', type=int, default=len(VISITS))
     parser.add_argument('--out', type=Path, default=Path('results/lives.json'))
     parser.add_argument('--retrain', type=Path, metavar='CONFIG',
                         help='experiment file: train anew on photos of the last visit')
-    parser.add_argument('--learn-only', action='store_true', help='measure no update')
+    parser.add_argument('--without', action='append', choices=('learn', 'update'), default=[],
+                        help='do not measure this one; may be given again')
     given = parser.parse_args()
-    measure(given.run, given.frames, given.visits, given.drive, given.out, given.retrain,
-            not given.learn_only)
+    measure(given.run, given.work, given.visits, given.drive, given.out, given.retrain,
+            given.without)
 
 
 if __name__ == '__main__':

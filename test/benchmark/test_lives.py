@@ -1,7 +1,9 @@
 """What the figures of a flat that changes are made of."""
+from functools import partial
 import hashlib
 import json
 from pathlib import Path
+import shutil
 
 from neo_ros.benchmark import lives
 from neo_ros.benchmark.lives import (
@@ -13,6 +15,7 @@ from neo_ros.memory.patch import Patch
 from neo_ros.memory.turn import PAUSE_NS, Turn
 import numpy as np
 import pytest
+from tiny_model import write_tiny_model
 
 CAMERA = Intrinsics.from_hfov(8, 8, 1.6)
 
@@ -70,3 +73,44 @@ def test_rows_that_were_not_measured_again_stay(tmp_path: Path) -> None:
     write_rows(out, [{**first[0], 'x': 1}, {**first[0], 'visit': 2}])
     assert json.loads(out.read_text()) == [
         {**first[0], 'x': 1}, first[1], {**first[0], 'visit': 2}]
+
+
+def test_a_measurement_goes_on_where_it_was_broken_off(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / 'run').mkdir()
+    model, steps, broken = write_tiny_model(tmp_path / 'run' / 'tiny.onnx'), list[str](), [True]
+
+    def drive(model: Path, path: Walks) -> None:
+        known = model.with_suffix('.memory.journal')
+        known.write_text((known.read_text() if known.exists() else '') + 'x')
+        steps.append(f'learnt {known.read_text()}')
+
+    def update(command: list[str]) -> float:
+        newest, after = Path(command[-4]), Path(command[-1])
+        steps.append(f'updated {newest.relative_to(tmp_path)}')
+        if newest.name == 'run':  # On the second visit nothing has changed.
+            shutil.copytree(newest, after)
+        return 60.0
+
+    def rows_of(scene: str, visit: int, models: dict[str, Path], *_: object) -> object:
+        if visit == 1 and broken.pop():
+            raise KeyboardInterrupt
+        return [{'scene': scene, 'visit': visit, 'mode': mode,
+                 'model': str(path.relative_to(tmp_path))} for mode, path in models.items()], {}
+
+    nothing = Walks(np.zeros((1, 8, 8, 3), np.uint8), np.eye(4)[None], np.zeros(1, int))
+    for name, one in (('walks_of', lambda *_, **__: nothing), ('as_bag', lambda *_: None),
+                      ('drive', drive), ('end', update), ('rows_of', rows_of),
+                      ('become_a_day_older', lambda _: None)):
+        monkeypatch.setattr(lives, name, one)
+    go = partial(lives.measure, model.parent, tmp_path / 'work', driven=1,
+                 out=tmp_path / 'rows.json', retrain=None)
+    with pytest.raises(KeyboardInterrupt):
+        go(visits=2)
+    broken.append(False)
+    go(visits=3)
+    again = ['learnt xx', 'updated work/0/update']
+    assert steps == ['learnt x', 'updated run', *again, *again,
+                     'learnt xxx', 'updated work/0/update']
+    assert [row['model'] for row in json.loads((tmp_path / 'rows.json').read_text())
+            if row['mode'] == 'update'] == ['work/0/update/tiny.onnx'] * 3
