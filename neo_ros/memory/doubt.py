@@ -93,7 +93,7 @@ class Doubt:
                       for index in left]
         return None
 
-    def follow(self, image: CameraImage, motion: np.ndarray | None) -> Sight | None:
+    def follow(self, image: CameraImage, motion: np.ndarray | None) -> Hypothesis | None:
         """
         Follow the camera at all places where it could be; return the one that is left.
 
@@ -119,29 +119,46 @@ class Doubt:
         if len(self._open) > 1:
             return None
         self.forget()
-        return replace(best.sight, found='searched')
+        return replace(best, sight=replace(best.sight, found='searched'))
 
     def _followed(self, image: CameraImage, motion: np.ndarray | None) -> list[Hypothesis]:
         """Move all places on with the camera, and drop those that the image does not fit."""
+        moved = [self._moved(image, one, motion) for one in self._open]
+        best = max(moved, key=lambda one: one.sight.agreement, default=None)
         kept = list[Hypothesis]()
-        for one in self._open:
-            last = one.sight.pose
-            expected = CameraPose.nearest(
-                last.T_world_cam @ (one.motion if motion is None else motion))
-            pose = self._looker.aligner.align(image.photo, expected, 1, near=True)
-            sight = self._looker.look(image, pose, expected)
-            if not sight.believed and motion is None:
-                pose = self._looker.aligner.align(image.photo, last, 3, near=True)
-                sight = self._looker.look(image, pose, last)
-            twice = any(not self._is_elsewhere(sight, other.sight) for other in kept)
-            jumped = is_elsewhere(pose, last if motion is None else expected, self._limits)
-            if not twice and not jumped:
-                kept.append(replace(
-                    one, sight=sight, motion=last.inverse() @ pose.T_world_cam))
+        for before, one in zip(self._open, moved):
+            if best is not None and motion is None and self._is_less_sure(one, best):
+                # It is one camera: where it is followed surely tells how it moves.
+                one = self._carried(image, before, best.motion)
+            last = before.sight.pose
+            expected = last if motion is None else CameraPose.nearest(last.T_world_cam @ motion)
+            if all(self._is_elsewhere(one.sight, other.sight) for other in kept) and (
+                    not is_elsewhere(one.sight.pose, expected, self._limits)):
+                kept.append(one)
         least = 1 - max((one.sight.agreement for one in kept), default=1.0)
         return [one for one in kept if one.sight.believed or (
             any(other.sight.believed for other in kept)
             and 1 - one.sight.agreement < self._limits.unexplained * least)]
+
+    def _moved(self, image: CameraImage, one: Hypothesis, motion: np.ndarray | None
+               ) -> Hypothesis:
+        """Follow the camera from one place; motion: as in `follow`."""
+        last, step = one.sight.pose, one.motion if motion is None else motion
+        expected = CameraPose.nearest(last.T_world_cam @ step)
+        pose = self._looker.aligner.align(image.photo, expected, 1, near=True)
+        sight = self._looker.look(image, pose, expected)
+        if not sight.believed and motion is None:
+            pose = self._looker.aligner.align(image.photo, last, 3, near=True)
+            sight = self._looker.look(image, pose, last)
+        return replace(one, sight=sight, motion=last.inverse() @ pose.T_world_cam)
+
+    def _carried(self, image: CameraImage, one: Hypothesis, motion: np.ndarray) -> Hypothesis:
+        """Move one place on by a step, (4, 4)."""
+        pose = CameraPose.nearest(one.sight.pose.T_world_cam @ motion)
+        return replace(one, sight=self._looker.look(image, pose, pose), motion=motion)
+
+    def _is_less_sure(self, one: Hypothesis, best: Hypothesis) -> bool:
+        return one.sight.agreement < self._looker.thresholds.sure <= best.sight.agreement
 
     def _newly_doubted(self, image: CameraImage, only: Hypothesis) -> list[Hypothesis]:
         """Find places that could be it but were not followed, before the last one is believed."""
@@ -150,7 +167,7 @@ class Doubt:
         rivals = [rival for rival in self._rivals(image, only.sight, self._starts(
             image, only.sight)) if all(
                 is_elsewhere(rival.pose, pose, self._limits) for pose in refuted)]
-        found = [Hypothesis(rival, np.eye(4), only.against + against)
+        found = [Hypothesis(rival, only.motion, only.against + against)
                  for rival, against in self._equal(image, only.sight, rivals)]
         for one in found:
             one.refuted = tuple(map(one.way_to, refuted))

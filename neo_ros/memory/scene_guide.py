@@ -106,6 +106,7 @@ class SceneGuide:
                 CameraPose(self._motion), pace).T_world_cam
         led = self._led > 0
         best = followed = self._follow(image, before) if before is not None else None
+        left = None  # Of the places between which images had not decided.
         told = self._try(image, prior) if prior is not None else None
         if told is not None and told.believed and not (
                 followed is not None and followed.believed
@@ -115,7 +116,8 @@ class SceneGuide:
             self._doubt.forget()
             self._watch.forget()  # What it waits for is of the pose before.
         elif self._doubt.is_open:
-            best = self._doubt.follow(image, motion)
+            left = self._doubt.follow(image, motion)
+            best = None if left is None else left.sight
         self._since_search += 1
         if not self._doubt.is_open and self._search_is_due(best):
             self._since_search = 0
@@ -129,7 +131,8 @@ class SceneGuide:
             self._recent.forget()  # The poses before may have been wrong.
         # What was searched for has not moved there: it was taken there.
         self._motion = (last.inverse() @ best.pose.T_world_cam
-                        if last is not None and best is followed else np.eye(4))
+                        if last is not None and best is followed else
+                        left.motion if left is not None and best is left.sight else np.eye(4))
         self._last = best
         self._decode_ahead(best.pose)
         view, known = best.view, best.view.depth > 0

@@ -79,6 +79,31 @@ def test_a_turn_to_the_picture_resolves_the_doubt(with_picture: SceneGuide) -> N
                 break
         assert found is not None and not with_picture.ambiguous
         assert apart(found.pose, true(pose))[0] < 0.05
+        # It goes on as it turned meanwhile: else a quick camera would be lost again at once.
+        expected = CameraPose.nearest(found.pose.T_world_cam @ with_picture._motion)
+        assert apart(expected, true(planar(1.9, 1.7, degrees - 8)))[1] < 2
+
+
+def test_a_place_that_is_shown_poorly_moves_on_with_one_that_is_followed_surely(
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    memory = twin_memory(own_picture=False)
+    looker = Looker(memory, EXPANSION, GuideThresholds())
+    doubt = Doubt(looker, GlanceFinder(memory.glances, looker.thresholds))
+    image, moved = _image(looker), doubt._moved
+    before = planar(1.84, 1.68, 33)
+    doubt._open = [Hypothesis(looker.look(image, pose), np.eye(4))
+                   for pose in (before, _in_twin(before))]
+
+    def drift(image: CameraImage, one: Hypothesis, motion: np.ndarray | None) -> Hypothesis:
+        if one.sight.pose.position[0] > AWAY:
+            return moved(image, one, motion)
+        off = looker.look(image, planar(2.1, 1.7, 45))
+        return replace(one, sight=off, motion=before.inverse() @ off.pose.T_world_cam)
+
+    monkeypatch.setattr(doubt, '_moved', drift)
+    here, there = doubt._followed(image, None)
+    assert apart(here.sight.pose, planar(1.9, 1.7, 35))[0] < 0.03
+    assert apart(_in_twin(here.sight.pose), there.sight.pose)[0] < 1e-6
 
 
 def test_odometry_moves_the_places_that_could_be_it(with_picture: SceneGuide) -> None:
