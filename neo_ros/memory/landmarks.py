@@ -5,7 +5,7 @@ They are triangulated from the photos. Matched with an image they give its pose,
 from about where the camera is (PnP with RANSAC), and they tell whether a pose found in another
 way can be right: photometric alignment follows a surface that is at a wrong depth.
 """
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -85,6 +85,17 @@ class Landmarks:
         sums = np.zeros((len(points), descriptors.shape[1]), np.float32)
         np.add.at(sums, point_of[shown], descriptors[shown])
         return cls(points[chosen].astype(np.float32), coded(_unit(sums[chosen])))
+
+    @classmethod
+    def joined(cls, parts: 'Iterable[Landmarks | None]') -> 'Landmarks | None':
+        """Return the landmarks of all parts; None where there are none."""
+        found = [one for one in parts if one is not None and len(one.points)]
+        return cls(np.concatenate([one.points for one in found]),
+                   np.concatenate([one.descriptors for one in found])) if found else None
+
+    def subset(self, kept: np.ndarray) -> 'Landmarks':
+        """Return those that are marked, bool (P,)."""
+        return Landmarks(self.points[kept], self.descriptors[kept])
 
 
 class Location(NamedTuple):

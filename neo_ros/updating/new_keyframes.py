@@ -124,12 +124,5 @@ def _rotations(memory: SceneMemory) -> list[np.ndarray]:
 
 def _joined(old: Landmarks | None, new: Landmarks | None, growth: Growth) -> Landmarks | None:
     """Return old landmarks, and new ones in the new place."""
-    if new is None:
-        return old
-    inside = growth.space.holds(growth.field, new.points)
-    parts: Sequence[Landmarks] = [one for one in (old, Landmarks(
-        new.points[inside], new.descriptors[inside])) if one is not None and len(one.points)]
-    if not parts:
-        return None
-    return Landmarks(np.concatenate([one.points for one in parts]),
-                     np.concatenate([one.descriptors for one in parts]))
+    return Landmarks.joined([old, new and new.subset(
+        growth.space.holds(growth.field, new.points))])

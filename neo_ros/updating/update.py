@@ -17,7 +17,6 @@ from neo_ros.field.voxel_field import VoxelField
 from neo_ros.machine.files import make_output_folder, see_to_disk, share_file
 from neo_ros.machine.progress import no_stage_progress, of_stage, StageProgress
 from neo_ros.machine.ray_jobs import check_ray
-from neo_ros.memory.landmarks import Landmarks
 from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.pictures.usable import shrunk
 from neo_ros.reports.report import Section, write_report
@@ -28,6 +27,7 @@ from neo_ros.training.folder import note_update, scene_folder
 from neo_ros.training.time_plan import PLAN_FILE
 from neo_ros.updating.changed_keyframes import (
     bake_changes, bake_changes_on_ray, ChangeRecipe)
+from neo_ros.updating.changed_landmarks import changed_landmarks
 from neo_ros.updating.changed_space import ChangedSpace, find_changed_space
 from neo_ros.updating.compared_photos import compare, ComparedPhotos
 from neo_ros.updating.driven_photos import Drive, drive_through
@@ -138,8 +138,7 @@ def update_once(run: UpdateRun, bag: Path, out: Path, options: UpdateOptions,
             field, space, compared, lambda chosen: run.photos(drive, chosen, run.fitted_camera),
             run.experiment.field, run.experiment.seed, options.minutes,
             of_stage(progress, 'field'))
-    landmarks = _landmarks_outside(before.landmarks, field, space)
-    changed = space.cells
+    refitted, changed = space, space.cells
     if growth is not None:
         space = growth.joined(space)
     if not space.places:
@@ -150,7 +149,11 @@ def update_once(run: UpdateRun, bag: Path, out: Path, options: UpdateOptions,
     chosen, seen, wrong, right = _photos_that_see(old, field, space, compared)
     kept = _keep(run, drive, compared, chosen, wrong, right, out / 'field.npz', work)
     photos, gains = kept.read_photos(), compared.gains[chosen]
-    shared = kept if options.cluster else None
+    shared, old_ones = kept if options.cluster else None, sum(
+        index < compared.old for index in chosen)
+    landmarks = changed_landmarks(
+        before.landmarks, field, refitted, photos.part(old_ones, len(chosen)), source,
+        work / 'landmarks', of_stage(progress, 'landmarks'))
     recipe = recipe_of(before, photos, seen, gains, source)
     change = ChangeRecipe(space, before, photos, seen, gains, recipe.directions)
     show = of_stage(progress, 'keyframes')
@@ -275,12 +278,3 @@ def _founders(chosen: list[int], compared: ComparedPhotos, growth: Growth | None
     new = [index for index in chosen if index >= compared.old]
     return np.array([compared.old + number for number, index in enumerate(new)
                      if index >= len(compared.photos.images) - placed], np.int32)
-
-
-def _landmarks_outside(landmarks: Landmarks | None, field: VoxelField, space: ChangedSpace
-                       ) -> Landmarks | None:
-    """Leave out the landmarks that may be gone; None where none is left."""
-    if landmarks is None:
-        return None
-    stay = ~space.holds(field, landmarks.points)
-    return Landmarks(landmarks.points[stay], landmarks.descriptors[stay]) if stay.any() else None

@@ -104,6 +104,22 @@ def test_keyframes_are_the_same_elsewhere(base: Path) -> None:
     assert 0 < max(touched) < 0.3 and np.mean(elsewhere) < 0.01
 
 
+def test_landmarks_of_what_left_are_gone_and_those_of_what_came_are_there(base: Path) -> None:
+    old, new = (memory_of(base / name).landmarks for name in ('run', 'new'))
+    assert old is not None and new is not None
+
+    def at(points: np.ndarray, post: tuple[float, float]) -> np.ndarray:
+        return np.abs(points[:, :2] - post).max(1) < HALF + 0.1
+
+    few, many = 10, 40  # What is on the floor below them stays.
+    assert at(old.points, BEFORE).sum() > many and at(old.points, AFTER).sum() < few
+    assert at(new.points, BEFORE).sum() < few and at(new.points, AFTER).sum() > many
+    there = {point.tobytes() for point in new.points}
+    away = old.points[np.abs(old.points[:, :2, None] - np.transpose([BEFORE, AFTER])).max(
+        1).min(1) > HALF + 0.5]
+    assert all(point.tobytes() in there for point in away)
+
+
 def test_the_card_tells_where_it_comes_from(base: Path) -> None:
     before, after = (read_model_card(base / name / 'room.onnx') for name in ('run', 'new'))
     assert before.updates == () and after.memory != before.memory
