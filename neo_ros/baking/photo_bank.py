@@ -63,7 +63,7 @@ def read_photo_bank(photos: PosedImages, scale: float, cache: Path,
         found = []
         for index in range(len(photos)):
             features = find_features(photos.read_image(index, scale), magnify)
-            found.append(of_scene(features, photos.read_usable(index, scale)))
+            found.append(_of_scene(features, photos.read_usable(index, scale)))
             progress(index + 1, len(photos))
         counts = np.array([len(one.points) for one in found])
         points = np.concatenate([one.points for one in found])
@@ -97,7 +97,7 @@ def _vlad(features: Features, words: np.ndarray) -> np.ndarray:
     return (vector / max(float(np.linalg.norm(vector)), 1e-6)).ravel()
 
 
-def of_scene(features: Features, usable: np.ndarray | None) -> Features:
+def _of_scene(features: Features, usable: np.ndarray | None) -> Features:
     """Keep the features on pixels that show the scene."""
     if usable is None:
         return features

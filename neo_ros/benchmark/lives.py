@@ -10,7 +10,8 @@ that learnt on all drives so far (learn), and by the run that `neo update` broug
 the bags of all drives so far (update). With --retrain a fresh training with CONFIG
 on photos of the last visit is the fourth (retrained). Scores are of the ring in the frames that
 show something changed, with exact truth. Rows in FILE of what was not measured again stay. DIR
-keeps frames, bags and models: given again, the visits that it has are not gone through anew.
+keeps frames, bags and models: visits of which it has all that is asked for are not gone through
+anew.
 """
 import argparse
 from collections.abc import Iterator, Sequence
@@ -236,20 +237,23 @@ def measure(run: Path, work: Path, visits: int, driven: int, out: Path,
         test_of = partial(cast, seed=RULES.test_seed, count=RULES.test_walks)
         folder, path = work / str(number), cast(
             visit, RULES.drive_seed + number, 20, name=f'drive_{number}', most=driven)
-        if not (folder / DONE).exists():
+        done = folder / DONE
+        wanted = {'learn', 'update'}.difference(without) | (
+            {'retrained'} if retrain is not None and number == visits - 1 else set())
+        if not wanted <= {row['mode'] for row in read_rows(done)}:
             shutil.rmtree(folder, ignore_errors=True)
             folder.mkdir(parents=True)
             models, minutes = {'none': trained}, 0.0
-            if 'learn' not in without:
+            if 'learn' in wanted:
                 models['learn'] = learn(learnt / trained.name, folder / 'learn', path)
-            if 'update' not in without:
+            if 'update' in wanted:
                 as_bag(folder / 'drive', path, trained)
                 minutes = end(neo('update', newest, folder / 'drive',
                                   '--out', folder / 'update')) / 60
                 # Where nothing has changed nothing is written.
                 after = folder / 'update' if (folder / 'update').exists() else newest
                 models['update'] = after / trained.name
-            if retrain is not None and number == visits - 1:
+            if 'retrained' in wanted and retrain is not None:
                 models['retrained'] = train_anew(visit, expansion.source, retrain,
                                                  folder / 'retrained')
             # Nobody is in the way, and the light is the same, where what changed is told apart.
@@ -260,8 +264,8 @@ def measure(run: Path, work: Path, visits: int, driven: int, out: Path,
                     'light': visit.light, 'door': 'closed' if visit.closed else 'open',
                     'people': visit.people}, minutes)
             np.savez(folder / 'shown.npz', allow_pickle=False, **shown)
-            write_rows(folder / DONE, found)
-        write_rows(out, json.loads((folder / DONE).read_text()))
+            write_rows(done, found)
+        write_rows(out, read_rows(done))
         learnt, newest = (folder / mode if (folder / mode).exists() else before
                           for mode, before in (('learn', learnt), ('update', newest)))
 
@@ -275,12 +279,16 @@ def learn(model: Path, folder: Path, path: Walks) -> Path:
     return folder / model.name
 
 
+def read_rows(path: Path) -> list[dict[str, Any]]:
+    """Return the rows of a file; none where there is none."""
+    return json.loads(path.read_text()) if path.exists() else []
+
+
 def write_rows(out: Path, found: list[dict[str, Any]]) -> None:
     """Write rows into a file of rows, instead of those of the same scene, visit and mode."""
     def key(row: dict[str, Any]) -> tuple[Any, ...]:
         return row['scene'], row['visit'], row['mode']
-    rows = {key(row): row for row in [
-        *(json.loads(out.read_text()) if out.exists() else []), *found]}
+    rows = {key(row): row for row in [*read_rows(out), *found]}
     write_bytes(out, (json.dumps(list(rows.values()), indent=1) + '\n').encode())
 
 

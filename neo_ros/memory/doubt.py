@@ -124,13 +124,14 @@ class Doubt:
     def _followed(self, image: CameraImage, motion: np.ndarray | None) -> list[Hypothesis]:
         """Move all places on with the camera, and drop those that the image does not fit."""
         moved = [self._moved(image, one, motion) for one in self._open]
-        best = max(moved, key=lambda one: one.sight.agreement, default=None)
-        kept = list[Hypothesis]()
+        best = max(moved, key=lambda one: one.sight.agreement)
+        sure, kept = self._looker.thresholds.sure, list[Hypothesis]()
         for before, one in zip(self._open, moved):
-            if best is not None and motion is None and self._is_less_sure(one, best):
-                # It is one camera: where it is followed surely tells how it moves.
-                one = self._carried(image, before, best.motion)
             last = before.sight.pose
+            if motion is None and one.sight.agreement < sure <= best.sight.agreement:
+                # It is one camera: where it is followed surely tells how it moves.
+                pose = CameraPose.nearest(last.T_world_cam @ best.motion)
+                one = replace(one, sight=self._looker.look(image, pose, pose), motion=best.motion)
             expected = last if motion is None else CameraPose.nearest(last.T_world_cam @ motion)
             if all(self._is_elsewhere(one.sight, other.sight) for other in kept) and (
                     not is_elsewhere(one.sight.pose, expected, self._limits)):
@@ -142,7 +143,7 @@ class Doubt:
 
     def _moved(self, image: CameraImage, one: Hypothesis, motion: np.ndarray | None
                ) -> Hypothesis:
-        """Follow the camera from one place; motion: as in `follow`."""
+        """Follow the camera from one place, by its own last step where no motion is known."""
         last, step = one.sight.pose, one.motion if motion is None else motion
         expected = CameraPose.nearest(last.T_world_cam @ step)
         pose = self._looker.aligner.align(image.photo, expected, 1, near=True)
@@ -151,14 +152,6 @@ class Doubt:
             pose = self._looker.aligner.align(image.photo, last, 3, near=True)
             sight = self._looker.look(image, pose, last)
         return replace(one, sight=sight, motion=last.inverse() @ pose.T_world_cam)
-
-    def _carried(self, image: CameraImage, one: Hypothesis, motion: np.ndarray) -> Hypothesis:
-        """Move one place on by a step, (4, 4)."""
-        pose = CameraPose.nearest(one.sight.pose.T_world_cam @ motion)
-        return replace(one, sight=self._looker.look(image, pose, pose), motion=motion)
-
-    def _is_less_sure(self, one: Hypothesis, best: Hypothesis) -> bool:
-        return one.sight.agreement < self._looker.thresholds.sure <= best.sight.agreement
 
     def _newly_doubted(self, image: CameraImage, only: Hypothesis) -> list[Hypothesis]:
         """Find places that could be it but were not followed, before the last one is believed."""

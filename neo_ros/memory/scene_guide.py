@@ -106,7 +106,7 @@ class SceneGuide:
                 CameraPose(self._motion), pace).T_world_cam
         led = self._led > 0
         best = followed = self._follow(image, before) if before is not None else None
-        left = None  # Of the places between which images had not decided.
+        left = None  # The one place that is left of those between which images had not decided.
         told = self._try(image, prior) if prior is not None else None
         if told is not None and told.believed and not (
                 followed is not None and followed.believed
@@ -129,10 +129,12 @@ class SceneGuide:
             self._led = self.thresholds.landmarks_every
         if best is not followed:
             self._recent.forget()  # The poses before may have been wrong.
-        # What was searched for has not moved there: it was taken there.
-        self._motion = (last.inverse() @ best.pose.T_world_cam
-                        if last is not None and best is followed else
-                        left.motion if left is not None and best is left.sight else np.eye(4))
+        if last is not None and best is followed:
+            self._motion = last.inverse() @ best.pose.T_world_cam
+        elif left is not None and best is left.sight:
+            self._motion = left.motion
+        else:  # What was searched for has not moved there: it was taken there.
+            self._motion = np.eye(4)
         self._last = best
         self._decode_ahead(best.pose)
         view, known = best.view, best.view.depth > 0

@@ -8,6 +8,7 @@ import shutil
 import time
 
 from neo_ros.baking.keyframes import BakingRules
+from neo_ros.baking.landmarks import find_landmarks
 from neo_ros.baking.memory_baking import make_keyframes
 from neo_ros.baking.worker_files import SharedScene
 from neo_ros.errors import BagError, ConfigError
@@ -17,17 +18,18 @@ from neo_ros.field.voxel_field import VoxelField
 from neo_ros.machine.files import make_output_folder, see_to_disk, share_file
 from neo_ros.machine.progress import no_stage_progress, of_stage, StageProgress
 from neo_ros.machine.ray_jobs import check_ray
+from neo_ros.memory.landmarks import Landmarks
 from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.pictures.usable import shrunk
 from neo_ros.reports.report import Section, write_report
 from neo_ros.runtime import FovExtrapolator
 from neo_ros.runtime.model_card import MemoryFile, Update, write_model_card
+from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.upright import read_upright_scene
 from neo_ros.training.folder import note_update, scene_folder
 from neo_ros.training.time_plan import PLAN_FILE
 from neo_ros.updating.changed_keyframes import (
     bake_changes, bake_changes_on_ray, ChangeRecipe)
-from neo_ros.updating.changed_landmarks import changed_landmarks
 from neo_ros.updating.changed_space import ChangedSpace, find_changed_space
 from neo_ros.updating.compared_photos import compare, ComparedPhotos
 from neo_ros.updating.driven_photos import Drive, drive_through
@@ -149,11 +151,16 @@ def update_once(run: UpdateRun, bag: Path, out: Path, options: UpdateOptions,
     chosen, seen, wrong, right = _photos_that_see(old, field, space, compared)
     kept = _keep(run, drive, compared, chosen, wrong, right, out / 'field.npz', work)
     photos, gains = kept.read_photos(), compared.gains[chosen]
-    shared, old_ones = kept if options.cluster else None, sum(
-        index < compared.old for index in chosen)
-    landmarks = changed_landmarks(
-        before.landmarks, field, refitted, photos.part(old_ones, len(chosen)), source,
-        work / 'landmarks', of_stage(progress, 'landmarks'))
+    shared = kept if options.cluster else None
+    if growth is not None:
+        growth = replace(growth, field=field)
+        floor = new_floor(growth, source, run.experiment.sampling, scene.walkable)
+        if floor is not None and scene.walkable is not None:
+            scene = replace(scene, walkable=joined_floor(scene.walkable, floor))
+    write_more_photos(out / run.scene.name, scene, chosen, photos)
+    updated = read_upright_scene(out / run.scene.name)
+    landmarks = _changed_landmarks(run, before.landmarks, field, refitted, updated.train,
+                                   work / 'landmarks', progress)
     recipe = recipe_of(before, photos, seen, gains, source)
     change = ChangeRecipe(space, before, photos, seen, gains, recipe.directions)
     show = of_stage(progress, 'keyframes')
@@ -162,24 +169,19 @@ def update_once(run: UpdateRun, bag: Path, out: Path, options: UpdateOptions,
             change, shared, (run.memory, named.sha256), work / 'changed', show),
         landmarks)
     if growth is not None:
-        growth = replace(growth, field=field)
-        floor = new_floor(growth, source, run.experiment.sampling, scene.walkable)
         positions = new_positions(growth, floor, before, run.keyframes_apart)
         after = with_place(after, growth, recipe, positions, make_keyframes(
             recipe, field, positions, work / 'new', progress, scene=shared,
             stage='new keyframes'))
-        if floor is not None and scene.walkable is not None:
-            scene = replace(scene, walkable=joined_floor(scene.walkable, floor))
     sha256 = after.write(memory_file)
     write_model_card(model, replace(
         run.card, memory=MemoryFile(file=memory_file.name, sha256=sha256), scores={},
         updates=(*run.card.updates, Update(
             memory=named.sha256, bag=bag.name, photos=len(drive.poses),
             at=f'{datetime.now(timezone.utc):%Y-%m-%d %H:%M:%S}'))))
-    write_more_photos(out / run.scene.name, scene, chosen, photos)
     run.past.with_more(field, changed, len(run.card.updates) + 1,
                        _founders(chosen, compared, growth)).write(out)
-    note_update(out, run.folder, read_upright_scene(out / run.scene.name))
+    note_update(out, run.folder, updated)
     for name in (PLAN_FILE, 'field.json', CHECKPOINT):
         if (run.folder / name).exists():
             share_file(run.folder / name, out / name)
@@ -278,3 +280,15 @@ def _founders(chosen: list[int], compared: ComparedPhotos, growth: Growth | None
     new = [index for index in chosen if index >= compared.old]
     return np.array([compared.old + number for number, index in enumerate(new)
                      if index >= len(compared.photos.images) - placed], np.int32)
+
+
+def _changed_landmarks(run: UpdateRun, old: Landmarks | None, field: VoxelField,
+                       space: ChangedSpace, photos: PosedImages, work: Path,
+                       progress: StageProgress) -> Landmarks | None:
+    """Leave out the landmarks in a space, and put those there that the new photos show."""
+    if old is None or not space.places:
+        return old
+    new = find_landmarks(photos.subset(range(len(run.scene.train), len(photos))),
+                         run.experiment.scale, run.card.expansion.source, work, progress)
+    return Landmarks.joined([old.subset(~space.holds(field, old.points)),
+                             new and new.subset(space.holds(field, new.points))])

@@ -112,5 +112,11 @@ def test_a_measurement_goes_on_where_it_was_broken_off(
     again = ['learnt xx', 'updated work/0/update']
     assert steps == ['learnt x', 'updated run', *again, *again,
                      'learnt xxx', 'updated work/0/update']
+    go(visits=1, without=['update'])  # It has that, and more.
+    assert len(steps) == 8
+    shutil.rmtree(tmp_path / 'work')
+    go(visits=1, without=['update'])
+    go(visits=1)  # What is missing makes the visit anew.
+    assert steps[8:] == ['learnt x', 'learnt x', 'updated run']
     assert [row['model'] for row in json.loads((tmp_path / 'rows.json').read_text())
             if row['mode'] == 'update'] == ['work/0/update/tiny.onnx'] * 3
