@@ -100,6 +100,22 @@ def one_thread() -> Iterator[None]:
     torch.set_num_threads(before)
 
 
+@pytest.fixture(scope='module')
+def ray() -> Iterator[Any]:
+    """One cluster for all tests of a file: it takes seconds to start, and its workers, too."""
+    found = pytest.importorskip('ray', reason='needs Ray: the extra cluster is not installed')
+    with pytest.MonkeyPatch.context() as environment:
+        environment.setenv('RAY_USAGE_STATS_ENABLED', '0')
+        # Else they would wait for all other tests.
+        environment.setenv('RAY_worker_niceness', '0')
+        # Workers find the helpers of the tests as this process does.
+        environment.setenv('PYTHONPATH', os.pathsep.join(path for path in sys.path if path))
+        found.init(address='local', num_cpus=2, include_dashboard=False, logging_level='error',
+                   log_to_driver=False, object_store_memory=100 << 20)
+        yield found
+        found.shutdown()
+
+
 @pytest.fixture(scope='session')
 def tiny_run(flat_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Any:
     """Train once, in seconds: the TrainingRun; its scene lies in `scene` beside its `out`."""

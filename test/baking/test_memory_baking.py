@@ -1,6 +1,7 @@
 """Keyframes by Ray: the same bytes as here, also where a worker is killed or time is short."""
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from neo_ros.baking.keyframes import BakingRules, MemoryConfig, Photos
 from neo_ros.baking.memory_baking import bake_memory
@@ -51,8 +52,7 @@ def here(run: TrainingRun, tmp_path_factory: pytest.TempPathFactory) -> SceneMem
 
 
 def test_ray_makes_the_same_memory_also_where_a_worker_dies(
-        run: TrainingRun, here: SceneMemory, tmp_path: Path) -> None:
-    pytest.importorskip('ray')
+        run: TrainingRun, here: SceneMemory, tmp_path: Path, ray: Any) -> None:
     count = len(here.positions)
     assert count > 2
     said: list[tuple[int, int]] = []

@@ -90,7 +90,12 @@ class Camera:
 
     def wait_for_diagnosis(self, level, words, task=WIDENING):
         """Wait for a verdict on the widening, or on the 'camera'; return its lines."""
-        return self.graph.spin_until(lambda: self.diagnosis(level, words, task))
+        try:
+            return self.graph.spin_until(lambda: self.diagnosis(level, words, task))
+        except AssertionError as error:
+            last = [(status.level, status.message) for entry in self.diagnostics[-1:]
+                    for status in entry.status if status.name.endswith(f': {task}')]
+            raise AssertionError(f'{error}: {words!r}, the last was {last}') from error
 
     def diagnosis(self, level, words, task=WIDENING):
         """Return the lines of a verdict that came, or None."""

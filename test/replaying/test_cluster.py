@@ -1,5 +1,4 @@
 """Bags on Ray, embedded: the same bytes as in one process, and a worker that is killed."""
-from collections.abc import Iterator
 import math
 import os
 from pathlib import Path
@@ -20,22 +19,6 @@ from tiny_model import write_tiny_model
 
 EXPANSION = ViewExpansion.to_size(Intrinsics.from_hfov(32, 24, math.pi / 2), 64, 48)
 OPTIONS = ReplayOptions(score=True)
-
-
-@pytest.fixture(scope='module')
-def ray() -> Iterator[Any]:
-    """One cluster for all tests of this file: it takes seconds to start."""
-    found = pytest.importorskip('ray', reason='needs Ray: the extra cluster is not installed')
-    with pytest.MonkeyPatch.context() as environment:
-        environment.setenv('RAY_USAGE_STATS_ENABLED', '0')
-        # Else they would wait for all other tests.
-        environment.setenv('RAY_worker_niceness', '0')
-        # Workers find the helpers of the tests as this process does.
-        environment.setenv('PYTHONPATH', os.pathsep.join(path for path in sys.path if path))
-        found.init(address='local', num_cpus=2, include_dashboard=False, logging_level='error',
-                   log_to_driver=False, object_store_memory=100 << 20)
-        yield found
-        found.shutdown()
 
 
 def write_inputs(folder: Path, frames: int, count: int) -> tuple[Path, list[Path]]:

@@ -1,6 +1,7 @@
 """A field is fitted tile by tile, goes on where it broke off, and is the same on a cluster."""
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 from neo_ros.errors import NeoError
@@ -102,8 +103,7 @@ def test_a_tile_that_was_broken_off_goes_on_to_the_same_bits(
     assert not job.out.with_suffix('.ckpt').exists()
 
 
-def test_a_cluster_fits_the_same_bits(scene: Scene, whole: Path, tmp_path: Path) -> None:
-    pytest.importorskip('ray')
+def test_a_cluster_fits_the_same_bits(scene: Scene, whole: Path, tmp_path: Path, ray: Any) -> None:
     said: list[tuple[str, int, int]] = []
     fit_tiles(jobs_in(tmp_path, scene), True,
               lambda stage, done, total, note='': said.append((stage, done, total)))
@@ -112,8 +112,8 @@ def test_a_cluster_fits_the_same_bits(scene: Scene, whole: Path, tmp_path: Path)
         assert one.out.read_bytes() == other.out.read_bytes()
 
 
-def test_a_killed_workers_tile_is_done_again(scene: Scene, whole: Path, tmp_path: Path) -> None:
-    pytest.importorskip('ray')
+def test_a_killed_workers_tile_is_done_again(
+        scene: Scene, whole: Path, tmp_path: Path, ray: Any) -> None:
     said: list[tuple[str, int]] = []
     with first_worker_killed('fit_tile') as killed:
         fit_tiles(jobs_in(tmp_path, scene), True,

@@ -1,5 +1,6 @@
 """`neo update` from bag to folder: what has changed is changed, and nothing else."""
 from pathlib import Path
+from typing import Any
 
 import cv2
 from neo_ros.bags import write_demo_bag
@@ -178,8 +179,8 @@ def test_an_updated_run_can_be_updated_again(base: Path, tmp_path: Path) -> None
     assert memory_of(tmp_path / 'back') and FovExtrapolator.load(tmp_path / 'back' / 'room.onnx')
 
 
-def test_ray_makes_the_same_memory_also_where_a_worker_dies(base: Path, tmp_path: Path) -> None:
-    pytest.importorskip('ray')
+def test_ray_makes_the_same_memory_also_where_a_worker_dies(
+        base: Path, tmp_path: Path, ray: Any) -> None:
     with first_worker_killed('make_change') as killed:
         update(base / 'run', [base / 'moved'], tmp_path / 'new', experiment=ROOM,
                options=UpdateOptions(cluster=True))
