@@ -2,10 +2,12 @@
 from dataclasses import dataclass
 import math
 
+import cv2
 from neo_ros.field.rendering import world_rays
 from neo_ros.field.voxel_field import VoxelField
-from neo_ros.updating.compared_photos import ComparedPhotos
-from neo_ros.updating.kernels import count_votes, pinholes, rays_meet_cells
+from neo_ros.updating.compared_photos import ComparedPhotos, WitnessRules
+from neo_ros.updating.kernels import (
+    compare_depths, count_votes, pinholes, rays_meet_cells)
 import numpy as np
 from scipy import ndimage
 
@@ -24,6 +26,21 @@ class ChangeRules:
     most_own_share: float = 0.2
     # What was seen hides what is behind it: the back of a chair that left is not there either.
     behind: float = 0.4
+    # A picture was changed, not a thing, where photos agree upon what they show at the surface
+    # that was there as well as anywhere before it, or so many metres behind it, but for so many
+    # grey levels; of a window, a share of an image's height wide, no more may be otherwise.
+    # So many other photos are asked, evenly chosen; so many have to see it, and a difference
+    # counts no more than that.
+    way_behind: float = 1.5
+    grey_levels: float = 10.0
+    window: float = 1 / 4
+    most_otherwise: float = 0.25
+    most_asked: int = 60
+    least_asked: int = 3
+    most_grey_levels: float = 60.0
+    # Then only so many voxels before the surface may change, a third of that behind it: all that
+    # see it from one side would have the fit hang it up somewhere before it.
+    thick: float = 1.5
     # Where the camera itself was, there is air.
     around_camera: float = 0.3
     # Cells that hang together, at least; and how far around them may change, too, cells.
@@ -85,38 +102,82 @@ class ChangedSpace:
 def find_changed_space(field: VoxelField, compared: ComparedPhotos,
                        rules: ChangeRules = ChangeRules()) -> ChangedSpace:
     """Let the new photos vote on every cell of the field, and then those it was made of."""
-    new = slice(compared.old, None)
-    photos = np.zeros(field.shape, np.int32)
-    changed = np.zeros(field.shape, bool)
+    photos, painted = np.zeros(field.shape, np.int32), np.zeros_like(compared.contradicts)
     for plane in range(field.shape[0] - 1):  # One by one: positions are float64.
         index = np.moveaxis(np.indices((1, *(size - 1 for size in field.shape[1:]))), 0, -1)
-        against, agree, cosine = _vote(field, index + [plane, 0, 0], compared, new, rules)
-        changed[plane, :-1, :-1] = (against >= rules.least_photos) & (
-            against >= rules.least_share * (against + agree)) & (
-            cosine <= math.cos(math.radians(rules.least_angle_deg)))
-        photos[plane, :-1, :-1] = against
-    index = np.argwhere(changed)
-    against, agree, _ = _vote(field, index, compared, np.flatnonzero(compared.founders), rules)
+        _ask(field, index.reshape(-1, 3) + [plane, 0, 0], compared, painted, rules, photos)
+    painted = painted_anew(field, compared, photos > 0, rules)
+    _ask(field, np.argwhere(photos > 0), compared, painted, rules, photos)
+    changed = photos > 0
+    cells = np.argwhere(changed)
+    against, agree, _ = _vote(field, cells, compared, np.flatnonzero(compared.founders), painted,
+                              rules)
     poor = against > rules.most_own_share * (against + agree)
-    points = field.world_points(index + 0.5)
-    for position in compared.photos.T_world_cam[new, :3, 3]:
+    points = field.world_points(cells + 0.5)
+    for position in compared.photos.T_world_cam[compared.old:, :3, 3]:
         poor |= np.linalg.norm(points - position, axis=1) < rules.around_camera
-    changed[tuple(index[poor].T)] = False
+    changed[tuple(cells[poor].T)] = False
     return space_of(field, changed, photos, rules, rules.margin)
 
 
-def _vote(field: VoxelField, index: np.ndarray, compared: ComparedPhotos,
-          photos: slice | np.ndarray, rules: ChangeRules
+def painted_anew(field: VoxelField, compared: ComparedPhotos, cells: np.ndarray,
+                 rules: ChangeRules = ChangeRules()) -> np.ndarray:
+    """
+    Tell where new photos show another picture on a surface that is still there: bool (N, h, w).
+
+    cells bool (X, Y, Z): where a thing may be instead.
+    """
+    photos, camera = compared.photos, compared.photos.intrinsics
+    count, painted = len(photos.images), np.zeros_like(compared.contradicts)
+    asked = np.arange(compared.old, count, max(1, -(-(count - compared.old) // rules.most_asked)))
+    cameras = pinholes(camera, photos.T_world_cam[asked])
+    of_asked = [one[asked] for one in (
+        compared.depth, compared.contradicts, photos.images, compared.gains)]
+    window = 2 * (max(int(rules.window * camera.height), 1) // 2) + 1
+    for index in range(compared.old, count):
+        off = compared.contradicts[index]
+        if not off.any():
+            continue
+        origin, rays = world_rays(camera, compared.pose(index))
+        at_surface, elsewhere = np.empty((2, int(off.sum())), np.float32)
+        compare_depths(
+            np.asarray(origin, np.float64), np.ascontiguousarray(rays[off], np.float32),
+            compared.depth[index][off],
+            (photos.images[index] * compared.gains[index])[off].astype(np.float32),
+            int(np.searchsorted(asked, index)) if index in asked else -1, cameras, *of_asked,
+            field.box, np.array(field.shape), cells.ravel().view(np.uint8), field.near,
+            rules.way_behind, rules.thick * field.voxel, np.float32(WitnessRules.one_surface),
+            rules.least_asked, rules.most_grey_levels, at_surface, elsewhere)
+        otherwise = np.zeros(off.shape, np.float32)
+        otherwise[off] = (at_surface < 0) | (at_surface - elsewhere > rules.grey_levels)
+        of_window, all_of_it = (cv2.boxFilter(one, -1, (window, window), normalize=False) for one
+                                in (otherwise, off.astype(np.float32)))
+        painted[index] = off & (of_window <= rules.most_otherwise * all_of_it)
+    return painted
+
+
+def _ask(field: VoxelField, cells: np.ndarray, compared: ComparedPhotos, painted: np.ndarray,
+         rules: ChangeRules, photos: np.ndarray) -> None:
+    """Note in `photos`, int32 (X, Y, Z), how many new ones contradict cells (M, 3), if enough."""
+    against, agree, cosine = _vote(field, cells, compared, slice(compared.old, None), painted,
+                                   rules)
+    photos[tuple(cells.T)] = np.where(
+        (against >= rules.least_photos) & (against >= rules.least_share * (against + agree))
+        & (cosine <= math.cos(math.radians(rules.least_angle_deg))), against, 0)
+
+
+def _vote(field: VoxelField, cells: np.ndarray, compared: ComparedPhotos,
+          photos: slice | np.ndarray, painted: np.ndarray, rules: ChangeRules
           ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return what `count_votes` says of cells (..., 3): against, agree, cosine (...)."""
-    lead = index.shape[:-1]
-    points = field.world_points(index + 0.5).reshape(-1, 3).astype(np.float32)
+    """Return what `count_votes` says of cells (M, 3): against, agree, cosine (M,)."""
+    points = field.world_points(cells + 0.5).astype(np.float32)
     against, agree = np.zeros((2, len(points)), np.int32)
     cosine = np.ones(len(points), np.float32)
     count_votes(points, pinholes(compared.photos.intrinsics, compared.photos.T_world_cam[photos]),
                 compared.depth[photos], compared.contradicts[photos], compared.agrees[photos],
-                np.float32(rules.behind), against, agree, cosine)
-    return against.reshape(lead), agree.reshape(lead), cosine.reshape(lead)
+                painted[photos], np.float32(rules.behind), np.float32(rules.thick * field.voxel),
+                against, agree, cosine)
+    return against, agree, cosine
 
 
 def space_of(field: VoxelField, changed: np.ndarray, photos: np.ndarray, rules: ChangeRules,

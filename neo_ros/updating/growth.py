@@ -145,8 +145,8 @@ def _looks(points: np.ndarray, photos: Photos, depth: np.ndarray, behind: float)
     against, looks = np.zeros((2, len(points)), np.int32)
     count_votes(points.astype(np.float32),
                 pinholes(photos.intrinsics, photos.T_world_cam[:len(depth)]), depth,
-                ~everything, everything, np.float32(behind), against, looks,
-                np.ones(len(points), np.float32))
+                ~everything, everything, ~everything, np.float32(behind), np.float32(0), against,
+                looks, np.ones(len(points), np.float32))
     return looks
 
 

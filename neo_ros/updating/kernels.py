@@ -79,14 +79,16 @@ def ask_witnesses(points, colours, cameras, depth, images, gains, is_founder, on
 
 
 @njit(parallel=True, fastmath=FAST, error_model='numpy')
-def count_votes(points, cameras, depth, contradicts, agrees, behind, against, agree, cosine):
+def count_votes(points, cameras, depth, contradicts, agrees, painted, behind, thick, against,
+                agree, cosine):
     """
     Count for points float32 (N, 3) the photos that contradict what was there, and that agree.
 
     cameras: Pinholes; depth float32 (P, h, w), metres along the ray to what the memory shows,
-    0 = unknown; contradicts, agrees bool (P, h, w). What a photo says holds for all points on its
-    ray, up to `behind` metres behind the surface. Fills int32 (N,), and float32 (N,) cosine: the
-    widest angle between the first that contradicts and another.
+    0 = unknown; contradicts, agrees, painted bool (P, h, w). What a photo says holds for all
+    points on its ray, up to `behind` metres behind the surface; but where that was painted anew,
+    for those within `thick` metres before it and a third of that behind. Fills int32 (N,), and
+    float32 (N,) cosine: the widest angle between the first that contradicts and another.
     """
     height, width = depth.shape[1], depth.shape[2]
     for i in prange(len(points)):
@@ -96,6 +98,8 @@ def count_votes(points, cameras, depth, contradicts, agrees, behind, against, ag
             if u < 0 or depth[n, v, u] <= 0 or distance > depth[n, v, u] + behind:
                 continue
             votes_for += agrees[n, v, u]
+            if painted[n, v, u] and not -thick < distance - depth[n, v, u] < thick / 3:
+                continue
             if contradicts[n, v, u]:
                 if votes_against == 0:
                     first = n
@@ -130,6 +134,73 @@ def _cell_at(origin, rays_d, r, t, box, shape):
     y = min(max(int((qy / extent + 1) * 0.5 * (shape[1] - 1)), 0), shape[1] - 2)
     z = min(max(int((qz / extent + 1) * 0.5 * (shape[2] - 1)), 0), shape[2] - 2)
     return (x * shape[1] + y) * shape[2] + z, stretch
+
+
+@njit(fastmath=FAST, error_model='numpy')
+def _unlike(point, colour, but, beyond, is_surface, cameras, depth, contradicts, images, gains,
+            one_surface, least, most):
+    """
+    Return by how much photos show another colour at a point, grey levels, -1 if few see it.
+
+    beyond: it lies behind what was there; then those see it that contradict that.
+    """
+    height, width = depth.shape[1], depth.shape[2]
+    total, count = 0.0, 0
+    for n in range(len(depth)):
+        u, v, distance = _seen_at(point, cameras, n, width, height)
+        if n == but or u < 0 or depth[n, v, u] <= 0:
+            continue
+        if is_surface:
+            if abs(depth[n, v, u] - distance) > one_surface * distance:
+                continue
+        elif distance > (1 + one_surface) * depth[n, v, u] and not (
+                beyond and contradicts[n, v, u]):
+            continue
+        alike = most
+        # An edge lies a pixel aside.
+        for y in range(max(v - 1, 0), min(v + 2, height)):
+            for x in range(max(u - 1, 0), min(u + 2, width)):
+                off = 0.0
+                for k in range(3):
+                    off = max(off, abs(colour[k] - images[n, y, x, k] * gains[n, k]))
+                alike = min(alike, off)
+        total += alike
+        count += 1
+    return total / count if count >= least else -1.0
+
+
+@njit(parallel=True, fastmath=FAST, error_model='numpy')
+def compare_depths(origin, rays_d, reach, colours, but, cameras, depth, contradicts, images, gains,
+                   box, shape, cells, near, behind, thick, one_surface, least, most, at_surface,
+                   elsewhere):
+    """
+    Say how much photos differ about what is at a surface, and where they differ least elsewhere.
+
+    On unit rays float32 (N, 3) from one point of photo `but`, which shows colours float32 (N, 3):
+    at `reach` (N,), and in cells uint8 (X * Y * Z,) that are not 0 before that, or up to `behind`
+    metres behind it; further than `thick` from it. Photos as in `ask_witnesses`, of which `least`
+    have to see it, and contradicts bool (P, h, w). Fills float32 (N,) with mean differences in
+    grey levels, of which `most` count; at_surface is -1 where few see it.
+    """
+    for r in prange(len(rays_d)):
+        point = np.empty(3, np.float32)
+        for k in range(3):
+            point[k] = origin[k] + reach[r] * rays_d[r, k]
+        at_surface[r] = _unlike(point, colours[r], but, False, True, cameras, depth, contradicts,
+                                images, gains, one_surface, least, most)
+        best, t = most, near
+        while t < reach[r] + behind:
+            beyond = t > reach[r]
+            cell, _ = _cell_at(origin, rays_d, r, t, box, shape)
+            if abs(t - reach[r]) > thick and (beyond or cell >= 0 and cells[cell] != 0):
+                for k in range(3):
+                    point[k] = origin[k] + t * rays_d[r, k]
+                unlike = _unlike(point, colours[r], but, beyond, False, cameras, depth,
+                                 contradicts, images, gains, one_surface, least, most)
+                if unlike >= 0:
+                    best = min(best, unlike)
+            t += 0.5 * box[7]
+        elsewhere[r] = best
 
 
 @njit(parallel=True, error_model='numpy')

@@ -4,7 +4,7 @@ from dataclasses import replace
 from box_room import HIGH, SOURCE
 from changing_room import remembered
 from neo_ros.baking.keyframes import Photos
-from neo_ros.benchmark.small_room import AFTER, BEFORE, drive, look, Place
+from neo_ros.benchmark.small_room import AFTER, BEFORE, drive, HEIGHT, look, Place
 from neo_ros.field.rendering import render_rays, world_rays
 from neo_ros.field.voxel_field import VoxelField
 from neo_ros.geometry import CameraPose
@@ -187,3 +187,23 @@ def test_photos_of_before_say_nothing_of_what_is_behind_what_came() -> None:
     assert again[stands].mean() > 0.6
     gone = still_right(before, before, everywhere, replace(found, stale=stale), asked)
     assert gone[stands].mean() < 0.3
+
+
+def test_a_picture_that_was_changed_is_no_thing_before_its_wall() -> None:
+    """All photos look at it from one side: a thing anywhere on the way would look alike, too."""
+    old, new = drive(40)[1::2], [
+        CameraPose.from_planar(1.0 + 0.15 * step, 1.6 + 0.1 * (step % 3), HEIGHT, 0.1 * (step % 2))
+        for step in range(12)]
+    images, T = photos_of(old + new, [AWAY] * (len(old) + len(new)))
+    images = images.copy()
+    for image, pose in zip(images[len(old):], new):
+        rays = SOURCE.pixel_rays() @ pose.T_world_cam[:3, :3].T
+        points = pose.position + look(pose, SOURCE, AWAY)[1][..., None] * rays
+        y, z = points[..., 1], points[..., 2]
+        on_wall = (points[..., 0] > HIGH[0] - 0.05) & (abs(y - 2) < 0.6) & (abs(z - 1.4) < 0.4)
+        image[on_wall] = (130 + 110 * np.sin(6 * y) * np.sin(6 * z))[on_wall, None]
+    found = compare(Photos(images, SOURCE, T, np.ones(images.shape[:3], bool)), len(old),
+                    remembered(AWAY))
+    space = find_changed_space(empty_field(), found)
+    assert space.places
+    assert all(place.low[0] > HIGH[0] - 0.5 for place in space.places)
