@@ -143,6 +143,7 @@ LIVES = (
     Column('ring that changed, dB', 'changed_ring_psnr', DB),
     Column('ring that did not, dB', 'unchanged_ring_psnr', DB),
     Column('false changes', 'false_change_share', '{:.2f} %', 100),
+    Column('mended', 'mended_share', '{:.2f} %', 100),
     Column('AUROC of contradicted', 'contradiction_auroc', RATIO),
     Column('poses right', 'pose_share', '{:.0f} %', 100),
     Column('memory and what was learnt, MB', 'memory_mb', '{:.2f}'),
