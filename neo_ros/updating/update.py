@@ -187,7 +187,7 @@ def update_once(run: UpdateRun, bag: Path, out: Path, options: UpdateOptions,
             share_file(run.folder / name, out / name)
     return len(space.places), update_sections(
         bag.name, scene, run.card.expansion, drive, compared, space, before, after,
-        (old, field), time.monotonic() - started, growth)
+        time.monotonic() - started, growth)
 
 
 def _grown(run: UpdateRun, bag: Path, field: VoxelField, before: SceneMemory, drive: Drive,

@@ -1,6 +1,5 @@
 """What an update found: places, a map, and views before and after."""
 import cv2
-from neo_ros.field.voxel_field import VoxelField
 from neo_ros.geometry import CameraPose, ViewExpansion
 from neo_ros.memory.rendering import MemoryRenderer
 from neo_ros.memory.scene_memory import SceneMemory
@@ -16,52 +15,31 @@ import numpy as np
 STRIPS, MOST_PLACES = 4, 20
 # Views that are shown are so far apart, metres, or look another way.
 APART, COSINE = 0.5, 0.8
-# Where fewer cells come or leave than this share of those that stay, surfaces were painted anew;
-# and what is so small a share of the other beside it is not named.
-LEAST_SHARE = 0.25
 _PHOTO, _CHANGED = (150, 155, 165), (200, 40, 40)
 
 
 def update_sections(bag: str, scene: Scene, expansion: ViewExpansion, drive: Drive,
                     compared: ComparedPhotos, space: ChangedSpace, before: SceneMemory,
-                    after: SceneMemory, fields: tuple[VoxelField, VoxelField], seconds: float,
-                    growth: Growth | None = None) -> list[Section]:
-    """Return the part of a report that tells of one bag; fields: before and after."""
+                    after: SceneMemory, seconds: float, growth: Growth | None = None
+                    ) -> list[Section]:
+    """Return the part of a report that tells of one bag."""
     what = 'changed places' if growth is None else 'changed or new places, the first is new'
     intro = (f'{len(drive.poses)} photos out of {drive.seen} images show {len(space.places)} '
              f'{what}; the update took {seconds / 60:.1f} minutes.')
     if drive.lost and growth is None:
         intro += (f' Of {len(drive.lost)} more nobody knows where they were taken, or they show '
                   'no place that is new.')
-    columns = ('place', 'what happened', 'x, m', 'y, m', 'z, m', 'photos that say so')
+    rows = [(str(number), *(f'{low:.2f} to {high:.2f}'
+                            for low, high in zip(place.low, place.high)), str(place.photos))
+            for number, place in enumerate(space.places[:MOST_PLACES], 1)]
     return [Text(intro, f'Bag {bag}'),
-            Table(columns, _rows(space.places[:MOST_PLACES], fields, growth is not None), note=(
+            Table(('place', 'x, m', 'y, m', 'z, m', 'photos that say so'), rows, note=(
                 'Boxes around what may have changed; they are larger than the things in them.')),
             Picture('Changed places from above', _plan(scene, drive, space.places), (
                 'Red, with the numbers of the table: what may have changed. Grey: where photos '
                 'were taken, and where they looked. Pale green: free floor.')),
             *_strips(expansion, drive, compared, before, after),
             *([] if growth is None else _new_place(expansion, drive, growth, before, after))]
-
-
-def _rows(places: list[ChangedPlace], fields: tuple[VoxelField, VoxelField], first_is_new: bool
-          ) -> list[tuple[str, ...]]:
-    matter = [field.matter for field in fields]
-    return [(str(number), 'a new place' if number == 1 and first_is_new
-             else what_happened(*(one[tuple(place.cells.T)] for one in matter)),
-             *(f'{low:.2f} to {high:.2f}' for low, high in zip(place.low, place.high)),
-             str(place.photos)) for number, place in enumerate(places, 1)]
-
-
-def what_happened(before: np.ndarray, after: np.ndarray) -> str:
-    """Say it in words, by which cells of a place are matter, before and after: bool (M,)."""
-    came, left, stayed = (int(one.sum()) for one in (
-        after & ~before, before & ~after, before & after))
-    if came + left < LEAST_SHARE * stayed:
-        return 'painted anew'
-    return ', '.join(words for words, count, other in (
-        ('something came', came, left), ('something left', left, came))
-        if count >= LEAST_SHARE * other)
 
 
 def _plan(scene: Scene, drive: Drive, places: list[ChangedPlace]) -> np.ndarray:
