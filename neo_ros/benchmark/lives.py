@@ -14,26 +14,22 @@ keeps frames, bags and models: visits of which it has all that is asked for are 
 anew.
 """
 import argparse
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-import json
 from pathlib import Path
 import shutil
-from typing import Any
 
 import cv2
 from neo_ros.bags import write_demo_bag
 from neo_ros.benchmark.killing import end, neo
-from neo_ros.evaluation.metrics import auroc, psnr
+from neo_ros.benchmark.lives_scores import read_rows, rows_of, Walks, widened, write_rows
 from neo_ros.flat.demo_flat import build_demo_flat, sample_training_poses, walking_paths
 from neo_ros.flat.visits import (
     CHAIRS, DOOR_PLACE, PLANT, somebody, Visit, visited_flat, VISITS, with_more)
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.machine.files import sha256_of, write_bytes
-from neo_ros.machine.host import commit, host
 from neo_ros.machine.processes import map_in_processes
-from neo_ros.memory.contradiction import contradiction
 from neo_ros.memory.journal import journal_path, read_journal, write_journal
 from neo_ros.messages.stamps import NS_PER_S
 from neo_ros.runtime import FovExtrapolator
@@ -45,16 +41,12 @@ import numpy as np
 
 @dataclass(frozen=True)
 class LivesRules:
-    """Where the camera drives, and what counts."""
+    """Where the camera drives."""
 
-    changed: float = 25.0      # grey levels, mean of the channels: more is another thing
-    least_pixels: int = 32     # of the ring that are changed, for a frame to count
     nearest: float = 0.8       # metres that the camera keeps off what was moved
     test_seed: int = 1
     test_walks: int = 16
     drive_seed: int = 21       # of 20 walks on visit 0, the next number on the next visit
-    right_metres: float = 0.1  # a pose is right if it is so near
-    right_cosine: float = 0.999
     rate: float = 6.0          # images a second, in the bags of the drives
     photos: int = 1000         # of a fresh training
 
@@ -62,15 +54,6 @@ class LivesRules:
 RULES = LivesRules()
 DAY_NS = 86400 * NS_PER_S
 DONE = 'rows.json'  # In the folder of a visit: it was gone through.
-
-
-@dataclass(frozen=True, eq=False)
-class Walks:
-    """Wide images uint8 (N, H, W, 3), T (N, 4, 4), and the number (N,) of a frame's walk."""
-
-    images: np.ndarray
-    T: np.ndarray
-    walk: np.ndarray
 
 
 def walks_of(visit: Visit, seed: int, count: int, camera: Intrinsics, folder: Path, name: str,
@@ -101,14 +84,6 @@ def _cast(visit: Visit, folder: Path, camera: Intrinsics, frame: tuple[int, np.n
         camera, pose)[0]
 
 
-def widened(extrapolator: FovExtrapolator, walks: Walks) -> Iterator[tuple[int, Any]]:
-    """Yield number and wide view of each frame; each walk begins anew."""
-    for index, image in enumerate(walks.images):
-        if index == 0 or walks.walk[index] != walks.walk[index - 1]:
-            extrapolator.reset()
-        yield index, extrapolator.expand(np.ascontiguousarray(extrapolator.expansion.crop(image)))
-
-
 def drive(model: Path, walks: Walks) -> None:
     """Learn from walks."""
     extrapolator = FovExtrapolator.load(model, learn='at once')
@@ -128,53 +103,6 @@ def become_a_day_older(model: Path) -> None:
     path, checksum = journal_path(memory), sha256_of(memory)
     write_journal(path, checksum, [replace(record, stamp_ns=record.stamp_ns - DAY_NS)
                                    for record in read_journal(path, checksum)])
-
-
-def score(model: Path, walks: Walks, before: Walks
-          ) -> tuple[dict[str, float | None], list[np.ndarray]]:
-    """Widen walks, whose frames `before` shows as they were trained; return scores and images."""
-    extrapolator = FovExtrapolator.load(model)
-    expansion, ring = extrapolator.expansion, extrapolator.extrapolated_mask
-    rows, images, right, told, same = [], [], [], [], []
-    for index, view in widened(extrapolator, walks):
-        truth, wide = walks.images[index], view.wide_image
-        changed = _apart(truth, before.images[index]) > RULES.changed
-        images.append(wide)
-        right.append(view.guide is not None and _near(view.guide.pose, walks.T[index]))
-        if (changed & ring).sum() >= RULES.least_pixels:
-            rows.append((psnr(truth[changed & ring], wide[changed & ring]),
-                         psnr(truth[~changed & ring], wide[~changed & ring])))
-        elif not changed.any():
-            rows.append((np.nan, psnr(truth[ring], wide[ring])))
-        if view.guide is not None:
-            off = contradiction(
-                expansion.crop(truth).astype(np.float32),
-                np.ascontiguousarray(expansion.crop(view.guide.image)),
-                expansion.crop(view.guide.known))
-            seen = expansion.crop(changed)
-            told.append(off[seen])
-            same.append(off[~seen][::16])
-    changed_psnr, unchanged_psnr = (
-        [row[side] for row in rows if np.isfinite(row[side])] for side in (0, 1))
-    scores: dict[str, float | None] = {
-        'changed_ring_psnr': float(np.mean(changed_psnr)) if changed_psnr else None,
-        'unchanged_ring_psnr': float(np.mean(unchanged_psnr)),
-        'pose_share': float(np.mean(right)), 'contradiction_auroc': None}
-    if sum(map(len, told)):
-        scores['contradiction_auroc'] = auroc(np.concatenate(told), np.concatenate(same))
-    return scores, images
-
-
-def false_changes(walks: Walks, before: Walks, none: list[np.ndarray], learnt: list[np.ndarray],
-                  ring: np.ndarray) -> float:
-    """Return the share of the unchanged ring that was shown right before it was learnt."""
-    wrong = total = 0
-    for truth, old, untaught, taught in zip(walks.images, before.images, none, learnt):
-        same = ring & (_apart(truth, old) <= RULES.changed)
-        wrong += int((same & (_apart(truth, untaught) <= RULES.changed)
-                      & (_apart(truth, taught) > RULES.changed)).sum())
-        total += int(same.sum())
-    return wrong / total
 
 
 def as_bag(path: Path, walks: Walks, model: Path) -> None:
@@ -199,33 +127,6 @@ def train_anew(visit: Visit, camera: Intrinsics, config: Path, folder: Path) -> 
     write_walkable(scene / 'walkable.json', build_demo_flat().walkable())
     end(neo('train', scene, '--config', config, '--out', folder / 'run'))
     return folder / 'run' / 'demo_flat.onnx'
-
-
-def rows_of(scene: str, visit: int, models: dict[str, Path], test: Walks, before: Walks,
-            found: dict[str, Any], minutes: float
-            ) -> tuple[list[dict[str, Any]], dict[str, list[np.ndarray]]]:
-    """
-    Score a model for each mode; return, and print, a row for each, and the images that it shows.
-
-    found: light, door and people of the visit; minutes: of the update. A row's keys are a
-    contract.
-    """
-    scored = {mode: score(model, test, before) for mode, model in models.items()}
-    ring, rows = FovExtrapolator.load(models['none'], guided=False).extrapolated_mask, []
-    for mode, (scores, shown) in scored.items():
-        if mode != 'none':
-            scores['contradiction_auroc'] = None  # What was learnt contradicts no more.
-        rows.append({
-            'scene': scene, 'visit': visit, 'mode': mode, **scores,
-            'unchanged_before_psnr': scored['none'][0]['unchanged_ring_psnr'],
-            'false_change_share': false_changes(test, before, scored['none'][1], shown, ring),
-            # Edges that lie half a pixel aside turn right as often as they turn wrong.
-            'mended_share': false_changes(test, before, shown, scored['none'][1], ring),
-            'memory_mb': megabytes(models[mode].parent),
-            'update_minutes': minutes if mode == 'update' else None, **found,
-            'commit': commit(), 'host': host()})
-        print(json.dumps(rows[-1]), flush=True)
-    return rows, {mode: shown for mode, (_, shown) in scored.items()}
 
 
 def measure(run: Path, work: Path, visits: int, driven: int, out: Path,
@@ -279,33 +180,6 @@ def learn(model: Path, folder: Path, path: Walks) -> Path:
     drive(folder / model.name, path)
     become_a_day_older(folder / model.name)
     return folder / model.name
-
-
-def read_rows(path: Path) -> list[dict[str, Any]]:
-    """Return the rows of a file; none where there is none."""
-    return json.loads(path.read_text()) if path.exists() else []
-
-
-def write_rows(out: Path, found: list[dict[str, Any]]) -> None:
-    """Write rows into a file of rows, instead of those of the same scene, visit and mode."""
-    def key(row: dict[str, Any]) -> tuple[Any, ...]:
-        return row['scene'], row['visit'], row['mode']
-    rows = {key(row): row for row in [*read_rows(out), *found]}
-    write_bytes(out, (json.dumps(list(rows.values()), indent=1) + '\n').encode())
-
-
-def megabytes(folder: Path) -> float:
-    """Return the size of a memory and what was learnt beside it."""
-    return sum(path.stat().st_size for path in folder.glob('*.memory*')) / 1e6
-
-
-def _apart(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    return np.abs(one.astype(np.float32) - other).mean(-1)
-
-
-def _near(pose: CameraPose, T: np.ndarray) -> bool:
-    return bool(np.linalg.norm(pose.position - T[:3, 3]) < RULES.right_metres
-                and pose.forward @ T[:3, 2] > RULES.right_cosine)
 
 
 def main() -> None:

@@ -10,17 +10,16 @@ ring is scored, and false changes are what was shown right before and is not any
 added to those in FILE.
 """
 import argparse
-import json
 from pathlib import Path
 import shutil
 import tempfile
 from typing import Any
 
 from neo_ros.benchmark.killing import end, neo
-from neo_ros.benchmark.lives import as_bag, drive, rows_of, Walks
+from neo_ros.benchmark.lives import as_bag, drive
+from neo_ros.benchmark.lives_scores import rows_of, Walks, write_rows
 from neo_ros.errors import SceneError
 from neo_ros.evaluation.evaluate import TruthFrames
-from neo_ros.machine.files import write_bytes
 from neo_ros.runtime import FovExtrapolator
 from neo_ros.scenes.upright import read_upright_scene
 import numpy as np
@@ -66,10 +65,7 @@ def main() -> None:
     parser.add_argument('--config', type=Path)
     parser.add_argument('--out', type=Path, default=Path('results/lives.json'))
     given = parser.parse_args()
-    rows = measure(given.run, given.scene, given.config)
-    kept = json.loads(given.out.read_text()) if given.out.exists() else []
-    kept = [row for row in kept if row['scene'] != given.scene.name]
-    write_bytes(given.out, (json.dumps(kept + rows, indent=1) + '\n').encode())
+    write_rows(given.out, measure(given.run, given.scene, given.config))
 
 
 if __name__ == '__main__':

@@ -6,8 +6,8 @@ from pathlib import Path
 import shutil
 
 from neo_ros.benchmark import lives
-from neo_ros.benchmark.lives import (
-    become_a_day_older, false_changes, RULES, Walks, walks_of, write_rows)
+from neo_ros.benchmark.lives import become_a_day_older, RULES, walks_of
+from neo_ros.benchmark.lives_scores import ScoreRules, turned_wrong, Walks, write_rows
 from neo_ros.flat.visits import CHAIRS, Visit
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.memory.journal import journal_path, read_journal, write_journal
@@ -30,7 +30,7 @@ def test_walks_are_cast_once_and_keep_off_what_was_moved(
     for chair in CHAIRS:
         away = np.linalg.norm(before.T[:, :2, 3] - chair.goal, axis=1)
         assert away.min() >= RULES.nearest
-    apart = np.abs(before.images.astype(int) - after.images).mean(-1) > RULES.changed
+    apart = np.abs(before.images.astype(int) - after.images).mean(-1) > ScoreRules.changed
     assert 0 < apart.mean() < 0.2
     monkeypatch.setattr(lives, '_cast', None)
     again = walks_of(Visit(), RULES.test_seed, 6, CAMERA, tmp_path, 'day')
@@ -49,7 +49,8 @@ def test_a_false_change_was_right_before_and_is_in_the_ring() -> None:
     ring[3, 3] = False
     walks = Walks(truth, np.eye(4)[None], np.zeros(1, int))
     before = Walks(old, walks.T, walks.walk)
-    assert false_changes(walks, before, [shown[0]], [taught[0]], ring) == pytest.approx(3 / 11)
+    assert turned_wrong(walks, before, [shown[0]], [taught[0]], ring) == pytest.approx(3 / 11)
+    assert turned_wrong(walks, before, [taught[0]], [shown[0]], ring) == 0
 
 
 def test_what_was_learnt_on_a_visit_is_older_on_the_next(tmp_path: Path) -> None:
