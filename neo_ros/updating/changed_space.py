@@ -6,8 +6,7 @@ import cv2
 from neo_ros.field.rendering import world_rays
 from neo_ros.field.voxel_field import VoxelField
 from neo_ros.updating.compared_photos import ComparedPhotos, WitnessRules
-from neo_ros.updating.kernels import (
-    compare_depths, count_votes, pinholes, rays_meet_cells)
+from neo_ros.updating.kernels import compare_depths, count_votes, pinholes, rays_meet_cells
 import numpy as np
 from scipy import ndimage
 
@@ -105,9 +104,9 @@ def find_changed_space(field: VoxelField, compared: ComparedPhotos,
     photos, painted = np.zeros(field.shape, np.int32), np.zeros_like(compared.contradicts)
     for plane in range(field.shape[0] - 1):  # One by one: positions are float64.
         index = np.moveaxis(np.indices((1, *(size - 1 for size in field.shape[1:]))), 0, -1)
-        _ask(field, index.reshape(-1, 3) + [plane, 0, 0], compared, painted, rules, photos)
+        _count(field, index.reshape(-1, 3) + [plane, 0, 0], compared, painted, rules, photos)
     painted = painted_anew(field, compared, photos > 0, rules)
-    _ask(field, np.argwhere(photos > 0), compared, painted, rules, photos)
+    _count(field, np.argwhere(photos > 0), compared, painted, rules, photos)
     changed = photos > 0
     cells = np.argwhere(changed)
     against, agree, _ = _vote(field, cells, compared, np.flatnonzero(compared.founders), painted,
@@ -133,7 +132,7 @@ def painted_anew(field: VoxelField, compared: ComparedPhotos, cells: np.ndarray,
     cameras = pinholes(camera, photos.T_world_cam[asked])
     of_asked = [one[asked] for one in (
         compared.depth, compared.contradicts, photos.images, compared.gains)]
-    window = 2 * (max(int(rules.window * camera.height), 1) // 2) + 1
+    window = 2 * (int(rules.window * camera.height) // 2) + 1  # One pixel is in the middle.
     for index in range(compared.old, count):
         off = compared.contradicts[index]
         if not off.any():
@@ -156,9 +155,9 @@ def painted_anew(field: VoxelField, compared: ComparedPhotos, cells: np.ndarray,
     return painted
 
 
-def _ask(field: VoxelField, cells: np.ndarray, compared: ComparedPhotos, painted: np.ndarray,
-         rules: ChangeRules, photos: np.ndarray) -> None:
-    """Note in `photos`, int32 (X, Y, Z), how many new ones contradict cells (M, 3), if enough."""
+def _count(field: VoxelField, cells: np.ndarray, compared: ComparedPhotos, painted: np.ndarray,
+           rules: ChangeRules, photos: np.ndarray) -> None:
+    """Note in `photos`, int32 (X, Y, Z), how many new ones contradict cells (M, 3); 0: too few."""
     against, agree, cosine = _vote(field, cells, compared, slice(compared.old, None), painted,
                                    rules)
     photos[tuple(cells.T)] = np.where(
