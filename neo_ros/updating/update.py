@@ -42,6 +42,7 @@ from neo_ros.updating.refit import refit, still_right
 from neo_ros.updating.tuned_network import CHECKPOINT, tune_network
 from neo_ros.updating.update_report import update_sections
 from neo_ros.updating.update_run import UpdateRun
+from neo_ros.updating.what_happened import what_happened
 import numpy as np
 
 logger = logging.getLogger(__name__)
@@ -186,7 +187,8 @@ def update_once(run: UpdateRun, bag: Path, out: Path, options: UpdateOptions,
         if (run.folder / name).exists():
             share_file(run.folder / name, out / name)
     return len(space.places), update_sections(
-        bag.name, scene, run.card.expansion, drive, compared, space, before, after,
+        bag.name, scene, run.card.expansion, drive, compared, space.places,
+        what_happened(old, field, space.places, compared), before, after,
         time.monotonic() - started, growth)
 
 

@@ -6,10 +6,11 @@ from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.reports.plan_view import FLOOR, PlanView
 from neo_ros.reports.report import Picture, Section, Strip, Table, Text
 from neo_ros.scenes.scene import Scene
-from neo_ros.updating.changed_space import ChangedPlace, ChangedSpace
+from neo_ros.updating.changed_space import ChangedPlace
 from neo_ros.updating.compared_photos import ComparedPhotos
 from neo_ros.updating.driven_photos import Drive
 from neo_ros.updating.growth import Growth
+from neo_ros.updating.what_happened import Event
 import numpy as np
 
 STRIPS, MOST_PLACES = 4, 20
@@ -19,23 +20,28 @@ _PHOTO, _CHANGED = (150, 155, 165), (200, 40, 40)
 
 
 def update_sections(bag: str, scene: Scene, expansion: ViewExpansion, drive: Drive,
-                    compared: ComparedPhotos, space: ChangedSpace, before: SceneMemory,
-                    after: SceneMemory, seconds: float, growth: Growth | None = None
-                    ) -> list[Section]:
-    """Return the part of a report that tells of one bag."""
+                    compared: ComparedPhotos, places: list[ChangedPlace],
+                    events: list[list[Event]], before: SceneMemory, after: SceneMemory,
+                    seconds: float, growth: Growth | None = None) -> list[Section]:
+    """Return the part of a report that tells of one bag; events: of each place."""
     what = 'changed places' if growth is None else 'changed or new places, the first is new'
-    intro = (f'{len(drive.poses)} photos out of {drive.seen} images show {len(space.places)} '
+    intro = (f'{len(drive.poses)} photos out of {drive.seen} images show {len(places)} '
              f'{what}; the update took {seconds / 60:.1f} minutes.')
     if drive.lost and growth is None:
         intro += (f' Of {len(drive.lost)} more nobody knows where they were taken, or they show '
                   'no place that is new.')
-    rows = [(str(number), *(f'{low:.2f} to {high:.2f}'
-                            for low, high in zip(place.low, place.high)), str(place.photos))
-            for number, place in enumerate(space.places[:MOST_PLACES], 1)]
+    words = ['; '.join(event.value for event in happened) for happened in events]
+    if growth is not None:
+        words[0] = 'new'
+    rows = [(str(number), event, *(f'{low:.2f} to {high:.2f}' for low, high in zip(
+        place.low, place.high)), str(place.photos))
+            for number, (place, event) in enumerate(zip(places[:MOST_PLACES], words), 1)]
     return [Text(intro, f'Bag {bag}'),
-            Table(('place', 'x, m', 'y, m', 'z, m', 'photos that say so'), rows, note=(
-                'Boxes around what may have changed; they are larger than the things in them.')),
-            Picture('Changed places from above', _plan(scene, drive, space.places), (
+            Table(('place', 'what happened', 'x, m', 'y, m', 'z, m', 'photos that say so'), rows,
+                  note=('Boxes around what may have changed; they are larger than the things in '
+                        'them. Something came where photos see a surface nearer than before, and '
+                        'left where they see farther.')),
+            Picture('Changed places from above', _plan(scene, drive, places), (
                 'Red, with the numbers of the table: what may have changed. Grey: where photos '
                 'were taken, and where they looked. Pale green: free floor.')),
             *_strips(expansion, drive, compared, before, after),

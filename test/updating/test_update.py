@@ -127,7 +127,9 @@ def test_the_card_tells_where_it_comes_from(base: Path) -> None:
     entry, = after.updates
     assert before.memory is not None and entry.memory == before.memory.sha256
     assert entry.bag == 'moved' and 10 < entry.photos <= 60
-    assert 'photos that say so' in (base / 'new' / 'report.html').read_text()
+    report = (base / 'new' / 'report.html').read_text()
+    assert all(words in report for words in (
+        'photos that say so', '<td>something left</td>', '<td>something came</td>'))
     assert not list((base / 'new').glob('*.journal'))
 
 
