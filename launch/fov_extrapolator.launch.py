@@ -12,7 +12,7 @@ from launch.actions import DeclareLaunchArgument, ExecuteProcess, OpaqueFunction
 from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
-from neo_ros.node.model_place import find_model
+from neo_ros.node.file_place import find_model
 
 # Name: default and description. Empty: what params_file says.
 ARGUMENTS = {

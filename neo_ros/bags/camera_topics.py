@@ -1,5 +1,4 @@
-"""Which topics of a bag are the camera: its images, its calibration, its wide truth."""
-from dataclasses import dataclass
+"""Which topics of a bag are a camera: its images, its calibration, its wide truth."""
 from types import SimpleNamespace
 from typing import Any
 
@@ -8,7 +7,6 @@ from neo_ros.bags.reading import BagReader, PACKET
 from neo_ros.bags.tf_tree import frame_name
 from neo_ros.bags.topic import BagTopic, CDR, describe_topics, describe_unread
 from neo_ros.errors import BagError, ImageRejected
-from neo_ros.geometry import Intrinsics
 from neo_ros.geometry.lens import Lens
 from neo_ros.messages import camera_info_of, image_fields
 from neo_ros.messages.camera_info import read_lens as info_lens
@@ -47,64 +45,6 @@ def find_image_topic(reader: BagReader, name: str | None) -> BagTopic:
         raise BagError(f'{reader.path}: the bag has {len(choice)} cameras, choose one with '
                        f'--image-topic: {describe_topics(choice)}')
     return choice[0]
-
-
-@dataclass(frozen=True)
-class CameraTopics:
-    """
-    The camera that is widened.
-
-    image, info  its images, and its calibration if the bag has it
-    wide         where the wide topics go: '/camera/wide' for /camera/image_raw
-    """
-
-    image: BagTopic
-    info: BagTopic | None
-    wide: str
-
-    def first_info(self, reader: BagReader) -> Any | None:
-        """Return what the first camera_info says of the images, those before it, too."""
-        first = reader.first(self.info) if self.info is not None else None
-        return None if first is None else camera_info_of(first, self.image.name)
-
-
-def find_camera(reader: BagReader, source: Intrinsics, name: str | None,
-                info_name: str | None = None, rectify: bool = False) -> CameraTopics:
-    """
-    Return the camera of this image topic, or the only one with images of the size of `source`.
-
-    info_name: its calibration, where that is not beside its images.
-
-    Where no topic has this size, the only camera with a calibration is taken: its images may be
-    resampled. Of raw and compressed images of one camera, the raw ones are taken. Raises
-    BagError that lists the choice, and, with `rectify`, where the bag has no camera_info for it.
-    """
-    wanted = (source.width, source.height)
-    sizes = {topic: first_size(reader, topic) for topic in image_topics(reader, name)}
-    fitting = [topic for topic, size in sizes.items() if size == wanted or name is not None]
-    fitting = fitting or [topic for topic in sizes if find_info_topic(reader, topic) is not None]
-    fitting = without_copies(fitting)
-    if not sizes:
-        raise BagError(f'{reader.path}: expected camera images, got '
-                       f'{describe_unread(reader.topics) or describe_topics(reader.topics)}')
-    if len(fitting) != 1:
-        listed = ', '.join(f'{topic.name} ({size[0]}x{size[1]})' if size else topic.name
-                           for topic, size in sizes.items())
-        raise BagError(
-            f'{reader.path}: expected one image topic of {source.width}x{source.height} pixels '
-            f'as the model takes, got {listed}; name one with --image-topic')
-    image, = fitting
-    info = find_info_topic(reader, image, info_name)
-    camera = (info.name if info is not None else base_name(image)).rpartition('/')[0]
-    found = CameraTopics(image, info, f'{camera}/wide')
-    if rectify and found.first_info(reader) is None:
-        infos = info_topics(reader)
-        remedy = (f'choose one with --info-topic: {describe_topics(infos)}' if infos else
-                  'record it with the images')
-        raise BagError(f'{reader.path}: --rectify: expected a camera_info beside {image.name}, '
-                       f'which says the distortion; {remedy}, or leave the option out where the '
-                       'images are straight')
-    return found
 
 
 def made_topics(reader: BagReader) -> set[str]:

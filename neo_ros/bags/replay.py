@@ -7,8 +7,8 @@ import time
 from typing import Any, NamedTuple
 
 from neo_ros.bags.background import read_ahead, WriteBehind
-from neo_ros.bags.camera_topics import (
-    as_raw_image, CAMERA_INFO, CameraTopics, find_camera, IMAGE, image_topics)
+from neo_ros.bags.camera_choice import CameraChoice, CameraTopics, find_camera
+from neo_ros.bags.camera_topics import as_raw_image, CAMERA_INFO, IMAGE, image_topics
 from neo_ros.bags.damage import Damage
 from neo_ros.bags.reading import BagMessage, BagReader
 from neo_ros.bags.replay_outputs import (
@@ -74,11 +74,10 @@ class _Decoded(NamedTuple):
 
 
 def replay(bag: Path | str, extrapolator: FovExtrapolator, out: Path | str,
-           image_topic: str | None = None, truth_topic: str | None = None, copy: bool = True,
-           section: Section = Section(), rectify: bool = False, on_frame: OnImages | None = None,
+           choice: CameraChoice = CameraChoice(), truth_topic: str | None = None,
+           copy: bool = True, section: Section = Section(), on_frame: OnImages | None = None,
            on_pair: OnImages | None = None, on_progress: Progress = no_progress,
-           outputs: Collection[str] = DEFAULT_OUTPUTS,
-           info_topic: str | None = None) -> ReplayResult:
+           outputs: Collection[str] = DEFAULT_OUTPUTS) -> ReplayResult:
     """
     Write a bag with everything of `bag` (unless `copy` is off) and the wide view of its camera.
 
@@ -87,29 +86,26 @@ def replay(bag: Path | str, extrapolator: FovExtrapolator, out: Path | str,
     newest message of /camera/camera_info. Topics of these names in `bag` are replaced.
     So are `outputs`, some of MEMORY_OUTPUTS, as wide/pose; /diagnostics gets what the node would
     say, in the place of what it said.
-    `image_topic` may be left out when one camera has the model's size, or one is calibrated;
-    `info_topic` names a calibration that is not beside its images.
-    `rectify` takes the distortion out of its images. Of what lies before a section, the latched
-    topics are kept, with the log time of its start.
+    `choice` may be left out when one camera has the model's size, or one is calibrated. Of what
+    lies before a section, the latched topics are kept, with the log time of its start.
 
     `on_frame(stamp_ns, image, wide_image)` gets the model's input and output, RGB uint8. With
     `truth_topic` (wide images), `on_pair(stamp_ns, truth, wide_image)` gets the images of equal
     header stamp. Both are called from the thread that writes. `on_progress(done, total)` counts
     messages. Images that cannot be used are counted by reason and skipped; the replay ends early
     where the calibration lets none be used. Raises BagError for bags, topics and outputs that
-    cannot be used.
+    cannot be used, ConfigError for a calibration.
     """
     started = time.perf_counter()
     check_outputs(outputs)
     with BagReader(bag) as reader:
-        camera = find_camera(reader, extrapolator.expansion.source, image_topic, info_topic,
-                             rectify)
+        camera = find_camera(reader, extrapolator.expansion.source, choice)
         truth = None if truth_topic is None else image_topics(reader, truth_topic)[0]
         result = ReplayResult(camera.image.name)
         start_ns, stop_ns, share = section.stamps(reader)
         custom_data = reader.custom_data if copy else None
         with BagWriter(out, custom_data=custom_data) as writer, WriteBehind() as behind:
-            run = _Replay(writer, behind, FrameProcessor(extrapolator, rectify),
+            run = _Replay(writer, behind, FrameProcessor(extrapolator, choice.rectify),
                           extrapolator.expansion, camera, truth, result)
             run.write_memory(outputs, extrapolator.card)
             run.camera_info = camera.first_info(reader)

@@ -1,5 +1,6 @@
 """Options that commands share, or that do not go together, and the command that comes next."""
 import math
+from pathlib import Path
 import re
 import shlex
 from typing import Annotated, Optional, TYPE_CHECKING
@@ -14,6 +15,8 @@ ImageTopic = Annotated[Optional[str], typer.Option(
     help='Camera image, raw or compressed; default: the only one of the size the model takes.')]
 InfoTopic = Annotated[Optional[str], typer.Option(
     help='The CameraInfo of the images, where it is not beside them.')]
+CameraInfo = Annotated[Optional[Path], typer.Option(
+    help="A file with the calibration of the images instead: camera_calibration's YAML.")]
 Rectify = Annotated[bool, typer.Option(
     '--rectify', help='Take the distortion out of the images first.')]
 

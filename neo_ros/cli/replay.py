@@ -3,7 +3,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Optional
 
-from neo_ros.cli.options import ImageTopic, InfoTopic, Rectify
+from neo_ros.cli.options import CameraInfo, ImageTopic, InfoTopic, Rectify
 from neo_ros.errors import ConfigError
 import typer
 
@@ -18,6 +18,7 @@ def replay(
         help='Model file (.onnx); default: the shipped demo_flat.onnx.')] = None,
     image_topic: ImageTopic = None,
     info_topic: InfoTopic = None,
+    camera_info: CameraInfo = None,
     start: Annotated[float, typer.Option(
         help='Begin so many seconds after the first message.', min=0)] = 0.0,
     end: Annotated[Optional[float], typer.Option(
@@ -54,6 +55,7 @@ def replay(
     report.html of all. One that fails does not stop the others; the exit code is then 1.
     """
     from neo_ros.bags import Section
+    from neo_ros.bags.camera_choice import CameraChoice
     from neo_ros.bags.replay_outputs import DEFAULT_OUTPUTS
     from neo_ros.cli.options import refuse
     from neo_ros.machine.files import share_dir
@@ -62,8 +64,8 @@ def replay(
 
     model = model or share_dir() / 'models' / 'demo_flat.onnx'
     options = ReplayOptions(
-        image_topic, info_topic, Section(start, end, every), rectify, score, truth_topic,
-        tuple(DEFAULT_OUTPUTS if output is None else output), copy)
+        CameraChoice(image_topic, info_topic, camera_info, rectify), Section(start, end, every),
+        score, truth_topic, tuple(DEFAULT_OUTPUTS if output is None else output), copy)
     if len(bag) == 1 and not (out / SUMMARY_FILE).is_file():
         refuse('it shares out several bags, and there is one', cluster=cluster)
         _replay_one(bag[0], model, out, options, side_by_side, learn)

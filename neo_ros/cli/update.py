@@ -2,7 +2,7 @@
 from pathlib import Path
 from typing import Annotated, Optional
 
-from neo_ros.cli.options import ImageTopic, InfoTopic, Rectify
+from neo_ros.cli.options import CameraInfo, ImageTopic, InfoTopic, Rectify
 import typer
 
 
@@ -19,6 +19,7 @@ def update(
         help='Experiment file that RUN was trained with, if it was with one.')] = None,
     image_topic: ImageTopic = None,
     info_topic: InfoTopic = None,
+    camera_info: CameraInfo = None,
     rectify: Rectify = False,
     minutes: Annotated[Optional[float], typer.Option(
         help='Fit the changed part of the field for so many minutes, for each bag; default: as '
@@ -41,6 +42,7 @@ def update(
     Leaves model, scene memory, field, photos and report.html in OUT; RUN stays as it is. Broken
     off? Run the same command again.
     """
+    from neo_ros.bags.camera_choice import CameraChoice
     from neo_ros.cli.options import tell_next
     from neo_ros.cli.progress import stage_progress
     from neo_ros.experiment import read_experiment
@@ -48,8 +50,9 @@ def update(
     import rich
     from rich.markup import escape
 
-    options = UpdateOptions(image_topic=image_topic, info_topic=info_topic, rectify=rectify,
-                            minutes=minutes, network_minutes=network_minutes, cluster=cluster)
+    options = UpdateOptions(
+        camera=CameraChoice(image_topic, info_topic, camera_info, rectify),
+        minutes=minutes, network_minutes=network_minutes, cluster=cluster)
     with stage_progress() as show:
         places = update_run(run, bags, out, options, scene,
                             None if config is None else read_experiment(config), show)
@@ -63,7 +66,8 @@ def update(
         return
     model, = out.glob('*.onnx')
     rich.print(f'Written: {escape(str(model))}, its memory and report.html')
-    topics = {'--image-topic': image_topic, '--info-topic': info_topic}
+    camera = {'--image-topic': image_topic, '--info-topic': info_topic,
+              '--camera-info': camera_info}
     tell_next('neo', 'replay', bags[-1], '--model', model, '--out', 'WIDE',
-              *(word for name, topic in topics.items() if topic is not None
-                for word in (name, topic)), *['--rectify'] * rectify)
+              *(word for name, value in camera.items() if value is not None
+                for word in (name, value)), *['--rectify'] * rectify)

@@ -3,7 +3,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Optional
 
-from neo_ros.cli.options import InfoTopic, Rectify
+from neo_ros.cli.options import CameraInfo, InfoTopic, Rectify
 import typer
 
 
@@ -21,6 +21,7 @@ def view(
     rate: Annotated[Optional[float], typer.Option(
         help='How many times as fast as the bag was recorded; default: 1.', min=0.001)] = None,
     info_topic: InfoTopic = None,
+    camera_info: CameraInfo = None,
     rectify: Rectify = False,
     sim_time: Annotated[bool, typer.Option(
         '--sim-time', help='Take the time from /clock, as for a bag that is played.')] = False,
@@ -53,16 +54,19 @@ def view(
         max_viewers=max_viewers, max_mbit=max_mbit, quality=quality, stale_after=stale_after,
         public_origin=public_origin, floor=floor)
     if bag is not None:
+        from neo_ros.bags.camera_choice import CameraChoice
         from neo_ros.viewer.bag_source import BagSource
         from neo_ros.viewer.server import serve
 
         refuse('expected only without --bag, whose time is its own', sim_time=sim_time)
-        source = BagSource(bag, topic, model or share_dir() / 'models' / 'demo_flat.onnx',
-                           1.0 if rate is None else rate, rectify, info_topic)
+        source = BagSource(bag, model or share_dir() / 'models' / 'demo_flat.onnx',
+                           1.0 if rate is None else rate,
+                           CameraChoice(topic, info_topic, camera_info, rectify))
         serve(source, settings(model=model or source.model), typer.echo)
         end_if_busy()
         return
-    refuse('expected only with --bag', rate=rate, rectify=rectify, info_topic=info_topic)
+    refuse('expected only with --bag', rate=rate, rectify=rectify, info_topic=info_topic,
+           camera_info=camera_info)
     from neo_ros.viewer.main import serve_topic
     import rclpy
     from rclpy.parameter import Parameter

@@ -20,7 +20,8 @@ class CameraInputs:
     """
     Subscribes to the image, raw or compressed, and to its camera_info, latched or not.
 
-    `take` gets every image with what its camera_info says of it, None where there is none.
+    `take` gets every image with what its camera_info says of it, None where there is none; or with
+    a calibration that was given instead.
     """
 
     def __init__(self, node: Node, take: Callable[[Any, Any | None], None]) -> None:
@@ -86,10 +87,11 @@ class CameraInputs:
         """Whether images are taken."""
         return bool(self._subscriptions)
 
-    def choose(self, transport: str, reliable: bool) -> None:
+    def choose(self, transport: str, reliable: bool, calibration: Any | None = None) -> None:
         """Take no more images; set what the next `subscribe` asks for."""
         self.unsubscribe()
         self._transport, self._reliable, self._fault = transport, reliable, ''
+        self._calibration = calibration
 
     def subscribe(self) -> None:
         """Take images from now on; what keeps them away is logged and said by `missing`."""
@@ -116,7 +118,7 @@ class CameraInputs:
                 event_callbacks=SubscriptionEventCallbacks(
                     incompatible_qos=functools.partial(self._on_qos_conflict, topic))))
         info_topic = self._topics.camera_info()
-        if self._topics.qos_overrides(info_topic) is None:
+        if self._calibration is None and self._topics.qos_overrides(info_topic) is None:
             # A latched camera_info was sent before this node came. A publisher that latches none
             # does not fit and is heard through the other one: nobody is told.
             latched = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE,
@@ -139,9 +141,11 @@ class CameraInputs:
             self._pairing.forget()
 
     def _wanted(self) -> list[tuple[str, Endpoint]]:
-        """Return the topics of the image and of its camera_info."""
-        return [(self.topic, ENDPOINTS[self._transport]),
-                (self._topics.camera_info(), CAMERA_INFO)]
+        """Return the topics of the image and of its camera_info, if that is not given."""
+        image = self.topic, ENDPOINTS[self._transport]
+        if self._calibration is not None:
+            return [image]
+        return [image, (self._topics.camera_info(), CAMERA_INFO)]
 
     def _is_reliable(self) -> bool:
         """Say what holds for the images: the parameter, unless a QoS override says otherwise."""
@@ -154,7 +158,8 @@ class CameraInputs:
 
     def _is_announced(self) -> bool:
         """Say whether a camera_info will come."""
-        return self._has_camera_info() and not self._qos_conflict()
+        return (self._calibration is None and self._has_camera_info()
+                and not self._qos_conflict())
 
     def _on_image(self, image: Any) -> None:
         stamp_ns = stamp_of(image.header)
@@ -168,6 +173,7 @@ class CameraInputs:
 
     def _take_pair(self, image: Any, camera_info: Any | None) -> None:
         self.frame_id = image.header.frame_id
+        camera_info = camera_info or self._calibration
         self._take(image, camera_info and camera_info_of(camera_info, self.topic))
 
     def _qos_conflict(self) -> str:

@@ -16,6 +16,7 @@ from neo_ros.node.parameters import (
     INPUT_PARAMETERS,
     MODEL_PARAMETERS,
     NodeParameters,
+    read_calibration,
     read_parameters,
     refuse_late,
 )
@@ -54,6 +55,9 @@ class ExtrapolatorNode(LifecycleNode):
         self._enabled = True
         self._model: LoadedModel | None = None
         self._candidate: LoadedModel | None = None
+        # Of a camera that publishes none, and what it becomes if the parameters are accepted.
+        self._calibration: Any | None = None
+        self._next_calibration: Any | None = None
         self._scene: SceneTopics | None = None
         self._worker: FrameWorker | None = None
         self._bond: Any | None = None
@@ -85,6 +89,7 @@ class ExtrapolatorNode(LifecycleNode):
         """Load, check and warm up the model, announce the outputs."""
         try:
             values = read_parameters(self)
+            self._calibration = read_calibration(values)
             self._model = self._loader.load(values)
         except NeoError as error:
             self.fault = f'cannot configure: {error}'
@@ -104,7 +109,7 @@ class ExtrapolatorNode(LifecycleNode):
         self._worker = FrameWorker(self._model.processor, self._scene.outputs, self._statistics,
                                    self._report, values.max_fps)
         self._worker.start()
-        self._inputs.choose(values.image_transport, values.reliable)
+        self._inputs.choose(values.image_transport, values.reliable, self._calibration)
         self._attend()
         if not values.autostart:  # Somebody else activates it.
             self._bond = form_bond(self)
@@ -228,6 +233,8 @@ class ExtrapolatorNode(LifecycleNode):
             values: NodeParameters = read_parameters(self, parameters)
             if self._model is not None:
                 refuse_late(self, parameters, self.state_label)
+            if any(parameter.name == 'camera_info_url' for parameter in parameters):
+                self._next_calibration = read_calibration(values)
             changes_model = any(parameter.name in MODEL_PARAMETERS for parameter in parameters)
             if self._model is not None and changes_model:
                 self._candidate = self._loader.load(values)
@@ -240,6 +247,8 @@ class ExtrapolatorNode(LifecycleNode):
         candidate, self._candidate = self._candidate, None
         if candidate is not None:
             self._take_over(candidate)
+        if any(parameter.name == 'camera_info_url' for parameter in parameters):
+            self._calibration = self._next_calibration
         values = read_parameters(self)
         if self._model is not None:
             self._model.processor.rectify = values.rectify
@@ -249,7 +258,7 @@ class ExtrapolatorNode(LifecycleNode):
         if self._worker is not None:
             self._worker.max_fps = values.max_fps
             if any(parameter.name in INPUT_PARAMETERS for parameter in parameters):
-                self._inputs.choose(values.image_transport, values.reliable)
+                self._inputs.choose(values.image_transport, values.reliable, self._calibration)
             # Not whenever anything changes: to subscribe declares parameters of its own.
             if any(parameter.name in (*INPUT_PARAMETERS, 'learn') for parameter in parameters):
                 self._attend()

@@ -2,10 +2,12 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 from neo_ros.errors import ConfigError
-from neo_ros.node.model_place import find_model
+from neo_ros.messages.camera_info_file import read_camera_info_file
+from neo_ros.node.file_place import find_file, find_model
 from neo_ros.runtime.providers import PROVIDERS
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
@@ -13,7 +15,7 @@ from rclpy.parameter import Parameter
 
 # A change of these loads a model, of those subscribes anew, where somebody listens.
 MODEL_PARAMETERS = ('model', 'threads', 'providers', 'learn')
-INPUT_PARAMETERS = ('image_transport', 'reliable')
+INPUT_PARAMETERS = ('image_transport', 'reliable', 'camera_info_url')
 # What configure takes.
 FRAME_PARAMETERS = ('base_frame', 'odom_frame', 'publish_tf')
 TRANSPORTS = ('raw', 'compressed')
@@ -24,7 +26,7 @@ class NodeParameters:
     """
     The values of the parameters; see `parameters` for what they mean.
 
-    model is a path and never empty here.
+    model is a path and never empty here; camera_info_url is a path, or empty.
     """
 
     model: str
@@ -34,6 +36,7 @@ class NodeParameters:
     learn: bool
     image_transport: str
     reliable: bool
+    camera_info_url: str
     rectify: bool
     max_fps: float
     jpeg_quality: int
@@ -80,6 +83,10 @@ def parameters() -> list[tuple[str, Any, ParameterDescriptor]]:
              additional_constraints=' or '.join(TRANSPORTS)),
         _row('reliable', False,
              'Ask the image publisher for reliable delivery instead of best effort'),
+        _row('camera_info_url', '',
+             'The calibration of a camera that publishes none: the YAML of camera_calibration, as '
+             'a path, ~/PATH, file:///PATH or package://PACKAGE/PATH. The topic camera_info is '
+             'not heard then'),
         _row('rectify', False,
              'Take the distortion of camera_info out of the images; otherwise distorted images '
              'are rejected'),
@@ -128,7 +135,19 @@ def read_parameters(node: Node, changed: Sequence[Parameter] = ()) -> NodeParame
             f'base_frame: {values["base_frame"]!r} needs tf2_ros, which is missing here (it is '
             'not among the wheels of PyPI); run the node in a ROS installation, or leave it empty')
     values['model'] = find_model(values['model'])
+    if values['camera_info_url']:
+        values['camera_info_url'] = find_file('camera_info_url', values['camera_info_url'])
     return NodeParameters(**values)
+
+
+def read_calibration(values: NodeParameters) -> Any | None:
+    """Return what camera_info_url says, as a CameraInfo; None: nothing; raises ConfigError."""
+    if not values.camera_info_url:
+        return None
+    try:
+        return read_camera_info_file(Path(values.camera_info_url))
+    except ConfigError as error:
+        raise ConfigError(f'camera_info_url: {error}') from error
 
 
 def refuse_late(node: Node, changed: Sequence[Parameter], state: str) -> None:

@@ -5,7 +5,8 @@ import shutil
 from typing import Any
 
 from neo_ros.bags import BagReader, replay, ReplayResult, Section
-from neo_ros.bags.camera_topics import find_camera, find_truth_topic
+from neo_ros.bags.camera_choice import CameraChoice, find_camera
+from neo_ros.bags.camera_topics import find_truth_topic
 from neo_ros.bags.replay import OnImages
 from neo_ros.bags.replay_outputs import DEFAULT_OUTPUTS
 from neo_ros.errors import BagError
@@ -20,14 +21,13 @@ class ReplayOptions:
     """
     What is wanted of a replay, see `bags.replay`.
 
+    camera       which one is widened
     score        against the wide images of the bag, or, if it has none, the camera's own border
     truth_topic  wide images to score against, whether `score` is set or not
     """
 
-    image_topic: str | None = None
-    info_topic: str | None = None
+    camera: CameraChoice = CameraChoice()
     section: Section = Section()
-    rectify: bool = False
     score: bool = False
     truth_topic: str | None = None
     outputs: tuple[str, ...] = tuple(DEFAULT_OUTPUTS)
@@ -91,10 +91,9 @@ class BagReplayer:
                 taker(stamp_ns, image, wide_image)
 
         result = replay(
-            bag, self.extrapolator, out, options.image_topic, truth_topic, options.copy,
-            options.section, options.rectify, take if takers else None,
-            None if scores is None else scores.add_pair, on_progress, options.outputs,
-            options.info_topic)
+            bag, self.extrapolator, out, options.camera, truth_topic, options.copy,
+            options.section, take if takers else None,
+            None if scores is None else scores.add_pair, on_progress, options.outputs)
         if not result.frames:
             shutil.rmtree(out, ignore_errors=True)  # It would stand in the way of the next try.
             raise BagError(f'{bag}: no image could be widened{_why(result)}')
@@ -117,8 +116,7 @@ class BagReplayer:
         expansion = self.extrapolator.expansion
         if truth_topic is None:
             with BagReader(bag) as reader:
-                camera = find_camera(reader, expansion.source, options.image_topic,
-                                     options.info_topic).image
+                camera = find_camera(reader, expansion.source, options.camera).image
                 found = find_truth_topic(reader, camera,
                                          (expansion.target.width, expansion.target.height))
             truth_topic = None if found is None else found.name

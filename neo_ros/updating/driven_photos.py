@@ -8,7 +8,8 @@ from typing import cast, NamedTuple
 
 import cv2
 from neo_ros.bags import BagReader
-from neo_ros.bags.camera_topics import as_raw_image, find_camera
+from neo_ros.bags.camera_choice import CameraChoice, find_camera
+from neo_ros.bags.camera_topics import as_raw_image
 from neo_ros.errors import BagError, ImageRejected
 from neo_ros.geometry import CameraPose
 from neo_ros.machine.progress import no_progress, Progress
@@ -64,9 +65,8 @@ class Drive:
                        numbers=self.numbers + numbers)
 
 
-def drive_through(bag: Path, extrapolator: FovExtrapolator, image_topic: str | None = None,
-                  info_topic: str | None = None, rectify: bool = False,
-                  progress: Progress = no_progress,
+def drive_through(bag: Path, extrapolator: FovExtrapolator,
+                  choice: CameraChoice = CameraChoice(), progress: Progress = no_progress,
                   limits: LearningThresholds = LearningThresholds()) -> Drive:
     """
     Follow a bag's camera through the memory, and keep photos a little apart.
@@ -75,25 +75,23 @@ def drive_through(bag: Path, extrapolator: FovExtrapolator, image_topic: str | N
     light is known, and the photos are brought into theirs. Raises BagError for bags, topics and
     images that cannot be used, and where no image is believed.
     """
-    drive, other = _drive(bag, extrapolator, image_topic, info_topic, rectify, progress, limits)
+    drive, other = _drive(bag, extrapolator, choice, progress, limits)
     if drive.assumed:
         logger.warning('%s: %s', bag, drive.assumed)
     if other:
-        drive, _ = _drive(bag, extrapolator, image_topic, info_topic, rectify, progress, limits)
+        drive, _ = _drive(bag, extrapolator, choice, progress, limits)
     return drive
 
 
-def _drive(bag: Path, extrapolator: FovExtrapolator, image_topic: str | None,
-           info_topic: str | None, rectify: bool, progress: Progress, limits: LearningThresholds
-           ) -> tuple[Drive, bool]:
+def _drive(bag: Path, extrapolator: FovExtrapolator, choice: CameraChoice, progress: Progress,
+           limits: LearningThresholds) -> tuple[Drive, bool]:
     """Return the drive, and whether a photo of it was taken in another light."""
     other, photos = False, list[tuple[np.ndarray, CameraPose, int]]()
     assumed, seen, metres, radians = '', 0, limits.metres, limits.radians
     lost, rejected = _LostImages(), Counter[str]()
     extrapolator.reset()
     with BagReader(bag) as reader:
-        for frame in _frames(reader, extrapolator, image_topic, info_topic, rectify, rejected,
-                             progress):
+        for frame in _frames(reader, extrapolator, choice, rejected, progress):
             seen += 1
             assumed = assumed_camera(frame.camera_note) or assumed
             guide = cast(Guide | None, frame.guide)
@@ -142,12 +140,11 @@ def _in_photos_light(image: np.ndarray, light: np.ndarray) -> np.ndarray:
     return np.rint(np.clip(image / light, 0, 255)).astype(np.uint8)
 
 
-def _frames(reader: BagReader, extrapolator: FovExtrapolator, image_topic: str | None,
-            info_topic: str | None, rectify: bool, rejected: Counter[str], progress: Progress
-            ) -> Iterator[WideFrame]:
+def _frames(reader: BagReader, extrapolator: FovExtrapolator, choice: CameraChoice,
+            rejected: Counter[str], progress: Progress) -> Iterator[WideFrame]:
     """Yield the WideFrame of each image that can be read; count why others are rejected."""
-    topics = find_camera(reader, extrapolator.expansion.source, image_topic, info_topic, rectify)
-    processor, images = FrameProcessor(extrapolator, rectify), ImageReader()
+    topics = find_camera(reader, extrapolator.expansion.source, choice)
+    processor, images = FrameProcessor(extrapolator, choice.rectify), ImageReader()
     info = topics.first_info(reader)
     names = [topic.name for topic in (topics.image, topics.info) if topic is not None]
     total = sum(topic.count for topic in (topics.image, topics.info) if topic is not None)

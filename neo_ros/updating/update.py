@@ -7,6 +7,7 @@ from pathlib import Path
 import shutil
 import time
 
+from neo_ros.bags.camera_choice import CameraChoice
 from neo_ros.baking.keyframes import BakingRules
 from neo_ros.baking.landmarks import find_landmarks
 from neo_ros.baking.memory_baking import make_keyframes
@@ -51,14 +52,12 @@ logger = logging.getLogger(__name__)
 @dataclass(frozen=True, kw_only=True)
 class UpdateOptions:
     """
-    What a user may say; topics as of a replay, minutes for the fits of field and network.
+    What a user may say; camera: of the bags; minutes for the fits of field and network.
 
     cluster: Ray's workers make the keyframes.
     """
 
-    image_topic: str | None = None
-    info_topic: str | None = None
-    rectify: bool = False
+    camera: CameraChoice = CameraChoice()
     minutes: float | None = None
     network_minutes: float | None = None
     cluster: bool = False
@@ -128,8 +127,8 @@ def update_once(run: UpdateRun, bag: Path, out: Path, options: UpdateOptions,
     model, memory_file = out / run.model.name, out / f'{run.model.stem}.memory'
     share_file(run.model, model)
     share_file(run.memory, memory_file)
-    drive = drive_through(bag, FovExtrapolator.load(model), options.image_topic,
-                          options.info_topic, options.rectify, of_stage(progress, bag.name))
+    drive = drive_through(bag, FovExtrapolator.load(model), options.camera,
+                          of_stage(progress, bag.name))
     field = VoxelField.load(run.folder / 'field.npz')
     before = SceneMemory.read(memory_file, named.sha256)
     drive, compared, growth = _grown(run, bag, field, before, drive, options.minutes, progress)

@@ -5,7 +5,8 @@ import threading
 from typing import Any
 
 from neo_ros.bags import BagReader, BagTopic
-from neo_ros.bags.camera_topics import COMPRESSED, find_camera, find_truth_topic, first_size, IMAGE
+from neo_ros.bags.camera_choice import CameraChoice, find_camera
+from neo_ros.bags.camera_topics import COMPRESSED, find_truth_topic, first_size, IMAGE
 from neo_ros.bags.reading import BagMessage, LONGEST_GAP_NS
 from neo_ros.errors import BagError, ConfigError, GeometryError, ImageRejected
 from neo_ros.messages import FrameProcessor
@@ -36,22 +37,21 @@ class BagSource:
     Shows the wide pictures of a bag, or those that a model makes of its camera.
 
     A bag with a topic .../wide/image, as `neo replay` and `neo record` write it, is shown as it
-    is; else the camera (`topic`, or the only one) is widened with the model of `model`, without
-    its lens distortion if `rectify`; `info_topic` names its calibration where that is not beside
-    it. Of several wide topics the viewers choose. Raises BagError for bags and topics that cannot
-    be used, ModelError for the model.
+    is; else the camera of `choice` is widened with the model of `model`. Of several wide topics
+    the viewers choose. Raises BagError for bags and topics that cannot be used, ConfigError for a
+    calibration, ModelError for the model.
     """
 
-    def __init__(self, bag: Path, topic: str | None, model: Path, rate: float = 1.0,
-                 rectify: bool = False, info_topic: str | None = None) -> None:
+    def __init__(self, bag: Path, model: Path, rate: float = 1.0,
+                 choice: CameraChoice = CameraChoice()) -> None:
         if not rate > 0:
             raise ConfigError(f'rate: expected a number > 0, got {rate}')
-        self._bag, self._rectify, self._info_topic = bag, rectify, info_topic
+        self._bag, self._choice = bag, choice
         # The model that its camera is widened with; None where it has wide images.
         self.model: Path | None = None
         with BagReader(bag) as reader:
             span_ns = reader.span_ns
-            wides = _find_wide(reader, topic)
+            wides = _find_wide(reader, choice.image_topic)
             if wides:
                 self._wide = {wide.name: wide for wide in wides}
                 # Of several cameras nobody knows whose truth it would be.
@@ -59,7 +59,7 @@ class BagSource:
                     reader, wides[0], first_size(reader, wides[0]))
                 camera = wides[0].name
             else:
-                camera, truth = self._load(reader, topic, model)
+                camera, truth = self._load(reader, model)
         self._truth = truth.name if truth is not None else None
         cameras = sorted(self._wide) if wides else [camera]
         beside = [*([TRUTH] if truth is not None else []), *([CAMERAS] if cameras[1:] else [])]
@@ -67,15 +67,13 @@ class BagSource:
         self._span = (span_ns[0] / NS_PER_S, span_ns[1] / NS_PER_S)
         self._pictures = self._make_pictures()
 
-    def _load(self, reader: BagReader, topic: str | None, model: Path
-              ) -> tuple[str, BagTopic | None]:
+    def _load(self, reader: BagReader, model: Path) -> tuple[str, BagTopic | None]:
         """Take the camera that is widened; return its name, and its truth."""
         extrapolator = FovExtrapolator.load(model)
         self.model, target = model, extrapolator.expansion.target
         self._memory = extrapolator.card.memory is not None
-        self._processor = FrameProcessor(extrapolator, self._rectify)
-        self._camera = find_camera(reader, extrapolator.expansion.source, topic,
-                                   self._info_topic, self._rectify)
+        self._processor = FrameProcessor(extrapolator, self._choice.rectify)
+        self._camera = find_camera(reader, extrapolator.expansion.source, self._choice)
         image, info = self._camera.image, self._camera.info
         self._info = '' if info is None else info.name, self._camera.first_info(reader)
         return image.name, find_truth_topic(reader, image, (target.width, target.height))

@@ -7,7 +7,7 @@ from typing import Any
 
 from neo_ros.errors import NeoError
 from neo_ros.machine.processes import end_if_busy
-from neo_ros.node.model_place import find_model
+from neo_ros.node.file_place import find_model
 from neo_ros.viewer.settings import read_token, ViewerSettings
 from rcl_interfaces.msg import ParameterDescriptor
 import rclpy

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from bag_files import START_NS, walk_frames, write_walk_bag
 from neo_ros.bags import BagReader, BagWriter, replay
+from neo_ros.bags.camera_choice import CameraChoice
 from neo_ros.errors import BagError
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.messages import camera_info_fields, image_fields, read_camera_info, read_image
@@ -227,8 +228,8 @@ def _read_wide(bag: Path, extrapolator: FovExtrapolator,
 
 
 @pytest.mark.parametrize(('options', 'message'), [
-    ({'image_topic': '/nowhere'}, r'/nowhere.*the bag has .*/camera/image_raw'),
-    ({'image_topic': '/odom'}, 'expected images on /odom, the bag has /camera'),
+    ({'choice': CameraChoice('/nowhere')}, r'/nowhere.*the bag has .*/camera/image_raw'),
+    ({'choice': CameraChoice('/odom')}, 'expected images on /odom, the bag has /camera'),
     ({'truth_topic': '/nowhere'}, 'expected images on /nowhere'),
 ], ids=['image', 'wrong type', 'truth'])
 def test_missing_topics_are_refused_before_anything_is_written(
@@ -252,7 +253,8 @@ def test_image_topics_that_do_not_fit_or_are_two_are_listed(tmp_path, extrapolat
                 writer.write_cdr(message.topic, message.stamp_ns, message.cdr)
     with pytest.raises(BagError, match=r'/left \(32x24\), /right \(32x24\)'):
         replay(tmp_path / 'two', extrapolator, tmp_path / 'out')
-    assert replay(tmp_path / 'two', extrapolator, tmp_path / 'out', '/left').frames == 1
+    assert replay(tmp_path / 'two', extrapolator, tmp_path / 'out',
+                  CameraChoice('/left')).frames == 1
 
 
 def test_outputs_that_cannot_be_written_are_refused(tmp_path, walk_bag, extrapolator) -> None:

@@ -10,11 +10,12 @@ import box_room
 from camera_bags import CameraBag
 from neo_ros.bags import BagReader, replay, Section
 from neo_ros.bags.bag_info import read_bag_info
-from neo_ros.bags.camera_topics import CAMERA_INFO, find_camera, find_truth_topic
+from neo_ros.bags.camera_choice import CameraChoice, find_camera
+from neo_ros.bags.camera_topics import CAMERA_INFO, find_truth_topic
 from neo_ros.bags.demo_bag import write_demo_bag
 from neo_ros.bags.qos import LATCHED
 from neo_ros.cli.main import app
-from neo_ros.errors import BagError, NeoError
+from neo_ros.errors import BagError, ConfigError, NeoError
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.messages import image_fields, read_image
 from neo_ros.replaying.bag_replayer import BagReplayer, ReplayOptions
@@ -135,8 +136,8 @@ def test_raw_images_are_taken_before_compressed_ones(tmp_path, extrapolator) -> 
         bag.image(IMAGE, 1, image)
         bag.image(f'{IMAGE}/compressed', 1, image, compressed=True)
     with BagReader(tmp_path / 'bag') as reader:
-        assert find_camera(reader, EXPANSION.source, None).image.name == IMAGE
-        found = find_camera(reader, EXPANSION.source, f'{IMAGE}/compressed')
+        assert find_camera(reader, EXPANSION.source).image.name == IMAGE
+        found = find_camera(reader, EXPANSION.source, CameraChoice(f'{IMAGE}/compressed'))
         assert (found.image.name, found.wide) == (f'{IMAGE}/compressed', '/camera/wide')
 
 
@@ -144,7 +145,7 @@ def test_truth_is_found_by_its_size_but_not_in_what_a_model_made(
         tmp_path, walk_bag, extrapolator) -> None:
     replay(walk_bag, extrapolator, tmp_path / 'out')
     with BagReader(tmp_path / 'out') as reader:
-        camera = find_camera(reader, EXPANSION.source, None).image
+        camera = find_camera(reader, EXPANSION.source).image
         truth = find_truth_topic(reader, camera,
                                  (EXPANSION.target.width, EXPANSION.target.height))
         assert truth is not None and truth.name == '/camera/wide/image_raw'
@@ -155,13 +156,13 @@ def test_what_a_model_made_is_no_truth_without_its_mask(tmp_path) -> None:
         bag.image(IMAGE, 1, np.zeros((24, 32, 3), np.uint8))
         bag.image('/camera/wide/image', 1, np.zeros((48, 64, 3), np.uint8))
     with BagReader(tmp_path / 'bag') as reader:
-        camera = find_camera(reader, EXPANSION.source, None).image
+        camera = find_camera(reader, EXPANSION.source).image
         assert find_truth_topic(reader, camera, (64, 48)) is None
     # A camera that is called wide is one.
     with CameraBag(tmp_path / 'other') as bag:
         bag.image('/front/wide/image', 1, np.zeros((24, 32, 3), np.uint8))
     with BagReader(tmp_path / 'other') as reader:
-        assert find_camera(reader, EXPANSION.source, None).image.name == '/front/wide/image'
+        assert find_camera(reader, EXPANSION.source).image.name == '/front/wide/image'
 
 
 @pytest.mark.parametrize(('frame', 'late_ns', 'found'), [
@@ -177,7 +178,7 @@ def test_truth_has_frame_and_stamps_of_the_camera(
                 bag.image('/any/image' + '/compressed' * compressed, stamp + late_ns,
                           np.zeros((128, 128, 3), np.uint8), frame, compressed)
     with BagReader(tmp_path / 'bag') as reader:
-        truth = find_truth_topic(reader, find_camera(reader, expansion.source, None).image,
+        truth = find_truth_topic(reader, find_camera(reader, expansion.source).image,
                                  (128, 128))
     assert (truth.name if truth is not None else None) == ('/any/image' if found else None)
     info = read_bag_info(tmp_path / 'bag', Path('m.onnx'), expansion)
@@ -248,13 +249,46 @@ def test_a_calibration_that_is_not_beside_the_images_may_be_named(
         bag.info('/eye/info', 0, Intrinsics.from_hfov(64, 48, 1.8))
         bag.send(IMAGE, 'sensor_msgs/msg/Image', 1, header=bag.header(1, 'eye'),
                  **image_fields(np.full((48, 64, 3), 90, np.uint8)))
-    assert not replay(tmp_path / 'bag', extrapolator, tmp_path / 'a', image_topic=IMAGE).frames
-    found = replay(tmp_path / 'bag', extrapolator, tmp_path / 'b', image_topic=IMAGE,
-                   info_topic='/eye/info')
+    alone = replay(tmp_path / 'bag', extrapolator, tmp_path / 'a', CameraChoice(IMAGE))
+    assert not alone.frames
+    found = replay(tmp_path / 'bag', extrapolator, tmp_path / 'b',
+                   CameraChoice(IMAGE, '/eye/info'))
     assert (found.frames, found.rejected) == (1, {})
     assert '/eye/wide/image' in _counts(tmp_path / 'b')
     with pytest.raises(BagError, match='--info-topic: expected a .*CameraInfo on /none'):
-        replay(tmp_path / 'bag', extrapolator, tmp_path / 'c', IMAGE, info_topic='/none')
+        replay(tmp_path / 'bag', extrapolator, tmp_path / 'c', CameraChoice(IMAGE, '/none'))
+
+
+CALIBRATION = """
+image_width: 64
+image_height: 48
+camera_name: eye
+camera_matrix: {rows: 3, cols: 3, data: [25.4, 0, 31.5, 0, 25.4, 23.5, 0, 0, 1]}
+distortion_model: plumb_bob
+distortion_coefficients: {rows: 1, cols: 5, data: [-0.02, 0, 0, 0, 0]}
+"""
+
+
+def test_a_calibration_may_come_from_a_file(tmp_path, extrapolator) -> None:
+    """It also stands instead of a camera_info that is wrong."""
+    with CameraBag(tmp_path / 'bag') as bag:
+        bag.info('/camera/camera_info', 0, Intrinsics.from_hfov(64, 48, 0.3))
+        bag.send(IMAGE, 'sensor_msgs/msg/Image', 1, header=bag.header(1, 'eye'),
+                 **image_fields(np.full((48, 64, 3), 90, np.uint8)))
+    file = tmp_path / 'eye.yaml'
+    file.write_text(CALIBRATION)
+    found = [replay(tmp_path / 'bag', extrapolator, tmp_path / f'{rectify}',
+                    CameraChoice(camera_info=file, rectify=rectify)) for rectify in (False, True)]
+    assert [one.frames for one in found] == [0, 1]
+    assert 'distortion [-0.02' in found[0].words['camera_info']
+    assert '/camera/wide/image' in _counts(tmp_path / 'True')
+    file.write_text('image_width: 64\n')
+    with pytest.raises(ConfigError, match='--camera-info .*eye.yaml: expected camera_calib.*got '
+                                          'image_width'):
+        replay(tmp_path / 'bag', extrapolator, tmp_path / 'out', CameraChoice(camera_info=file))
+    assert not (tmp_path / 'out').exists()
+    with pytest.raises(ConfigError, match='expected one of them, got both'):
+        CameraChoice(info_topic='/camera/camera_info', camera_info=file)
 
 
 def test_a_replay_that_is_refused_leaves_the_video_of_the_last_one(
@@ -312,6 +346,7 @@ def test_depth_images_are_no_camera(tmp_path) -> None:
         for name in ('color', 'aligned_depth'):
             bag.info(f'/cam/{name}/camera_info', 0, EXPANSION.source)
     with BagReader(tmp_path / 'bag') as reader:
-        assert find_camera(reader, EXPANSION.source, None).image.name == '/cam/color/image_raw'
-        named = find_camera(reader, EXPANSION.source, '/cam/aligned_depth/image_raw')
+        assert find_camera(reader, EXPANSION.source).image.name == '/cam/color/image_raw'
+        named = find_camera(reader, EXPANSION.source,
+                            CameraChoice('/cam/aligned_depth/image_raw'))
         assert named.image.name == '/cam/aligned_depth/image_raw'

@@ -91,4 +91,4 @@ def compare(page: Any) -> None:
 if __name__ == '__main__':
     walk = Path(sys.argv[1])
     shoot(Walk(walk, 20), look_away, 'viewer.jpg')
-    shoot(BagSource(walk, None, MODEL), compare, 'viewer_bag.jpg', '#t=22.6')
+    shoot(BagSource(walk, MODEL), compare, 'viewer_bag.jpg', '#t=22.6')

@@ -4,6 +4,7 @@ from pathlib import Path
 from box_room import box_walk, EXPANSION, view, write_box_model
 from camera_bags import CameraBag
 from neo_ros.bags import write_demo_bag
+from neo_ros.bags.camera_choice import CameraChoice
 from neo_ros.bags.demo_bag import RobotFrame, write_robot_bag
 from neo_ros.errors import BagError
 from neo_ros.geometry import CameraPose
@@ -52,7 +53,7 @@ def test_a_camera_that_nobody_described_is_told_and_not_rectified(
     told, = [words for words in caplog.messages if 'no camera_info' in words]
     assert told.startswith(f'{tmp_path / "drive"}: ')
     with pytest.raises(BagError, match='--rectify: expected a camera_info beside /eye/image_raw'):
-        drive_through(tmp_path / 'drive', extrapolator, rectify=True)
+        drive_through(tmp_path / 'drive', extrapolator, CameraChoice(rectify=True))
 
 
 def test_a_bag_of_a_lens_that_bends_says_what_to_do(tmp_path: Path) -> None:

@@ -52,7 +52,7 @@ def test_the_places_are_those_of_the_walk(folder: Path, bag: str) -> None:
     hub: Any = SimpleNamespace(where=where, clock=HandClock(), wanted=Wanted(True),
                                publish=publish, report=lambda state: None, changes=0,
                                playback=None)
-    source = BagSource(folder / bag, None, folder / 'box.onnx')
+    source = BagSource(folder / bag, folder / 'box.onnx')
     source.run(hub, stop)
     assert (source.model is None) == (bag == 'wide')
     assert len(where.places) >= 4

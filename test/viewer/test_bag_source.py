@@ -9,6 +9,7 @@ from typing import Any
 from bag_files import STRING, string_cdr, walk_frames, write_walk_bag
 from camera_bags import CameraBag
 from neo_ros.bags import BagReader, BagWriter, replay
+from neo_ros.bags.camera_choice import CameraChoice
 from neo_ros.errors import BagError, ConfigError
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.messages import read_image
@@ -48,7 +49,7 @@ def wide_bag(walk_bag, model, tmp_path_factory) -> Path:
 
 
 def test_a_replayed_bag_is_shown_as_it_is(wide_bag, model):
-    hub = collect(BagSource(wide_bag, None, Path('no model is needed')), FRAMES)
+    hub = collect(BagSource(wide_bag, Path('no model is needed')), FRAMES)
     with BagReader(wide_bag) as reader:
         for name, attribute in (('image', 'image'), ('confidence', 'confidence')):
             recorded = [read_image(message.read()) for message in
@@ -61,8 +62,8 @@ def test_a_replayed_bag_is_shown_as_it_is(wide_bag, model):
 
 
 def test_a_camera_is_widened_as_the_replay_does(walk_bag, wide_bag, model):
-    widened = collect(BagSource(walk_bag, None, model), FRAMES)
-    recorded = collect(BagSource(wide_bag, None, model), FRAMES)
+    widened = collect(BagSource(walk_bag, model), FRAMES)
+    recorded = collect(BagSource(wide_bag, model), FRAMES)
     for one, other in zip(widened.pictures, recorded.pictures, strict=True):
         assert np.array_equal(one.image, other.image) and one.seen == other.seen == SEEN
         assert np.array_equal(one.confidence, other.confidence)
@@ -97,7 +98,7 @@ def test_topics_of_another_type_are_left_out(wide_bag, model, tmp_path):
             for other in others:
                 writer.write_cdr(other, message.stamp_ns, string_cdr('something else'))
             writer.write_cdr(image, message.stamp_ns, message.cdr)
-    hub = collect(BagSource(bag, None, model), FRAMES)
+    hub = collect(BagSource(bag, model), FRAMES)
     assert len(hub.pictures) == FRAMES and not any(state.message for state in hub.states)
     timeline = Timeline(hub.playback.span_ns)
     read_timeline(bag, {'/camera/wide/image': timeline}, None, threading.Event())
@@ -105,7 +106,7 @@ def test_topics_of_another_type_are_left_out(wide_bag, model, tmp_path):
 
 
 def test_timing_by_the_clock_and_once_more(wide_bag, model):
-    hub = collect(BagSource(wide_bag, None, model, rate=2.0), 2 * FRAMES, again=True)
+    hub = collect(BagSource(wide_bag, model, rate=2.0), 2 * FRAMES, again=True)
     # 10 Hz twice as fast.
     for times in (hub.times[:FRAMES], hub.times[FRAMES:]):
         assert np.allclose(np.diff(times), 0.05)
@@ -116,7 +117,7 @@ def test_timing_by_the_clock_and_once_more(wide_bag, model):
 def test_pictures_that_would_come_late_are_left_out(wide_bag, model):
     hub: Any = Collector(4, again=True)
     hub.work_s = 0.35  # of what comes every 0.1 s
-    BagSource(wide_bag, None, model).run(hub, hub.stop)
+    BagSource(wide_bag, model).run(hub, hub.stop)
     late = [shown - picture.captured for picture, shown in zip(hub.pictures, hub.times)]
     assert all(0 <= seconds <= LATE_S for seconds in late)
     assert [round((picture.captured - hub.pictures[0].captured) / 0.1)
@@ -124,7 +125,7 @@ def test_pictures_that_would_come_late_are_left_out(wide_bag, model):
 
 
 def test_nothing_is_widened_while_nobody_watches(walk_bag, model, monkeypatch):
-    source = BagSource(walk_bag, None, model, rate=20.0)
+    source = BagSource(walk_bag, model, rate=20.0)
     monkeypatch.setattr(FovExtrapolator, 'expand', lambda *_: pytest.fail('was widened'))
     hub: Any = Collector(1)
     hub.wanted = Wanted()
@@ -145,7 +146,7 @@ def test_who_jumps_gets_what_the_camera_said_at_the_beginning(model, tmp_path):
             infos += name == 'camera_info'
             if name == 'image_raw' or infos == 1:
                 writer.write_cdr(topics[name], message.stamp_ns, message.cdr)
-    source = BagSource(bag, None, model)
+    source = BagSource(bag, model)
     hub: Any = Collector(1)
     hub.clock.at(0.0, lambda: hub.playback.command({'seek': 0.3}))
     source.run(hub, hub.stop)
@@ -157,33 +158,33 @@ def test_a_bag_waits_for_its_first_viewer(wide_bag, model):
     hub: Any = Collector(1)
     hub.wanted = Wanted()
     hub.clock.at(7.0, lambda: setattr(hub, 'wanted', Wanted(True)))
-    BagSource(wide_bag, None, model).run(hub, hub.stop)
+    BagSource(wide_bag, model).run(hub, hub.stop)
     assert hub.numbers == [0.0] and hub.times[0] - 1000 == pytest.approx(7.0, abs=0.1)
 
 
 def test_what_cannot_be_shown_is_named(walk_bag, model, tmp_path):
     with pytest.raises(BagError, match='no such bag'):
-        BagSource(tmp_path / 'missing', None, model)
+        BagSource(tmp_path / 'missing', model)
     with pytest.raises(BagError, match='/front'):
-        BagSource(walk_bag, '/front', model)
+        BagSource(walk_bag, model, choice=CameraChoice('/front'))
     with pytest.raises(ConfigError, match='rate'):
-        BagSource(walk_bag, None, model, rate=0)
+        BagSource(walk_bag, model, rate=0)
     with CameraBag(tmp_path / 'bare') as bag:
         bag.image('/eye/image_raw', 0, np.zeros((24, 32, 3), np.uint8))
     with pytest.raises(BagError, match='--rectify: expected a camera_info beside /eye/image_raw'):
-        BagSource(tmp_path / 'bare', None, model, rectify=True)
+        BagSource(tmp_path / 'bare', model, choice=CameraChoice(rectify=True))
 
 
 def test_a_calibration_that_is_not_beside_the_images_is_named(model, tmp_path):
     with CameraBag(tmp_path / 'bag') as bag:
         bag.info('/eye/info', 0, Intrinsics.from_hfov(64, 48, 2.0), d=np.full(5, 1e-3))
         bag.image('/eye/image_raw', 1, np.full((48, 64, 3), 90, np.uint8))
-    source = BagSource(tmp_path / 'bag', '/eye/image_raw', model, rectify=True,
-                       info_topic='/eye/info')
+    source = BagSource(tmp_path / 'bag', model, choice=CameraChoice(
+        '/eye/image_raw', '/eye/info', rectify=True))
     picture, = collect(source, 1).pictures
     assert picture.image.shape == (48, 64, 3) and (EXPANSION.crop(picture.image) == 90).all()
     with pytest.raises(BagError, match='--info-topic: expected a .*CameraInfo on /none'):
-        BagSource(tmp_path / 'bag', '/eye/image_raw', model, info_topic='/none')
+        BagSource(tmp_path / 'bag', model, choice=CameraChoice('/eye/image_raw', '/none'))
 
 
 def test_a_bag_is_shown_without_ros():

@@ -48,7 +48,7 @@ def wide_bag(camera_bag, model, tmp_path_factory):
 @pytest.mark.parametrize('replayed', [True, False], ids=['replayed', 'widened here'])
 def test_an_unknown_place_is_named_in_every_round(camera_bag, wide_bag, model, replayed):
     count = KNOWN + FOREIGN
-    source = BagSource(wide_bag if replayed else camera_bag, None, model)
+    source = BagSource(wide_bag if replayed else camera_bag, model)
     hub: Any = collect(source, count + 1, again=True)
     # The state at each picture: what was told last before the next one.
     verdicts = [hub.at_pictures[number] for number in range(count + 1)]
@@ -61,7 +61,7 @@ def test_an_unknown_place_is_named_in_every_round(camera_bag, wide_bag, model, r
 
 
 def test_pictures_of_a_bag_say_when_they_were_recorded(wide_bag, model):
-    hub: Any = collect(BagSource(wide_bag, None, model, rate=3), KNOWN)
+    hub: Any = collect(BagSource(wide_bag, model, rate=3), KNOWN)
     start = START_NS / 1e9
     assert np.allclose([picture.recorded for picture in hub.pictures],
                        start + STEP_NS / 1e9 * np.arange(KNOWN))

@@ -51,7 +51,7 @@ def play(source: BagSource, count: int, commands: dict[float, dict[str, Any]],
 
 
 def wide(folder: Path) -> BagSource:
-    return BagSource(folder / 'wide', None, folder / 'box.onnx')
+    return BagSource(folder / 'wide', folder / 'box.onnx')
 
 
 CASES: dict[str, tuple[dict[float, dict[str, Any]], list[float]]] = {
@@ -100,7 +100,7 @@ def test_years_in_which_a_clock_was_set_are_not_waited_for(folder: Path, tmp_pat
             writer.copy_topic(message.topic)
             late = message.stamp_ns > first_ns + 10 ** 9
             writer.copy(message, message.stamp_ns + 10 ** 18 * late)
-    hub = play(BagSource(tmp_path / 'set', None, folder / 'box.onnx'), 99, {}, seconds=20.0)
+    hub = play(BagSource(tmp_path / 'set', folder / 'box.onnx'), 99, {}, seconds=20.0)
     assert len(hub.pictures) == FRAMES
     assert hub.times[-1] - hub.times[0] < LAST + 1
 
@@ -133,7 +133,7 @@ def test_who_comes_while_it_is_paused_sees_the_picture(folder: Path) -> None:
 
 
 def test_a_camera_that_is_widened_can_be_wound_back(folder: Path) -> None:
-    source = BagSource(folder / 'camera', None, folder / 'box.onnx')
+    source = BagSource(folder / 'camera', folder / 'box.onnx')
     hub = play(source, 50, {0.55: {'seek': 0.2}, 0.6: {'play': False}}, seconds=3.0)
     assert hub.numbers == pytest.approx([0, .1, .2, .3, .4, .5, .2])
     assert hub.states[-1].recognised is True
@@ -156,7 +156,7 @@ def test_truth_stands_beside_the_picture_of_its_stamp(folder: Path) -> None:
 
 
 def test_several_cameras_are_tiles_and_each_can_be_the_large_one(folder: Path) -> None:
-    source = BagSource(folder / 'two', None, folder / 'box.onnx')
+    source = BagSource(folder / 'two', folder / 'box.onnx')
     wanted = Wanted(True, False, False, frozenset({CAMERAS}))
     front, rear = '/front/wide/image', '/rear/wide/image'
     hub = play(source, 9, {0.45: {'camera': rear}}, wanted)

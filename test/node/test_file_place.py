@@ -1,10 +1,10 @@
-"""The ways to say where a model lies."""
+"""The ways to say where a file lies."""
 from pathlib import Path
 import sys
 
 from neo_ros.errors import ConfigError
 from neo_ros.machine.files import share_dir
-from neo_ros.node.model_place import find_model
+from neo_ros.node.file_place import find_model
 import pytest
 
 
