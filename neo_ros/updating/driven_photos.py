@@ -47,8 +47,9 @@ class Drive:
     """
     Photos of a bag, uint8 RGB (h, w, 3) each, their poses, and how many images it has.
 
-    numbers: of the photos in the bag; lost: images between them. assumed: what the camera is
-    taken for, where no camera_info says it.
+    numbers: of the photos in the bag; lost: images between them. other_light: photos were taken
+    in another light than the training's. assumed: what the camera is taken for, where no
+    camera_info says it.
     """
 
     images: list[np.ndarray]
@@ -56,6 +57,7 @@ class Drive:
     seen: int
     numbers: list[int]
     lost: list[LostImage]
+    other_light: bool = False
     assumed: str = ''
 
     def with_more(self, images: list[np.ndarray], poses: list[CameraPose],
@@ -75,17 +77,17 @@ def drive_through(bag: Path, extrapolator: FovExtrapolator,
     light is known, and the photos are brought into theirs. Raises BagError for bags, topics and
     images that cannot be used, and where no image is believed.
     """
-    drive, other = _drive(bag, extrapolator, choice, progress, limits)
+    drive = _drive(bag, extrapolator, choice, progress, limits)
     if drive.assumed:
         logger.warning('%s: %s', bag, drive.assumed)
-    if other:
-        drive, _ = _drive(bag, extrapolator, choice, progress, limits)
+    if drive.other_light:
+        drive = _drive(bag, extrapolator, choice, progress, limits)
     return drive
 
 
 def _drive(bag: Path, extrapolator: FovExtrapolator, choice: CameraChoice, progress: Progress,
-           limits: LearningThresholds) -> tuple[Drive, bool]:
-    """Return the drive, and whether a photo of it was taken in another light."""
+           limits: LearningThresholds) -> Drive:
+    """Return the drive of a bag that is gone through once."""
     other, photos = False, list[tuple[np.ndarray, CameraPose, int]]()
     assumed, seen, metres, radians = '', 0, limits.metres, limits.radians
     lost, rejected = _LostImages(), Counter[str]()
@@ -114,7 +116,7 @@ def _drive(bag: Path, extrapolator: FovExtrapolator, choice: CameraChoice, progr
         raise BagError(f'{bag}: of {seen} images none shows the scene of '
                        f'{extrapolator.card.scene_id}; give bags of the same place and camera')
     images, poses, numbers = map(list, zip(*photos)) if photos else ([], [], [])
-    return Drive(images, poses, seen, numbers, lost.kept, assumed), other
+    return Drive(images, poses, seen, numbers, lost.kept, other, assumed)
 
 
 class _LostImages:

@@ -134,7 +134,11 @@ def update_once(run: UpdateRun, bag: Path, out: Path, options: UpdateOptions,
     drive, compared, growth = _grown(run, bag, field, before, drive, options.minutes, progress)
     if growth is not None:
         field = growth.field
-    old, space = field, find_changed_space(field, compared)
+    old = field
+    try:
+        space = find_changed_space(field, compared, other_light=drive.other_light)
+    except BagError as error:
+        raise BagError(f'{bag}: {error}') from error
     if space.places:
         field, space = refit(
             field, space, compared, lambda chosen: run.photos(drive, chosen, run.fitted_camera),

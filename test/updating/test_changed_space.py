@@ -5,6 +5,7 @@ from box_room import HIGH, SOURCE
 from changing_room import remembered
 from neo_ros.baking.keyframes import Photos
 from neo_ros.benchmark.small_room import AFTER, BEFORE, drive, HEIGHT, look, Place
+from neo_ros.errors import BagError
 from neo_ros.field.rendering import render_rays, world_rays
 from neo_ros.field.voxel_field import VoxelField
 from neo_ros.geometry import CameraPose
@@ -207,3 +208,23 @@ def test_a_picture_that_was_changed_is_no_thing_before_its_wall() -> None:
     space = find_changed_space(empty_field(), found)
     assert space.places
     assert all(place.low[0] > HIGH[0] - 0.5 for place in space.places)
+    # In another light it may be the light.
+    assert not find_changed_space(empty_field(), found, other_light=True).places
+
+
+def test_in_another_light_what_moved_is_found_and_what_looks_otherwise_has_no_say() -> None:
+    found = compared(BEFORE, BEFORE, AFTER)
+    space = find_changed_space(empty_field(), found, other_light=True)
+    assert at(space, BEFORE) and at(space, AFTER)
+
+
+def test_a_light_in_which_much_looks_otherwise_tells_no_changes() -> None:
+    found = compared(AWAY, AWAY, AWAY)
+    far_wall = np.stack([
+        origin[0] + depth * rays[..., 0] > HIGH[0] - 0.1 for depth, (origin, rays) in zip(
+            found.depth, (world_rays(SOURCE, CameraPose(T)) for T in found.photos.T_world_cam))])
+    far_wall[:found.old] = False
+    by_lamps = replace(found, contradicts=found.contradicts | far_wall)
+    assert find_changed_space(empty_field(), by_lamps).places
+    with pytest.raises(BagError, match='^taken in another light.* give bags in the light of'):
+        find_changed_space(empty_field(), by_lamps, other_light=True)
