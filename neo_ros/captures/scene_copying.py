@@ -12,7 +12,8 @@ from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.pictures.depth import read_depth
 from neo_ros.pictures.usable import read_usable
 from neo_ros.scenes.posed_images import PosedImages, read_rgb_image
-from neo_ros.scenes.scene import clear_earlier_import, floor_file, upper_floors
+from neo_ros.scenes.scene import (
+    clear_earlier_import, floor_file, stale_file, upper_floors)
 from neo_ros.scenes.transforms_json import read_input_crop, read_transforms, write_transforms
 
 # The transforms files of a folder, and what they are called in a scene.
@@ -27,11 +28,11 @@ def import_transforms(source: Path, scene: Path,
     Copy a folder of transforms files (nerfstudio, instant-ngp) into a scene folder.
 
     transforms_train.json (or transforms.json) and transforms_test.json with their images, their
-    depth and masks, and walkable.json. Files that are there already are not copied again, so that
-    a broken-off import goes on; files from beside the folder ('../photos/1.png') come to
-    'beside/'. Test frames and floor map of an earlier import are taken away. Raises SceneError
-    for images that cannot be read or have another size, for depth and masks that cannot be read,
-    and for cameras far from the origin.
+    depth and masks, what updates found out of date in them, and walkable.json. Files that are
+    there already are not copied again, so that a broken-off import goes on; files from beside the
+    folder ('../photos/1.png') come to 'beside/'. Test frames and floor map of an earlier import
+    are taken away. Raises SceneError for images that cannot be read or have another size, for
+    depth and masks that cannot be read, and for cameras far from the origin.
     """
     if not source.is_dir():
         raise SceneError(f'{source}: expected a folder with transforms_train.json or '
@@ -63,6 +64,11 @@ def import_transforms(source: Path, scene: Path,
     if floor.is_file():
         for one in (floor, *upper_floors(source)):
             shutil.copyfile(one, scene / one.name)
+    for name, images in found.items():
+        for photo, copy in zip(images.image_paths, copied[name].image_paths):
+            if stale_file(photo).is_file() and source in stale_file(photo).parents:
+                stale_file(copy).parent.mkdir(exist_ok=True)
+                shutil.copyfile(stale_file(photo), stale_file(copy))
     for name, images in copied.items():
         write_transforms(scene / SCENE_NAMES[name], images, read_input_crop(source / name))
     (scene / NOTE_FILE).unlink(missing_ok=True)

@@ -15,6 +15,7 @@ import numpy as np
 logger = logging.getLogger(__name__)
 # What a scene of the demo flat was rendered with; no other scene has this file.
 DEMO_NOTE = 'demo_scene.json'
+_STALE = 'out_of_date'
 
 
 @dataclass(frozen=True)
@@ -80,19 +81,31 @@ def floor_file(folder: Path, storey: int) -> Path:
     return folder / ('walkable.json' if storey == 0 else f'walkable_{storey}.json')
 
 
+def stale_file(photo: Path) -> Path:
+    """
+    Return where it lies what an update found out of date in a photo, if it found something.
+
+    Beside the masks, which are black there: white where only an update has left pixels out.
+    """
+    return photo.parent.parent / _STALE / f'{photo.stem}.png'
+
+
 def clear_earlier_import(folder: Path, has_floor: bool = False) -> None:
     """
     Take what an earlier import left away, before another training list is written.
 
-    Test frames are deleted, as the new list may hold the same photos, and the note of a demo
-    scene. Floor maps, unless the new import has some, are set aside: they belong to the world of
-    the earlier one. The log says so. Raises SceneError where the folder cannot be changed.
+    Test frames are deleted, as the new list may hold the same photos, the note of a demo scene,
+    and what an update found out of date. Floor maps, unless the new import has some, are set
+    aside: they belong to the world of the earlier one. The log says so. Raises SceneError where
+    the folder cannot be changed.
     """
     test_file, floor = folder / 'transforms_test.json', floor_file(folder, 0)
     demo = folder / DEMO_NOTE
     try:
         if demo.exists():
             demo.unlink()
+        for stale in (folder / _STALE).glob('*.png'):
+            stale.unlink()
         if test_file.exists():
             test_file.unlink()
             logger.warning('%s of an earlier import is deleted', test_file)

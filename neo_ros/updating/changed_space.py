@@ -11,9 +11,6 @@ from neo_ros.updating.kernels import compare_depths, count_votes, pinholes, rays
 import numpy as np
 from scipy import ndimage
 
-# How the reason begins why a bag is refused.
-OTHER_LIGHT = 'taken in another light'
-
 
 @dataclass(frozen=True)
 class ChangeRules:
@@ -124,9 +121,9 @@ def find_changed_space(field: VoxelField, compared: ComparedPhotos,
         new = slice(compared.old, None)
         share = painted[new].sum() / max(1, (compared.depth[new] > 0).sum())
         if share > rules.most_in_other_light:
-            raise BagError(f'{OTHER_LIGHT} than the scene, by which {share:.0%} of what the '
-                           'images show looks otherwise: what has changed cannot be told; give '
-                           'bags in the light of its photos')
+            raise BagError(f'taken in another light than the scene, by which {share:.0%} of what '
+                           'the images show looks otherwise: what has changed cannot be told; '
+                           'give bags in the light of its photos')
         compared = replace(compared, contradicts=compared.contradicts & ~painted)
     _count(field, np.argwhere(photos > 0), compared, painted, rules, photos)
     changed = photos > 0

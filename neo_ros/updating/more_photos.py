@@ -9,23 +9,16 @@ from neo_ros.geometry import CameraPose
 from neo_ros.machine.files import share_file, write_bytes
 from neo_ros.pictures.usable import read_usable, shrunk, write_usable
 from neo_ros.scenes.posed_images import PosedImages
-from neo_ros.scenes.scene import floor_file, Scene
+from neo_ros.scenes.scene import floor_file, Scene, stale_file
 from neo_ros.scenes.transforms_json import write_transforms
 from neo_ros.scenes.walkable import write_walkable
 import numpy as np
 
-# Beside the masks, which are black there: white where only an update has left pixels out.
-_FOLDER = 'out_of_date'
-
 
 def read_stale(photos: PosedImages, index: int) -> np.ndarray | None:
     """Return what updates found out of date in a photo, bool (H, W); None: nothing."""
-    path, camera = _stale_file(photos.image_paths[index]), photos.intrinsics
+    path, camera = stale_file(photos.image_paths[index]), photos.intrinsics
     return read_usable(path, camera.width, camera.height) if path.exists() else None
-
-
-def _stale_file(photo: Path) -> Path:
-    return photo.parent.parent / _FOLDER / f'{photo.stem}.png'
 
 
 def write_more_photos(folder: Path, scene: Scene, chosen: Sequence[int], photos: Photos) -> None:
@@ -61,7 +54,7 @@ def write_more_photos(folder: Path, scene: Scene, chosen: Sequence[int], photos:
         add(f'{index:06d}{path.suffix}', usable)
         share_file(path, paths[-1])
         if stale is not None and stale.any():
-            write_usable(_stale_file(paths[-1]), stale)
+            write_usable(stale_file(paths[-1]), stale)
     for number, (image, usable) in enumerate(zip(photos.images[old:], photos.usable[old:]),
                                              len(train)):
         add(f'{number:06d}.png', shrunk(usable, *size))

@@ -9,9 +9,11 @@ from neo_ros.captures.scene_copying import import_transforms
 from neo_ros.captures.scene_writing import write_capture as write_posed
 from neo_ros.errors import SceneError
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
+from neo_ros.pictures.usable import write_usable
 from neo_ros.scenes.scene import read_scene
 from neo_ros.scenes.transforms_json import read_transforms, write_transforms
 from neo_ros.scenes.walkable import WalkableMap, write_walkable
+from neo_ros.updating.more_photos import read_stale
 import numpy as np
 import pytest
 from scene_files import CAMERA, picture, write_capture, write_picture
@@ -125,6 +127,22 @@ def test_another_capture_takes_away_what_an_earlier_one_left(
     # Perhaps it was made with care.
     assert (scene / 'walkable.old.json').read_bytes() == (source / 'walkable.json').read_bytes()
     assert 'rename it back, else run neo floor' in caplog.text
+
+
+def test_what_is_out_of_date_in_the_photos_of_an_update_comes_along(tmp_path: Path) -> None:
+    updated, scene = tmp_path / 'updated', tmp_path / 'scene'
+    write_capture(updated, 2)
+    gone = np.zeros((CAMERA.height, CAMERA.width), bool)
+    gone[3:7, 4:9] = True
+    write_usable(updated / 'out_of_date' / '1.png', gone)
+    import_transforms(updated, scene)
+    first, second = (read_stale(read_scene(scene).train, index) for index in range(2))
+    assert first is None
+    np.testing.assert_array_equal(second, gone)
+    # Of another capture with photos of these names nothing is out of date.
+    write_capture(tmp_path / 'other', 2)
+    import_transforms(tmp_path / 'other', scene)
+    assert read_stale(read_scene(scene).train, 1) is None
 
 
 def test_images_beside_the_folder_keep_apart(tmp_path: Path) -> None:
