@@ -4,7 +4,7 @@ Find a camera's pose from its image: direct photometric alignment with the scene
 Gauss-Newton on the difference of grey images, coarse to fine, in six degrees of freedom, with
 gain and bias free and Huber weights (Lucas and Kanade 1981; as in DSO, Engel et al. 2018).
 """
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 
 import cv2
@@ -42,6 +42,9 @@ class AlignmentThresholds:
     lost: float = 0.05
     # Share of an image that somebody may hide.
     occluded: float = 0.35
+    # Surroundings in another light are a share of the width wide; darker pixels tell nothing.
+    surroundings: float = 1 / 8
+    darkest: float = 0.02
     exposure: ExposureThresholds = ExposureThresholds()
 
 
@@ -79,17 +82,20 @@ class Aligner:
                            np.gradient(grey, axis=0).astype(np.float32)) for grey in greys]
 
     def align(self, photo: list[PhotoLevel], start: CameraPose, rounds: int,
-              near: bool = False, drawn: Drawn | None = None) -> CameraPose:
+              near: bool = False, drawn: Drawn | None = None, any_light: bool = False
+              ) -> CameraPose:
         """
         Improve a pose until image and memory agree; `photo` is what `self.photo` gave.
 
         Every round draws the memory anew from the pose that the round before has found; the first
         one takes what is `drawn` already. `near`: the start is a few centimetres and degrees off;
-        then occluders do little harm.
+        then occluders do little harm. `any_light`: with what is drawn in the image's own light.
         """
         pose, coarsest = start, len(self.levels) - 1
         for _ in range(rounds):
             guide, drawn = drawn or self._draw(pose), None
+            if any_light:
+                guide = lit_as(photo[0].grey, guide, self.thresholds)
             levels = self._levels(guide)
             warp = Warp(pose.inverse() @ guide.pose.T_world_cam,
                         self._first_gain(photo[-1], levels[-1]), 0.0)
@@ -189,6 +195,39 @@ def whole_agreement(image: np.ndarray, guide: np.ndarray, known: np.ndarray,
     if known.mean() < thresholds.least_overlap:
         return -1.0
     return detail_correlation(image, guide, known)
+
+
+def fine_agreement(image: np.ndarray, guide: np.ndarray, known: np.ndarray,
+                   thresholds: AlignmentThresholds = AlignmentThresholds()) -> float:
+    """
+    Return the correlation in [-1, 1] of what differs from its surroundings, by ratios.
+
+    It is the same in every light that differs little from one place to the next. Arguments, and
+    when it is -1, are those of `agreement`.
+    """
+    if known.mean() < thresholds.least_overlap:
+        return -1.0
+    a, b = (np.log(np.maximum(one, thresholds.darkest)) - _surroundings(one, known, thresholds)
+            for one in (image, guide))
+    return detail_correlation(a, b, known)
+
+
+def lit_as(image: np.ndarray, drawn: Drawn, thresholds: AlignmentThresholds = AlignmentThresholds()
+           ) -> Drawn:
+    """Return what is drawn in the light that an image, float (h, w), shows around each pixel."""
+    known = drawn.depth > 0
+    light = (_surroundings(image, known, thresholds)
+             - _surroundings(drawn.grey, known, thresholds))
+    return replace(drawn, grey=drawn.grey * np.exp(light))
+
+
+def _surroundings(grey: np.ndarray, known: np.ndarray, thresholds: AlignmentThresholds
+                  ) -> np.ndarray:
+    """Return the mean of the logarithm around each pixel, float32 (h, w), of those known."""
+    sigma, kept = thresholds.surroundings * grey.shape[1], known.astype(np.float32)
+    light = np.log(np.maximum(grey, thresholds.darkest)).astype(np.float32)
+    return (cv2.GaussianBlur(light * kept, (0, 0), sigma)
+            / np.maximum(cv2.GaussianBlur(kept, (0, 0), sigma), 1e-6))
 
 
 def detail_correlation(a: np.ndarray, b: np.ndarray, kept: np.ndarray) -> float:

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import cv2
 from neo_ros.geometry import CameraPose, ViewExpansion
-from neo_ros.memory.alignment import agreement, Aligner, Drawn, grey_of
+from neo_ros.memory.alignment import agreement, Aligner, Drawn, fine_agreement, grey_of
 from neo_ros.memory.alignment_kernels import GuideLevel, PhotoLevel
 from neo_ros.memory.coarse_memory import CoarseMemory
 from neo_ros.memory.parallel import on_cores
@@ -49,6 +49,20 @@ class Looker:
         believed = believed or bool(there and part >= limits.least_partial)
         return Sight(pose, view, drawn, whole, believed,
                      found='searched' if searched else 'tracked')
+
+    def look_in_any_light(self, image: CameraImage, sight: Sight) -> Sight:
+        """
+        Look where the image agrees in a light that the memory may not know, from about there.
+
+        Believed if what is fine agrees. Another light would drag a pose along.
+        """
+        limits, photo = self.thresholds, image.photo
+        pose = self.aligner.align(photo, sight.pose, 3, near=True, any_light=True)
+        found = self.look(image, pose)
+        fine = fine_agreement(photo[0].grey, found.drawn.grey, found.drawn.depth > 0,
+                              limits.alignment)
+        return replace(found, found=sight.found, believed=(
+            fine >= limits.least_fine and found.agreement >= limits.least_located))
 
     def observed(self, view: GuideView) -> tuple[np.ndarray, np.ndarray]:
         """Return grey in [0, 1] and depth of what the camera sees of a view, float32 (h, w)."""

@@ -285,8 +285,15 @@ class SceneGuide:
             found = self._look_from(location, image)
             if found.believed:
                 return found, [one.pose for one in locations if one is not location]
-        return (self._looker.best_of(image, self._glances.find(image.pixels), 'searched'),
-                [one.pose for one in locations])
+        best = self._looker.best_of(image, self._glances.find(image.pixels), 'searched')
+        return self._in_any_light(image, best), [one.pose for one in locations]
+
+    def _in_any_light(self, image: CameraImage, best: Sight | None) -> Sight | None:
+        """Return what is believed if the light is another one; else what was found."""
+        if best is None or best.believed:
+            return best
+        lit = self._looker.look_in_any_light(image, best)
+        return lit if lit.believed else best
 
     def _try(self, image: CameraImage, prior: CameraPose) -> Sight | None:
         """Look around where somebody says that the camera is; None: nothing is like it."""

@@ -236,6 +236,7 @@ def test_a_pose_that_was_searched_for_has_to_agree_more(monkeypatch: pytest.Monk
     for whole, partial, searched in ((0.91, 0, True), (0.88, 0.999, True), (0.88, 0.99, False),
                                      (0.84, 0.999, False)):
         monkeypatch.setattr(looking, 'agreement', lambda *images: (whole, partial))
+        monkeypatch.setattr(looking, 'fine_agreement', lambda *images: 0.79)
         guide.reset()
         assert (guide.guide(photo_at(TRUE_POSE)) is not None) == searched
         image = guide._camera_image(photo_at(TRUE_POSE))
@@ -246,7 +247,7 @@ def test_a_pose_that_was_searched_for_has_to_agree_more(monkeypatch: pytest.Monk
 def test_a_guide_asks_for_as_much_agreement_as_it_is_told() -> None:
     for least, guided in ((0.95, True), (1.01, False)):
         guide = SceneGuide(MEMORY, EXPANSION, thresholds=GuideThresholds(
-            least_agreement=least, least_partial=least))
+            least_agreement=least, least_partial=least, least_fine=least))
         assert (guide.guide(photo_at(TRUE_POSE)) is not None) == guided
 
 

@@ -2,7 +2,7 @@
 import logging
 from pathlib import Path
 
-from box_room import box_memory, box_walk, EXPANSION, SOURCE, view, write_box_model
+from box_room import apart, box_memory, box_walk, EXPANSION, SOURCE, view, write_box_model
 import cv2
 from neo_ros.evaluation.metrics import psnr
 from neo_ros.geometry import CameraPose
@@ -52,6 +52,31 @@ def test_the_photos_light_changes_no_bit() -> None:
     depth = np.ones(RING.shape, np.float32)
     assert guide.light.relight(image, depth, WALK[0], EXPANSION.target) is None
     assert (image == 100).all()
+
+
+def by_a_lamp(pose: CameraPose, brighter: float) -> np.ndarray:
+    """Return the image of a camera that a lamp shines before: uint8 RGB (h, w, 3)."""
+    x, y = (SOURCE.pixel_rays()[..., axis] for axis in (0, 1))
+    lamp = 0.25 * (1 + brighter * np.exp(-5 * ((x + 0.4) ** 2 + (y + 0.2) ** 2)))
+    return np.clip(lamp[..., None] * view(pose, SOURCE)[0], 0, 255).astype(np.uint8)
+
+
+def test_a_camera_is_found_in_a_light_that_the_memory_does_not_know() -> None:
+    off = []
+    for pose in WALK[::3]:
+        found = SceneGuide(MEMORY, EXPANSION, 1).guide(by_a_lamp(pose, 1.0))
+        off.append(np.inf if found is None else apart(found.pose, pose)[0])
+    assert np.median(off) < 0.15 and np.mean(np.less(off, 0.3)) > 0.8
+
+
+def test_no_light_makes_another_place_right() -> None:
+    guide = SceneGuide(MEMORY, EXPANSION, 1)
+    for pose in WALK[::6]:
+        image = guide._camera_image(by_a_lamp(pose, 1.0))
+        for other in WALK[::3]:
+            if apart(other, pose)[0] > 1 or apart(other, pose)[1] > 40:
+                looker = guide._looker
+                assert not looker.look_in_any_light(image, looker.look(image, other)).believed
 
 
 def test_a_light_of_before_is_found_again_and_the_others_stay() -> None:
