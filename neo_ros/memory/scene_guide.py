@@ -1,20 +1,18 @@
 """Where is the camera, and what does the memory show around its image: frame after frame."""
 from contextlib import AbstractContextManager
-from dataclasses import replace
 from functools import partial
 
 from neo_ros.geometry import CameraPose, ViewExpansion
 from neo_ros.machine.compiled import ALL_THREADS
 from neo_ros.memory.colour_kernels import apply_gain
 from neo_ros.memory.doubt import Doubt
-from neo_ros.memory.glancing import GlanceFinder
-from neo_ros.memory.landmark_watch import LandmarkWatch
-from neo_ros.memory.landmarks import Location, Locator
+from neo_ros.memory.landmarks import Location
 from neo_ros.memory.learning import Learner
 from neo_ros.memory.local_features import Features
 from neo_ros.memory.looking import Looker
 from neo_ros.memory.panorama import draw_panorama, Panorama
 from neo_ros.memory.parallel import parallel_loops
+from neo_ros.memory.place_finder import is_near, PlaceFinder
 from neo_ros.memory.recent_images import RecentImages
 from neo_ros.memory.scene_light import SceneLight
 from neo_ros.memory.scene_memory import SceneMemory
@@ -42,12 +40,9 @@ class SceneGuide:
         self._recent = RecentImages(expansion, thresholds.recent)
         self.light = SceneLight(memory.positions, expansion, thresholds.light)
         self._looker.show_in(self.light)
-        self._locator = (None if memory.landmarks is None
-                         else Locator(memory.landmarks, expansion.source, thresholds.landmarks))
-        self._glances = GlanceFinder(memory.glances, thresholds)
-        self._watch = LandmarkWatch(self._locator, thresholds.landmarks_every,
-                                    thresholds.landmarks_later, self._threads)
-        self._doubt = Doubt(self._looker, self._glances, memory.twins)
+        self._places = PlaceFinder(self._looker, memory, expansion.source, self._threads,
+                                   thresholds)
+        self._doubt = Doubt(self._looker, self._places.glances, memory.twins)
         self.reset()
 
     def loops(self) -> AbstractContextManager[None]:
@@ -66,7 +61,7 @@ class SceneGuide:
         self._last: Sight | None = None
         self._motion = np.eye(4)
         self._since_search = self.thresholds.search_every
-        self._watch.forget()
+        self._places.watch.forget()
         self._led = 0  # Images for which landmarks alone still say where the camera is.
 
     def guide(self, image: np.ndarray, prior: CameraPose | None = None,
@@ -91,8 +86,8 @@ class SceneGuide:
         return CameraImage(pixels, self.aligner.photo(pixels), self._find_features)
 
     def _find_features(self, pixels: np.ndarray) -> Features:
-        assert self._locator is not None
-        return self._locator.features(pixels)
+        assert self._places.locator is not None
+        return self._places.locator.features(pixels)
 
     def _guide(self, image: CameraImage, prior: CameraPose | None, motion: np.ndarray | None,
                pace: float, stamp_ns: int | None) -> Guide | None:
@@ -107,21 +102,21 @@ class SceneGuide:
         led = self._led > 0
         best = followed = self._follow(image, before) if before is not None else None
         left = None  # The one place that is left of those between which images had not decided.
-        told = self._try(image, prior) if prior is not None else None
+        told = self._places.look_around(image, prior) if prior is not None else None
         if told is not None and told.believed and not (
                 followed is not None and followed.believed
-                and self._is_near(followed.pose, told.pose, self.thresholds.expected_metres,
-                                  self.thresholds.expected_cosine)):
+                and is_near(followed.pose, told.pose, self.thresholds.expected_metres,
+                            self.thresholds.expected_cosine)):
             best = told
             self._doubt.forget()
-            self._watch.forget()  # What it waits for is of the pose before.
+            self._places.watch.forget()  # What it waits for is of the pose before.
         elif self._doubt.is_open:
             left = self._doubt.follow(image, motion)
             best = None if left is None else left.sight
         self._since_search += 1
         if not self._doubt.is_open and self._search_is_due(best):
             self._since_search = 0
-            best = self._doubt.settle(image, best, *self._search(image))
+            best = self._doubt.settle(image, best, *self._places.search(image))
         if self._doubt.is_open or best is None or not best.believed:
             self._led = 0
             return None
@@ -184,12 +179,13 @@ class SceneGuide:
 
         A camera's first image must not take longer than those after it. Returns what was shown.
         """
-        pose = CameraPose(self._glances.poses[0])
+        pose = CameraPose(self._places.glances.poses[0])
         with self.loops():
             view = self.renderer.render(pose, self.expansion.source, self.thresholds.shown)
             image = self._camera_image(view.image.astype(np.uint8))
-            self._doubt.settle(image, None, *self._search(image))
+            self._doubt.settle(image, None, *self._places.search(image))
             sight = self._looker.look(image, pose)
+            self._looker.look_in_any_light(image, sight)
             wide, known = sight.view, sight.view.depth > 0
             known[0, 0] = False  # So that what fills gaps is compiled, too.
             gain = self._expose(wide.image, known, image.pixels)
@@ -208,7 +204,7 @@ class SceneGuide:
         expected = CameraPose(last.T_world_cam @ self._motion)
         if self._led > 0:
             self._led -= 1
-            location = self._locate(image, expected)
+            location = self._places.locate(image, expected)
             if location is not None:
                 led = self._looker.look(image, location.pose, location.pose)
                 return self._located(led, location, 'landmarks')
@@ -225,18 +221,18 @@ class SceneGuide:
     def _checked(self, image: CameraImage, tracked: Sight) -> Sight:
         """Ask landmarks about a pose: now if image and memory disagree, else beside the images."""
         if tracked.agreement >= self.thresholds.sure:
-            told = self._watch.follow(image, tracked.pose)
+            told = self._places.watch.follow(image, tracked.pose)
             if told is None:
                 return tracked
             location, there = told
             if location.allows(there):
                 return self._located(tracked, location, 'tracked')
-        self._watch.forget()
-        now = self._locate(image, tracked.pose)
+        self._places.watch.forget()
+        now = self._places.locate(image, tracked.pose)
         if now is None:
             return tracked
         return (self._located(tracked, now, 'tracked') if now.allows(tracked.pose)
-                else self._look_from(now, image))
+                else self._places.look_from(now, image))
 
     def _tracked_as_drawn(self, image: CameraImage, before: Sight, expected: CameraPose
                           ) -> Sight | None:
@@ -247,69 +243,20 @@ class SceneGuide:
         pose along.
         """
         limits = self.thresholds
-        if before.agreement < limits.sure or not self._is_near(
+        if before.agreement < limits.sure or not is_near(
                 expected, before.pose, limits.redrawn_metres, limits.redrawn_cosine):
             return None
         sight = self._looker.look(image, self.aligner.align(
             image.photo, expected, 1, near=True, drawn=before.drawn), expected)
         return sight if sight.agreement >= limits.sure else None
 
-    def _locate(self, image: CameraImage, around: CameraPose) -> Location | None:
-        return self._locator.locate(image.features, around) if self._locator else None
-
     def _located(self, sight: Sight, location: Location, found: Found) -> Sight:
         return located(sight, self.thresholds.least_located, location, found)
-
-    def _look_from(self, location: Location, image: CameraImage) -> Sight:
-        """Look from where landmarks say, aligned with the image if they allow that."""
-        pose = self.aligner.align(image.photo, location.pose, 1, near=True)
-        if not location.allows(pose):
-            pose = location.pose
-        self._watch.forget()  # What is tracked next may be off, too.
-        return self._located(self._looker.look(image, pose, pose), location, 'landmarks')
 
     def _panorama(self, pose: CameraPose, gain: np.ndarray, wide_image: np.ndarray, width: int
                   ) -> Panorama:
         with self.loops():
             return draw_panorama(self.renderer, pose, gain, wide_image, self.expansion, width)
-
-    def _search(self, image: CameraImage) -> tuple[Sight | None, list[CameraPose]]:
-        """
-        Find a camera that may be anywhere: by its landmarks, or else by its looks.
-
-        Compares with all glances, aligns with the best ones, takes the pose that agrees most.
-        Returns also from where else landmarks could look like this.
-        """
-        locations = self._locator.search(image.features) if self._locator else []
-        for location in locations:
-            found = self._look_from(location, image)
-            if found.believed:
-                return found, [one.pose for one in locations if one is not location]
-        best = self._looker.best_of(image, self._glances.find(image.pixels), 'searched')
-        return self._in_any_light(image, best), [one.pose for one in locations]
-
-    def _in_any_light(self, image: CameraImage, best: Sight | None) -> Sight | None:
-        """Return what is believed if the light is another one; else what was found."""
-        if best is None or best.believed:
-            return best
-        lit = self._looker.look_in_any_light(image, best)
-        return lit if lit.believed else best
-
-    def _try(self, image: CameraImage, prior: CameraPose) -> Sight | None:
-        """Look around where somebody says that the camera is; None: nothing is like it."""
-        limits = self.thresholds
-        location = self._locate(image, prior)
-        if location is not None and self._is_near(location.pose, prior, limits.prior_metres,
-                                                  limits.prior_cosine):
-            return replace(self._look_from(location, image), found='prior')
-        # A click on a map tells no height: the places around it do.
-        starts = [prior, *self._glances.find(image.pixels, prior)]
-        return self._looker.best_of(image, starts, 'prior')
-
-    @staticmethod
-    def _is_near(pose: CameraPose, other: CameraPose, metres: float, cosine: float) -> bool:
-        return bool(np.linalg.norm((pose.position - other.position)[:2]) < metres
-                    and pose.forward @ other.forward > cosine)
 
     def _expose(self, guide: np.ndarray, known: np.ndarray, image: np.ndarray) -> np.ndarray:
         """Give the guide, float32 RGB (H, W, 3), the image's exposure; return the gain (3,)."""

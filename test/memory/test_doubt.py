@@ -156,7 +156,7 @@ def test_only_what_fits_one_place_and_not_the_other_speaks() -> None:
 
 def test_rivals_are_places_elsewhere_that_look_about_as_alike(twins: SceneGuide) -> None:
     pose = planar(1.9, 1.7, 35)
-    finder, photo = twins._glances, photo_at(pose)
+    finder, photo = twins._places.glances, photo_at(pose)
     likeness = dict(zip(map(bytes, finder.poses), finder._likeness(
         photo, np.arange(len(finder.poses)))))
     most = max(likeness.values())

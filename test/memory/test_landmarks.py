@@ -125,8 +125,8 @@ def test_landmarks_that_were_not_believed_do_not_lead(
     here, there = walking_paths(FLAT, 1, 40, 5)[0][0], walking_paths(FLAT, 1, 40, 5)[0][25]
     wrong, asked = Location(there, CAMERA, np.zeros((0, 3)), np.zeros((0, 2))), []
     monkeypatch.setattr(Location, 'allows', lambda *_: False)
-    monkeypatch.setattr(guide._locator, 'search', lambda features: [wrong])
-    monkeypatch.setattr(guide._locator, 'locate', lambda *around: asked.append(around))
+    monkeypatch.setattr(guide._places.locator, 'search', lambda features: [wrong])
+    monkeypatch.setattr(guide._places.locator, 'locate', lambda *around: asked.append(around))
     image = FLAT.render(shipped[1].source, here)[0]
     for _ in range(2):  # It is found by its looks, and followed.
         found = guide.guide(image)
