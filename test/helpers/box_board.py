@@ -1,10 +1,12 @@
 """A board that stands in the box room, and a drive past it."""
 from pathlib import Path
 
-from box_room import planar, SOURCE, view
+from box_room import EXPANSION, planar, SOURCE, view
 from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.memory.journal import journal_path, write_journal
 from neo_ros.memory.patch import Patch
+from neo_ros.memory.rendering import MemoryRenderer
+from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.runtime import read_model_card
 import numpy as np
 
@@ -39,3 +41,11 @@ def teach_board(model: Path) -> None:
     assert memory is not None
     write_journal(journal_path(model.parent / memory.file), memory.sha256,
                   [true_patch(pose) for pose in DRIVE[6:14]])
+
+
+def board_error(memory: SceneMemory, middle: float = 1.8) -> tuple[float, float]:
+    """Return the mean error of the board and of the rest, from a pose beside the drive."""
+    pose = planar(1.8, 1.7, 12)
+    truth, _, board = with_board(pose, EXPANSION.target, middle)
+    off = np.abs(MemoryRenderer(memory).render(pose, EXPANSION.target).image - truth).mean(-1)
+    return float(off[board].mean()), float(off[~board].mean())

@@ -1,31 +1,24 @@
 """What a camera shows consistently becomes part of the memory; what moves while it is seen not."""
-from collections.abc import Callable, Sequence
-from concurrent.futures import Future
+from collections.abc import Callable
 from dataclasses import replace
-import os
 from pathlib import Path
 import signal
 import subprocess
 import sys
 import time
 
-from box_board import DRIVE, teach_board, true_patch, with_board
+from box_board import board_error, DRIVE, teach_board, true_patch, with_board
 from box_room import box_memory, EXPANSION, planar, SOURCE, view, write_box_model
 from neo_ros.cli.main import app
 from neo_ros.errors import ModelError
-from neo_ros.geometry import Band, CameraPose
-from neo_ros.memory import learning
+from neo_ros.geometry import Band
 from neo_ros.memory.changes import Changes, without_replaced
-from neo_ros.memory.contradiction import contradicted, contradiction, ContradictionThresholds
-from neo_ros.memory.journal import (
-    HEADER_BYTES, journal_path, JournalWriter, read_journal)
-from neo_ros.memory.learning import Learner, LearningThresholds, Learnt
+from neo_ros.memory.journal import journal_path, JournalWriter, read_journal
+from neo_ros.memory.learning import Learner, LearningThresholds
 from neo_ros.memory.patch import PARTS, Patch
-from neo_ros.memory.patch_finding import _as_before, PatchThresholds
+from neo_ros.memory.patch_finding import PatchThresholds
 from neo_ros.memory.rendering import MemoryRenderer
 from neo_ros.memory.scene_memory import SceneMemory
-from neo_ros.memory.stereo import confirm, Shot, StereoThresholds
-from neo_ros.memory.stereo_kernels import choose
 from neo_ros.memory.turn import Record, Turn
 from neo_ros.runtime import FovExtrapolator, read_model_card
 import numpy as np
@@ -33,7 +26,6 @@ import pytest
 from typer.testing import CliRunner
 
 Where = Callable[[int], float]
-LIMITS = ContradictionThresholds()
 
 
 def learnt(folder: Path, where: Where) -> tuple[SceneMemory, Path]:
@@ -52,29 +44,21 @@ def learnt(folder: Path, where: Where) -> tuple[SceneMemory, Path]:
     return memory, journal
 
 
-def error(memory: SceneMemory, middle: float = 1.8) -> tuple[float, float]:
-    """Return the mean error of the board and of the rest, from a pose beside the drive."""
-    pose = planar(1.8, 1.7, 12)
-    truth, _, board = with_board(pose, EXPANSION.target, middle)
-    off = np.abs(MemoryRenderer(memory).render(pose, EXPANSION.target).image - truth).mean(-1)
-    return float(off[board].mean()), float(off[~board].mean())
-
-
 @pytest.mark.slow
 def test_a_patch_changes_its_surface_and_nothing_else() -> None:
     memory = box_memory()
-    before, rest = error(memory)
+    before, rest = board_error(memory)
     memory.change(Changes([true_patch(DRIVE[10])]))
-    after, rest_after = error(memory)
+    after, rest_after = board_error(memory)
     assert before > 60 and after < 0.5 * before and rest_after < rest + 0.5
     # Seen through later, it is gone.
     empty = DRIVE[12]
     image, depth = view(empty, SOURCE)
     memory.change(Changes([true_patch(DRIVE[10]), Patch.of(
         empty, SOURCE, image, depth.astype(np.float32), 1, 1)]))
-    assert error(memory)[0] > 0.9 * before
+    assert board_error(memory)[0] > 0.9 * before
     memory.change(None)
-    assert error(memory) == (before, rest)
+    assert board_error(memory) == (before, rest)
 
 
 @pytest.mark.slow
@@ -94,13 +78,13 @@ def test_what_was_learnt_is_decoded_before_it_is_shown(monkeypatch: pytest.Monke
 
 @pytest.mark.slow
 def test_what_stays_is_learnt(tmp_path: Path) -> None:
-    before, rest = error(box_memory())
+    before, rest = board_error(box_memory())
     memory, journal = learnt(tmp_path, lambda number: 1.8)
-    after, rest_after = error(memory)
+    after, rest_after = board_error(memory)
     assert after < 0.65 * before and rest_after < rest + 1
     again = box_memory()
     again.change(Changes(read_journal(journal, 'ab' * 32)))
-    assert error(again) == pytest.approx((after, rest_after), abs=0.3)
+    assert board_error(again) == pytest.approx((after, rest_after), abs=0.3)
     # Nothing that could never turn back.
     assert again.changes is not None
     for patch in again.changes.patches:
@@ -112,7 +96,7 @@ def test_what_stays_is_learnt(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_board_that_goes_and_comes_is_shown_as_it_was_seen_last(tmp_path: Path) -> None:
-    before, journal = error(box_memory())[0], tmp_path / 'a.journal'
+    before, journal = board_error(box_memory())[0], tmp_path / 'a.journal'
     writer = JournalWriter(journal, 'ab' * 32, 1 << 20)
     writer.append([true_patch(one) for one in DRIVE[4:16:4]])
     writer.close()
@@ -122,8 +106,8 @@ def test_a_board_that_goes_and_comes_is_shown_as_it_was_seen_last(tmp_path: Path
         again, records = box_memory(), read_journal(journal, 'ab' * 32)
         again.change(Changes(records))
         for one in (memory, again):  # Also after a restart.
-            assert (error(one)[0] > 0.9 * before) if where == 99 else (
-                error(one)[0] < 0.5 * before)
+            assert (board_error(one)[0] > 0.9 * before) if where == 99 else (
+                board_error(one)[0] < 0.5 * before)
         assert sum(isinstance(record, Turn) for record in records) == turns
         # Next to nothing is learnt anew.
         assert journal.stat().st_size < 1.5 * size
@@ -131,9 +115,9 @@ def test_a_board_that_goes_and_comes_is_shown_as_it_was_seen_last(tmp_path: Path
 
 @pytest.mark.slow
 def test_what_moves_is_not_learnt(tmp_path: Path) -> None:
-    before, rest = error(box_memory())
+    before, rest = board_error(box_memory())
     memory, _ = learnt(tmp_path, lambda number: 0.4 + 0.15 * number)
-    after, rest_after = error(memory)
+    after, rest_after = board_error(memory)
     assert after > 0.8 * before and rest_after < rest + 1
 
 
@@ -272,218 +256,3 @@ def kill_once(folder: Path, after: float) -> int:
 @pytest.mark.parametrize('after', [0.0, 0.003, 0.02, 0.05])
 def test_killed_at_any_moment_it_holds_whole_patches(tmp_path: Path, after: float) -> None:
     assert kill_once(tmp_path, after) >= 0
-
-
-def test_a_thin_thing_that_left_contradicts_as_one_that_came() -> None:
-    wall = np.full((40, 40, 3), 200, np.float32)
-    bar, aside = wall.copy(), wall.copy()
-    bar[:, 20:23], aside[:, 18:21] = 40, 40
-    known = np.ones((40, 40), bool)
-    for image, shown, found in ((bar, wall, True), (wall, bar, True), (bar, aside, False)):
-        off = contradicted(contradiction(image, shown, known))
-        assert off[:, 20:23].all() == found and off.any() == found
-
-
-@pytest.mark.parametrize('behind, stands', [(90, True), (200, False)])
-def test_what_came_in_the_colour_of_what_is_behind_it_is_not_seen_through(
-        behind: int, stands: bool) -> None:
-    shape = (SOURCE.height, SOURCE.width)
-    depths, shots = [], []
-    for number in range(6):  # Three see something two metres away, three the wall at four.
-        came = number < 3
-        image = np.full((*shape, 3), 90 if came else behind, np.float32)
-        depths.append(np.full(shape, 2.0 if came else 0, np.float32))
-        shots.append(Shot(planar(1.9, 1.5 + 0.1 * number, 0), image, image,
-                          np.full(shape, 4, np.float32), np.full(shape, came),
-                          np.zeros(shape, np.float32), 0))
-    found = confirm(shots, 0, np.stack(depths), SOURCE, SOURCE.pixel_rays(), StereoThresholds())
-    middle = found[20:40, 28:36]
-    assert (middle > 0).all() == stands and middle.any() == stands
-
-
-@pytest.mark.parametrize('best, known', [(0, False), (1, True), (6, True), (7, False)])
-def test_a_least_cost_at_an_end_of_the_range_is_no_depth(best: int, known: bool) -> None:
-    # The sky, or the dark below a table, is alike at all depths, and a little more so far away.
-    total = np.abs(np.arange(8, dtype=np.float32) - best)[None, None]
-    inverse = np.linspace(1 / 14, 1 / 0.6, 8, dtype=np.float32)
-    depth, off = np.empty((1, 1), np.float32), np.empty((1, 1), np.float32)
-    choose(total, total, inverse, depth, off)
-    assert depth[0, 0] == pytest.approx(1 / inverse[best] if known else 0) and off[0, 0] == 0
-
-
-@pytest.mark.parametrize('made, same_depth, stays', [
-    ('brighter', True, True), ('brighter', False, False), ('repainted', True, False),
-    ('of another hue', True, False)], ids=str)
-def test_a_surface_in_the_sun_is_no_change(made: str, same_depth: bool, stays: bool) -> None:
-    pose = planar(1.9, 1.7, 35)
-    shown, depth = (one.astype(np.float32) for one in view(pose, SOURCE))
-    part = (slice(20, 44), slice(16, 48))
-    image = shown.copy()
-    image[part] = {'brighter': 1.5 * shown[part],
-                   'of another hue': shown[part] * np.array([0.4, 1, 1.5], np.float32),
-                   'repainted': np.random.default_rng(0).uniform(0, 255, shown[part].shape)}[made]
-    seen = np.zeros_like(depth)
-    seen[part] = depth[part] if same_depth else 0.7 * depth[part]
-    # Where the window ends neighbours differ.
-    found = _as_before(compared(pose, image, shown, depth), seen, PatchThresholds())[24:40, 20:44]
-    assert (found.mean() > 0.95) if stays else (found.mean() < 0.3)
-
-
-@pytest.mark.parametrize('repainted', [False, True])
-def test_a_shelf_beside_somebody_is_no_change_if_it_is_only_blurred(repainted: bool) -> None:
-    # Colours of the shelf are a little off, as where a memory is blurred.
-    pose, random = planar(1.9, 1.7, 35), np.random.default_rng(0)
-    depth = np.full((SOURCE.height, SOURCE.width), 3, np.float32)
-    shown, seen = np.repeat(128 + 0 * depth[..., None], 3, -1), depth.copy()
-    image = shown + random.choice([-14, 14], depth.shape)[..., None].astype(np.float32)
-    image[:, 30:40], seen[:, 30:40] = 250, 1.5
-    if repainted:
-        image[20:40, 50:] = random.choice([0, 255], image[20:40, 50:].shape)
-    shot = compared(pose, image, shown, depth)
-    assert shot.contradicted.all()  # It goes together with who stands before it.
-    found = _as_before(shot, seen, PatchThresholds())
-    assert found[:, :30].all() and not found[:, 30:40].any()
-    assert found[22:38, 52:62].mean() == (0 if repainted else 1)
-
-
-def compared(pose: CameraPose, image: np.ndarray, shown: np.ndarray, depth: np.ndarray) -> Shot:
-    score = contradiction(image, shown, depth > 0, LIMITS)
-    return Shot(pose, image, shown, depth, contradicted(score, LIMITS), score, 0)
-
-
-def drive_past(learner: Learner, memory: SceneMemory, poses: Sequence[CameraPose] = DRIVE) -> None:
-    renderer = MemoryRenderer(memory)
-    for pose in poses:
-        shown = renderer.render(pose, EXPANSION.target)
-        learner.see(with_board(pose, SOURCE)[0], shown.image, shown.depth, pose,
-                    np.ones(3, np.float32), 0.9)
-
-
-def learner_of(memory: SceneMemory, journal: Path, beside: bool = False, most: int = 1 << 20
-               ) -> Learner:
-    return Learner(memory, EXPANSION, lambda: JournalWriter(journal, 'ab' * 32, most), beside,
-                   LearningThresholds(batch=10, window=20, metres=0.01))
-
-
-@pytest.mark.slow
-def test_what_others_learnt_meanwhile_is_shown_and_what_comes_next_follows_it(
-        tmp_path: Path) -> None:
-    memory, journal = box_memory(), tmp_path / 'a.journal'
-    learner = learner_of(memory, journal)
-    theirs = [true_patch(one, batch=3) for one in DRIVE[4:16:4]]
-    writer = JournalWriter(journal, 'ab' * 32, 1 << 20)
-    writer.append(theirs)
-    writer.close()
-    drive_past(learner, memory, DRIVE[:11])
-    assert memory.changes is not None and error(memory)[0] < 0.5 * error(box_memory())[0]
-    assert [one.to_bytes() for one in memory.changes.records] == [
-        one.to_bytes() for one in theirs]
-    # The board leaves: their patches turn, by their own numbers.
-    renderer = MemoryRenderer(memory)
-    for pose in DRIVE:
-        shown = renderer.render(pose, EXPANSION.target)
-        learner.see(with_board(pose, SOURCE, 99)[0], shown.image, shown.depth, pose,
-                    np.ones(3, np.float32), 0.9)
-    learner.finish()
-    found = read_journal(journal, 'ab' * 32)
-    turns = [one for one in found if isinstance(one, Turn)]
-    assert len(turns) == 1 and turns[0].batch > 3
-    again = box_memory()
-    again.change(Changes(found))
-    assert error(again) == pytest.approx(error(memory), abs=0.3)
-
-
-@pytest.mark.slow
-def test_who_stops_after_the_work_was_done_lets_others_write(tmp_path: Path) -> None:
-    memory, journal = box_memory(), tmp_path / 'a.journal'
-    learner = learner_of(memory, journal, beside=True)
-    drive_past(learner, memory, DRIVE[:10])
-    assert learner._pending is not None
-    learner._pending.result()
-    learner.close()
-    JournalWriter(journal, 'ab' * 32, 1 << 20).close()
-
-
-@pytest.mark.slow
-def test_a_disk_that_is_full_in_the_middle_leaves_no_two_opinions(
-        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    memory, journal = box_memory(), tmp_path / 'a.journal'
-    learner, written = learner_of(memory, journal), list[bytes]()
-    write = os.pwrite
-
-    def short(file: int, content: bytes, at: int) -> int:
-        written.append(content)
-        # The header, a patch, and half of the next one.
-        return write(file, content[:len(content) if len(written) < 3 else 9], at)
-
-    with monkeypatch.context() as limited:
-        limited.setattr(os, 'pwrite', short)
-        drive_past(learner, memory, DRIVE[:11])
-    assert len(written) == 3 and memory.changes is None
-    for _ in range(2):  # What is on the disk is shown first, then what is new.
-        drive_past(learner, memory)
-    learner.finish()
-    assert memory.changes is not None and len(memory.changes.patches) > 1
-    assert [one.to_bytes() for one in memory.changes.records] == [
-        one.to_bytes() for one in read_journal(journal, 'ab' * 32)]
-
-
-@pytest.mark.slow
-def test_a_full_journal_costs_no_stereo_and_says_so_once(
-        tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-        ) -> None:
-    memory, journal = box_memory(), tmp_path / 'a.journal'
-    learner, asked = learner_of(memory, journal, most=HEADER_BYTES + 1), list[int]()
-    find = learning.find_patches
-
-    def watched(shots, *rest):  # type: ignore[no-untyped-def]
-        asked.append(len(shots))
-        return find(shots, *rest)
-
-    monkeypatch.setattr(learning, 'find_patches', watched)
-    for _ in range(3):
-        drive_past(learner, memory)
-    learner.finish()
-    assert len(asked) == 1 and memory.changes is None
-    assert caplog.text.count('the journal is full') == 1
-
-
-def test_images_that_waited_for_a_turn_are_no_witnesses_even_if_more_came_than_are_kept(
-        tmp_path: Path) -> None:
-    memory = box_memory()
-    learner = learner_of(memory, tmp_path / 'a.journal')
-    learner._pending = Future()
-    drive_past(learner, memory)
-    learner._new = len(learner._shots) + 5
-    learner._pending.set_result(Learnt(learner._changes, {}, others=False, turned=True))
-    learner._take_up()
-    assert learner._shots == [] and learner._new == 0
-
-
-def test_an_image_drawn_before_the_memory_changed_is_no_witness(tmp_path: Path) -> None:
-    memory = box_memory()
-    learner = learner_of(memory, tmp_path / 'a.journal')
-    learner._pending = Future()
-    learner._pending.set_result(Learnt(
-        Changes([true_patch(DRIVE[10])]), {}, others=False, turned=True))
-    drive_past(learner, memory, DRIVE[:1])
-    assert memory.changes is not None and learner._shots == []
-    drive_past(learner, memory, DRIVE[1:2])
-    assert len(learner._shots) == 1
-
-
-@pytest.mark.parametrize('beside, pause_s, kept', [
-    (False, 60, 6), (False, 3600, 1), (True, 3600, 6)])
-def test_a_replay_counts_time_as_the_camera_did_and_a_robot_by_its_own_clock(
-        beside: bool, pause_s: int, kept: int, tmp_path: Path) -> None:
-    memory = box_memory()
-    learner, renderer = learner_of(memory, tmp_path / 'a.journal', beside), MemoryRenderer(memory)
-    for number, pose in enumerate(DRIVE[:6]):
-        shown = renderer.render(pose, EXPANSION.target)
-        stamp_ns = (number + pause_s * (number == 5)) * 10 ** 9
-        learner.see(with_board(pose, SOURCE)[0], shown.image, shown.depth, pose,
-                    np.ones(3, np.float32), 0.9, stamp_ns)
-    # After ten minutes it is another visit.
-    assert len(learner._shots) == kept
-    assert 0 <= time.time_ns() - learner._shots[-1].stamp_ns + 10 ** 9 * (
-        0 if beside else pause_s + 5) < 60 * 10 ** 9
