@@ -44,7 +44,7 @@ class PlaceFinder:
 
     def _in_any_light(self, image: CameraImage, best: Sight | None) -> Sight | None:
         """Return what is believed if the light is another one; else what was found."""
-        if best is None or best.believed:
+        if best is None or best.believed or best.agreement < self._thresholds.least_located:
             return best
         lit = self._looker.look_in_any_light(image, best)
         return lit if lit.believed else best
