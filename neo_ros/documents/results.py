@@ -1,6 +1,7 @@
 """Tables of docs/results/ from the files in results/."""
 from collections.abc import Callable, Iterable, Mapping
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -92,6 +93,18 @@ def over_the_floor(root: Path, unit: str, values: Mapping[str, str]) -> bytes:
         for name, key in values.items()]))
 
 
+def over_the_visits(root: Path, key: str) -> bytes:
+    """Return the plot of a value of the flat that changes over the visits, SVG."""
+    from neo_ros.reports.plot import Plot, plot_svg, Series
+    found = rows_of(root, 'lives')
+    return plot_svg(Plot('', 'visit', 'dB', [
+        Series(name, *zip(*((row['visit'], math.nan if row[key] is None else row[key])
+                            for row in found if (row['scene'], row['mode']) == (scene, mode))))
+        for name, scene, mode in (
+            ('as it was trained', 'demo_flat', 'none'), ('learnt', 'demo_flat', 'learn'),
+            ('updated (second training)', 'demo_flat, second training', 'update'))]))
+
+
 MAKERS: dict[str, Maker] = {
     'sources': sources, 'rows': rows, 'suite': suite, 'stated': stated, 'paper': paper}
 PLOTS: dict[str, Callable[[Path], bytes]] = {
@@ -101,7 +114,9 @@ PLOTS: dict[str, Callable[[Path], bytes]] = {
     'floor_time.svg': lambda root: over_the_floor(root, 'ms of the processor', {
         'a search': 'found_ms_median', 'following, p95': 'follow_ms_p95'}),
     'floor_size.svg': lambda root: over_the_floor(root, 'MB', {
-        'resident': 'resident_mb', 'memory file': 'file_mb'})}
+        'resident': 'resident_mb', 'memory file': 'file_mb'}),
+    'lives_changed.svg': lambda root: over_the_visits(root, 'changed_ring_psnr'),
+    'lives_unchanged.svg': lambda root: over_the_visits(root, 'unchanged_ring_psnr')}
 
 
 def _read(root: Path, name: str) -> Any:

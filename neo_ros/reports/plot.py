@@ -48,6 +48,7 @@ def plot_svg(plot: Plot) -> bytes:
     """Return the plot as an SVG file; several series get a legend."""
     from matplotlib import rc_context
     from matplotlib.figure import Figure
+    from matplotlib.ticker import MaxNLocator
 
     with rc_context(STYLE):
         figure = Figure(INCHES, layout='constrained')
@@ -58,6 +59,8 @@ def plot_svg(plot: Plot) -> bytes:
             axes.plot(*points, linestyle='-' if plot.kind == 'line' else '',
                       marker='o' if plot.kind == 'points' or points.shape[1] <= FEW else '',
                       label=series.name, color=COLOURS[i % len(COLOURS)], gid=f'series_{i}')
+        if all(isinstance(x, int) for series in plot.series for x in series.x):
+            axes.xaxis.set_major_locator(MaxNLocator('auto', integer=True, steps=(1, 2, 5, 10)))
         axes.set_xlabel(plot.x_label)
         axes.set_ylabel(plot.y_label)
         if len(plot.series) > 1:

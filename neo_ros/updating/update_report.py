@@ -30,17 +30,17 @@ def update_sections(bag: str, scene: Scene, expansion: ViewExpansion, drive: Dri
     if drive.lost and growth is None:
         intro += (f' Of {len(drive.lost)} more nobody knows where they were taken, or they show '
                   'no place that is new.')
-    words = ['; '.join(event.value for event in happened) for happened in events]
+    words = [', '.join(event.value for event in happened) for happened in events]
     if growth is not None:
         words[0] = 'new'
     rows = [(str(number), event, *(f'{low:.2f} to {high:.2f}' for low, high in zip(
         place.low, place.high)), str(place.photos))
             for number, (place, event) in enumerate(zip(places[:MOST_PLACES], words), 1)]
     return [Text(intro, f'Bag {bag}'),
-            Table(('place', 'what happened', 'x, m', 'y, m', 'z, m', 'photos that say so'), rows,
-                  note=('Boxes around what may have changed; they are larger than the things in '
-                        'them. Something came where photos see a surface nearer than before, and '
-                        'left where they see farther.')),
+            Table(('place', 'what happened', 'x, m', 'y, m', 'z, m', 'photos'), rows, note=(
+                'Boxes around what may have changed; they are larger than the things in them. '
+                'Something came where photos see a surface nearer than before, and left where '
+                'they see farther. Photos: how many say so.')),
             Picture('Changed places from above', _plan(scene, drive, places), (
                 'Red, with the numbers of the table: what may have changed. Grey: where photos '
                 'were taken, and where they looked. Pale green: free floor.')),

@@ -13,9 +13,9 @@ from scipy import ndimage
 class Event(Enum):
     """What new photos say of a place; the values are words of a report."""
 
-    CAME = 'something came'
-    LEFT = 'something left'
-    REPAINTED = 'a surface looks otherwise'
+    CAME = 'came'
+    LEFT = 'left'
+    REPAINTED = 'looks otherwise'
 
 
 @dataclass(frozen=True)

@@ -129,7 +129,7 @@ def test_the_card_tells_where_it_comes_from(base: Path) -> None:
     assert entry.bag == 'moved' and 10 < entry.photos <= 60
     report = (base / 'new' / 'report.html').read_text()
     assert all(words in report for words in (
-        'photos that say so', '<td>something left</td>', '<td>something came</td>'))
+        'how many say so', '<td>left</td>', '<td>came</td>'))
     assert not list((base / 'new').glob('*.journal'))
 
 
