@@ -215,7 +215,7 @@ def experiment_file(folder: Path) -> Path:
 
 def test_what_was_broken_off_begins_anew(base: Path, tmp_path: Path,
                                          monkeypatch: pytest.MonkeyPatch) -> None:
-    def killed(*arguments: object) -> None:
+    def killed(*arguments: object, **more: object) -> None:
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
