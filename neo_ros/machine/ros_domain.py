@@ -11,16 +11,17 @@ _held: list[socket.socket] = []
 
 
 @cache
-def own_domain() -> int:
+def own_domain(number: int = 0) -> int:
     """
     Return a domain id that no other process of this machine holds, the same at every call.
 
+    number: of several, which are different ones.
     It is held by a name that the kernel frees when the process ends, however it ends. The domain
     in ROS_DOMAIN_ID is a robot's and never taken. Raises NeoError where all are held.
     """
     first = os.getpid()
-    for number in range(len(DOMAINS)):
-        domain = DOMAINS[(first + number) % len(DOMAINS)]
+    for step in range(len(DOMAINS)):
+        domain = DOMAINS[(first + number + step) % len(DOMAINS)]
         if str(domain) == os.environ.get('ROS_DOMAIN_ID', ''):
             continue
         holder = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)

@@ -2,6 +2,7 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 import gc
+from itertools import cycle
 import os
 from pathlib import Path
 import signal
@@ -22,10 +23,11 @@ WAIT_S = 120.0
 # A shell starts what it runs in the background deaf to SIGINT, and that is inherited.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
-# Two pytest processes at a time must not hear one another.
-DOMAIN = own_domain()
+# Two pytest processes at a time must not hear one another, and a test no node of the one before:
+# where it is still in the graph there would be two of one name.
+_NUMBERS = cycle(range(10))
 ENVIRONMENT = {
-    'ROS_DOMAIN_ID': str(DOMAIN),
+    'ROS_DOMAIN_ID': str(own_domain()),
     'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
     'PYTHONPATH': os.pathsep.join(
         [str(Path(neo_ros.__file__).parent.parent), os.environ.get('PYTHONPATH', '')]),
@@ -36,13 +38,15 @@ class RosGraph:
     """The test's own node, and the processes that it started."""
 
     def __init__(self) -> None:
+        self._processes: list[subprocess.Popen] = []
+        self._clients: dict[str, Client] = {}
+        domain = own_domain(next(_NUMBERS))
+        self.environment = ENVIRONMENT | {'ROS_DOMAIN_ID': str(domain)}
         self.context = Context()
-        rclpy.init(context=self.context, domain_id=DOMAIN)
+        rclpy.init(context=self.context, domain_id=domain)
         self.node = rclpy.create_node('test', context=self.context)
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
-        self._processes: list[subprocess.Popen] = []
-        self._clients: dict[str, Client] = {}
 
     def start(self, *arguments: str) -> subprocess.Popen:
         """Start Python with these arguments; close() ends it."""
@@ -51,7 +55,7 @@ class RosGraph:
     def start_program(self, *command: Path | str) -> subprocess.Popen:
         """Start a program; close() ends it."""
         process = subprocess.Popen(
-            command, env=os.environ | ENVIRONMENT,
+            command, env=os.environ | self.environment,
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
         self._processes.append(process)
         return process

@@ -26,6 +26,7 @@ def test_processes_hold_domains_of_their_own_until_they_end():
     processes = [ask() for _ in range(3)]
     domains = [domain_of(process) for process in processes]
     assert len({*domains, own_domain()}) == 4 and own_domain() == own_domain()
+    assert own_domain(1) != own_domain() and own_domain(1) == own_domain(1)
     assert all(1 <= domain <= 100 for domain in domains)
     refused = ask(domains[0], code=FEW + ASK).communicate()[1]
     assert f'expected a free one of {domains[0]} to {domains[0]}' in refused
