@@ -14,24 +14,34 @@ from neo_ros.messages.camera_info_file import read_camera_info_file
 
 
 @dataclass(frozen=True)
-class CameraChoice:
+class CameraSource:
     """
-    What the user says of the camera of a bag; each is an option of commands that widen it.
+    Where a bag has the images of a camera, and what says its calibration; each is an option.
 
-    image_topic  its images; None: the only ones with the size of the model's, or a calibration
-    info_topic   its calibration, where that is not beside its images
+    image_topic  Image or CompressedImage; needed where a bag has several cameras
+    info_topic   the CameraInfo of its images; by default the one beside them
     camera_info  a file with the calibration instead
-    rectify      take the distortion out of the images first
     """
 
     image_topic: str | None = None
     info_topic: str | None = None
     camera_info: Path | None = None
-    rectify: bool = False
 
     def __post_init__(self) -> None:
         if self.info_topic is not None and self.camera_info is not None:
             raise ConfigError('--info-topic, --camera-info: expected one of them, got both')
+
+
+@dataclass(frozen=True)
+class CameraChoice(CameraSource):
+    """
+    The camera that is widened, as a user names it.
+
+    Without image_topic it is the only one with images of the model's size, or a calibration.
+    rectify: take the distortion out of its images first.
+    """
+
+    rectify: bool = False
 
 
 @dataclass(frozen=True)
@@ -52,9 +62,7 @@ class CameraTopics:
 
     def first_info(self, reader: BagReader) -> Any | None:
         """Return what the file, or the first camera_info, says of images, those before it, too."""
-        first = self.given
-        if self.info is not None:
-            first = reader.first(self.info)
+        first = self.given if self.info is None else reader.first(self.info)
         return None if first is None else camera_info_of(first, self.image.name)
 
 
@@ -85,9 +93,8 @@ def find_camera(reader: BagReader, source: Intrinsics, choice: CameraChoice = Ca
     image, = fitting
     info = find_info_topic(reader, image, choice.info_topic)
     camera = (info.name if info is not None else base_name(image)).rpartition('/')[0]
-    found = CameraTopics(image, info, f'{camera}/wide')
-    if choice.camera_info is not None:
-        found = CameraTopics(image, None, found.wide, _read(choice.camera_info))
+    given = None if choice.camera_info is None else _read(choice.camera_info)
+    found = CameraTopics(image, info if given is None else None, f'{camera}/wide', given)
     if choice.rectify and found.first_info(reader) is None:
         infos = info_topics(reader)
         remedy = (f'choose one with --info-topic: {describe_topics(infos)}' if infos else

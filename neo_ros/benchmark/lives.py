@@ -121,6 +121,7 @@ def update_with(run: Path, bag: Path, out: Path) -> float:
     try:
         end(neo('update', run, bag, '--out', out))
     except NeoError as error:
+        # By lamps alone it is refused, and the run of before is what a robot has.
         if 'taken in another light' not in str(error):
             raise
     return (time.monotonic() - began) / 60

@@ -3,6 +3,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from neo_ros.bags.camera_choice import CameraSource
 from neo_ros.bags.camera_topics import find_image_topic, find_info_topic, info_topics, read_lens
 from neo_ros.bags.depth_topics import find_depth
 from neo_ros.bags.reading import BagReader
@@ -27,29 +28,22 @@ MOST_ASKED = 100
 
 
 @dataclass(frozen=True)
-class BagOptions:
+class BagOptions(CameraSource):
     """
     What the user says of a bag; each is an option of `neo import`.
 
-    image_topic     Image or CompressedImage; needed where a bag has several cameras
-    info_topic      the CameraInfo of its images; by default the one beside them
-    camera_info     a file with the calibration instead
     pose_topic      /tf or another topic of transforms, or a topic of poses; by default /tf if the
                     camera's body moves in it, else the one pose topic of the bag; none: no poses
     base_to_camera  x y z roll pitch yaw of the frame of the images in the body, metres, radians
     x_forward       the frame of the images looks along x, as Gazebo's do, not along z
     """
 
-    image_topic: str | None = None
-    info_topic: str | None = None
-    camera_info: Path | None = None
     pose_topic: str | None = None
     base_to_camera: str | None = None
     x_forward: bool = False
 
     def __post_init__(self) -> None:
-        if self.info_topic is not None and self.camera_info is not None:
-            raise ConfigError('--info-topic, --camera-info: expected one of them, got both')
+        super().__post_init__()
         if self.base_to_camera is not None:
             self._numbers()
 

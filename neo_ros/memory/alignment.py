@@ -207,27 +207,26 @@ def fine_agreement(image: np.ndarray, guide: np.ndarray, known: np.ndarray,
     """
     if known.mean() < thresholds.least_overlap:
         return -1.0
-    a, b = (np.log(np.maximum(one, thresholds.darkest)) - _surroundings(one, known, thresholds)
-            for one in (image, guide))
+    (_, a), (_, b) = (_in_light(one, known, thresholds) for one in (image, guide))
     return detail_correlation(a, b, known)
 
 
 def lit_as(image: np.ndarray, drawn: Drawn, thresholds: AlignmentThresholds = AlignmentThresholds()
            ) -> Drawn:
     """Return what is drawn in the light that an image, float (h, w), shows around each pixel."""
-    known = drawn.depth > 0
-    light = (_surroundings(image, known, thresholds)
-             - _surroundings(drawn.grey, known, thresholds))
-    return replace(drawn, grey=drawn.grey * np.exp(light))
+    (now, _), (then, _) = (_in_light(one, drawn.depth > 0, thresholds)
+                           for one in (image, drawn.grey))
+    return replace(drawn, grey=drawn.grey * np.exp(now - then))
 
 
-def _surroundings(grey: np.ndarray, known: np.ndarray, thresholds: AlignmentThresholds
-                  ) -> np.ndarray:
-    """Return the mean of the logarithm around each pixel, float32 (h, w), of those known."""
+def _in_light(grey: np.ndarray, known: np.ndarray, thresholds: AlignmentThresholds
+              ) -> tuple[np.ndarray, np.ndarray]:
+    """Return the logarithm around each pixel, of those known, and what the pixel has beyond it."""
     sigma, kept = thresholds.surroundings * grey.shape[1], known.astype(np.float32)
-    light = np.log(np.maximum(grey, thresholds.darkest)).astype(np.float32)
-    return (cv2.GaussianBlur(light * kept, (0, 0), sigma)
-            / np.maximum(cv2.GaussianBlur(kept, (0, 0), sigma), 1e-6))
+    whole = np.log(np.maximum(grey, thresholds.darkest))
+    around = (cv2.GaussianBlur(whole * kept, (0, 0), sigma)
+              / np.maximum(cv2.GaussianBlur(kept, (0, 0), sigma), 1e-6))
+    return around, whole - around
 
 
 def detail_correlation(a: np.ndarray, b: np.ndarray, kept: np.ndarray) -> float:

@@ -6,17 +6,12 @@ from typing import Any
 from neo_ros.errors import ConfigError
 import yaml
 
-EXPECTED = ("camera_calibration's YAML (image_width, image_height, camera_matrix, "
-            'distortion_model, distortion_coefficients)')
 _SHAPE = {'camera_matrix': 9, 'rectification_matrix': 9, 'projection_matrix': 12}
 
 
 def read_camera_info_file(path: Path) -> Any:
     """Return an object with the fields of a CameraInfo; raises ConfigError that names a lack."""
-    content = read_yaml(path)
-    if not is_camera_info(content):
-        raise ConfigError(f'{path}: expected {EXPECTED}, got {keys_of(content)}')
-    return as_camera_info(content, path)
+    return as_camera_info(read_yaml(path), path)
 
 
 def read_yaml(path: Path) -> Any:
@@ -29,13 +24,17 @@ def read_yaml(path: Path) -> Any:
         raise ConfigError(f'{path}: expected YAML or JSON: {error}') from error
 
 
-def is_camera_info(content: Any) -> bool:
-    """Tell whether it is what camera_calibration writes."""
-    return isinstance(content, dict) and 'camera_matrix' in content
+def as_camera_info(content: Any, path: Path, other: str = '') -> Any:
+    """
+    Return what camera_calibration wrote as an object with the fields of a CameraInfo.
 
-
-def as_camera_info(content: dict[str, Any], path: Path) -> Any:
-    """Return an object with the fields of a CameraInfo; raises ConfigError that names a lack."""
+    Raises ConfigError that names a lack; other: what else the file at this path might have held.
+    """
+    if not isinstance(content, dict) or 'camera_matrix' not in content:
+        raise ConfigError(
+            f"{path}: expected camera_calibration's YAML (image_width, image_height, "
+            f'camera_matrix, distortion_model, distortion_coefficients){other}, got '
+            f'{_keys(content)}')
     roi = SimpleNamespace(x_offset=0, y_offset=0, width=0, height=0, do_rectify=False)
     try:
         k, r, p = (_values(content, name, count) for name, count in _SHAPE.items())
@@ -44,15 +43,10 @@ def as_camera_info(content: dict[str, Any], path: Path) -> Any:
             r=r, d=[float(value) for value in content['distortion_coefficients']['data']],
             distortion_model=str(content['distortion_model']), binning_x=0, binning_y=0, roi=roi)
     except KeyError as error:
-        raise ConfigError(f'{path}: expected the key {error.args[0]}, got {keys_of(content)}'
+        raise ConfigError(f'{path}: expected the key {error.args[0]}, got {_keys(content)}'
                           ) from error
     except (TypeError, ValueError) as error:
         raise ConfigError(f'{path}: {error}') from error
-
-
-def keys_of(content: Any) -> str:
-    """Put into words what a file holds instead."""
-    return ', '.join(map(str, content)) if isinstance(content, dict) else type(content).__name__
 
 
 def _values(content: dict[str, Any], name: str, count: int) -> list[float]:
@@ -62,3 +56,7 @@ def _values(content: dict[str, Any], name: str, count: int) -> list[float]:
     if len(values) != count:
         raise ValueError(f'{name}: expected {count} numbers, got {len(values)}')
     return values
+
+
+def _keys(content: Any) -> str:
+    return ', '.join(map(str, content)) if isinstance(content, dict) else type(content).__name__
