@@ -97,6 +97,10 @@ class ChangedSpace:
                 (1 + beyond) * compared.depth[index])
         return reached
 
+    def joined(self, other: 'ChangedSpace') -> 'ChangedSpace':
+        """Return this and another one; its own places are the first."""
+        return ChangedSpace(self.cells | other.cells, [*self.places, *other.places])
+
     def holds(self, field: VoxelField, points: np.ndarray) -> np.ndarray:
         """Tell which world points (N, 3) lie in it: bool (N,)."""
         return self.cells[tuple(field.cells_at(points).T)]

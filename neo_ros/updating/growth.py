@@ -57,11 +57,6 @@ class Growth:
     T: np.ndarray
     tied: Placed
 
-    def joined(self, changed: ChangedSpace) -> ChangedSpace:
-        """Return the new place, and behind it what has changed."""
-        return ChangedSpace(self.space.cells | changed.cells,
-                            [*self.space.places, *changed.places])
-
 
 def stand_outside(compared: ComparedPhotos, placed: int, rules: GrowthRules = GrowthRules()
                   ) -> np.ndarray:

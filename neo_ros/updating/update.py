@@ -41,6 +41,7 @@ from neo_ros.updating.new_keyframes import (
 from neo_ros.updating.placing import place_lost
 from neo_ros.updating.refit import refit, still_right
 from neo_ros.updating.tuned_network import CHECKPOINT, tune_network
+from neo_ros.updating.turned_back import turn_back
 from neo_ros.updating.update_report import update_sections
 from neo_ros.updating.update_run import UpdateRun
 from neo_ros.updating.what_happened import what_happened
@@ -134,7 +135,9 @@ def update_once(run: UpdateRun, bag: Path, out: Path, options: UpdateOptions,
     drive, compared, growth = _grown(run, bag, field, before, drive, options.minutes, progress)
     if growth is not None:
         field = growth.field
-    old = field
+    old, told = field, compared
+    back = turn_back(field, compared, run.past, of_stage(progress, 'what was there before'))
+    field, compared = back.field, back.compared
     try:
         space = find_changed_space(field, compared, other_light=drive.other_light)
     except BagError as error:
@@ -144,9 +147,8 @@ def update_once(run: UpdateRun, bag: Path, out: Path, options: UpdateOptions,
             field, space, compared, lambda chosen: run.photos(drive, chosen, run.fitted_camera),
             run.experiment.field, run.experiment.seed, options.minutes,
             of_stage(progress, 'field'))
-    refitted, changed = space, space.cells
-    if growth is not None:
-        space = growth.joined(space)
+    fitted, changed = space.cells, space.joined(back.space)
+    space = changed if growth is None else growth.space.joined(changed)
     if not space.places:
         return None
     field.save(out / 'field.npz')
@@ -163,7 +165,7 @@ def update_once(run: UpdateRun, bag: Path, out: Path, options: UpdateOptions,
             scene = replace(scene, walkable=joined_floor(scene.walkable, floor))
     write_more_photos(out / run.scene.name, scene, chosen, photos)
     updated = read_upright_scene(out / run.scene.name)
-    landmarks = _changed_landmarks(run, before.landmarks, field, refitted, updated.train,
+    landmarks = _changed_landmarks(run, before.landmarks, field, changed, updated.train,
                                    work / 'landmarks', progress)
     recipe = recipe_of(before, photos, seen, gains, source)
     change = ChangeRecipe(space, before, photos, seen, gains, recipe.directions)
@@ -183,15 +185,15 @@ def update_once(run: UpdateRun, bag: Path, out: Path, options: UpdateOptions,
         updates=(*run.card.updates, Update(
             memory=named.sha256, bag=bag.name, photos=len(drive.poses),
             at=f'{datetime.now(timezone.utc):%Y-%m-%d %H:%M:%S}'))))
-    run.past.with_more(field, changed, len(run.card.updates) + 1,
+    run.past.with_more(old, field, fitted, back.undone, len(run.card.updates) + 1,
                        _founders(chosen, compared, growth)).write(out)
     note_update(out, run.folder, updated)
     for name in (PLAN_FILE, 'field.json', CHECKPOINT):
         if (run.folder / name).exists():
             share_file(run.folder / name, out / name)
     return len(space.places), update_sections(
-        bag.name, scene, run.card.expansion, drive, compared, space.places,
-        what_happened(old, field, space.places, compared), before, after,
+        bag.name, scene, run.card.expansion, drive, told, space.places,
+        what_happened(old, field, space.places, told), before, after,
         time.monotonic() - started, growth)
 
 

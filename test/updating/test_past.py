@@ -28,11 +28,15 @@ def cells(*places: tuple[int, int, int]) -> np.ndarray:
     return found
 
 
+def more(past: Past, changed: np.ndarray, update: int, founders: list[int]) -> Past:
+    nothing = np.zeros(field().shape, np.int32)
+    return past.with_more(field(), field(), changed, nothing, update, np.array(founders))
+
+
 def test_the_last_update_of_a_cell_counts(tmp_path: Path) -> None:
     assert not Past.read(tmp_path).dates(field()).any()
-    first = Past.read(tmp_path).with_more(
-        field(), cells((3, 4, 5), (6, 6, 6)), 1, np.array([40, 41]))
-    first.with_more(field(), cells((6, 6, 6), (2, 2, 2)), 2, np.array([90])).write(tmp_path)
+    first = more(Past.read(tmp_path), cells((3, 4, 5), (6, 6, 6)), 1, [40, 41])
+    more(first, cells((6, 6, 6), (2, 2, 2)), 2, [90]).write(tmp_path)
     past = Past.read(tmp_path)
     dates = past.dates(field())
     assert [dates[place] for place in ((3, 4, 5), (6, 6, 6), (2, 2, 2), (0, 0, 0))] == [1, 2, 2, 0]
@@ -62,7 +66,7 @@ def test_photos_are_of_the_training_or_of_an_update(
     write_room(tmp_path / 'room')
     scene = read_scene(tmp_path / 'room')
     train = replace(scene.train.subset(range(6)), path_ids=path_ids)
-    Past.read(tmp_path).with_more(field(), cells((6, 6, 6)), 1, np.array([4])).write(tmp_path)
+    more(Past.read(tmp_path), cells((6, 6, 6)), 1, [4]).write(tmp_path)
     camera = train.intrinsics
     usable, gone = np.ones((2, camera.height, camera.width), bool)
     usable[:, :20], gone[:, 20:] = False, False
