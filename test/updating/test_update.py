@@ -178,6 +178,13 @@ def test_an_updated_run_can_be_updated_again(base: Path, tmp_path: Path) -> None
     after = read_model_card(tmp_path / 'back' / 'room.onnx')
     assert not after.scores  # They were of another memory.
     assert after.trained_seconds > read_model_card(base / 'new' / 'room.onnx').trained_seconds
+    # Where the post stood in between, voxels are those of the training again, bit by bit.
+    fields = [VoxelField.load(folder / 'field.npz').with_air() for folder in (
+        base / 'run', base / 'new', tmp_path / 'back')]
+    points = fields[0].world_points()[..., :2].reshape(-1, 2)
+    run, new, back = (field.grid for field in fields)
+    changed = (run != new).any(1) & (np.abs(points - AFTER) < 0.35).all(1)
+    assert changed.sum() > 500 and (run == back)[changed].all(1).mean() > 0.9
     assert memory_of(tmp_path / 'back') and FovExtrapolator.load(tmp_path / 'back' / 'room.onnx')
 
 
