@@ -8,20 +8,16 @@ import shutil
 import time
 
 from neo_ros.bags.camera_choice import CameraChoice
-from neo_ros.baking.keyframes import BakingRules
 from neo_ros.baking.landmarks import find_landmarks
 from neo_ros.baking.memory_baking import make_keyframes
-from neo_ros.baking.worker_files import SharedScene
 from neo_ros.errors import BagError, ConfigError
 from neo_ros.experiment import Experiment
-from neo_ros.field.rendering import render_rays, world_rays
 from neo_ros.field.voxel_field import VoxelField
 from neo_ros.machine.files import make_output_folder, see_to_disk, share_file
 from neo_ros.machine.progress import no_stage_progress, of_stage, StageProgress
 from neo_ros.machine.ray_jobs import check_ray
 from neo_ros.memory.landmarks import Landmarks
 from neo_ros.memory.scene_memory import SceneMemory
-from neo_ros.pictures.usable import shrunk
 from neo_ros.reports.report import Section, write_report
 from neo_ros.runtime import FovExtrapolator
 from neo_ros.runtime.model_card import MemoryFile, Update, write_model_card
@@ -38,10 +34,11 @@ from neo_ros.updating.growth import grow, Growth, stand_outside
 from neo_ros.updating.more_photos import write_more_photos
 from neo_ros.updating.new_keyframes import (
     joined_floor, new_floor, new_positions, recipe_of, with_place)
+from neo_ros.updating.photos_that_see import keep_photos, photos_that_see
 from neo_ros.updating.placing import place_lost
-from neo_ros.updating.refit import refit, still_right
+from neo_ros.updating.refit import refit
 from neo_ros.updating.tuned_network import CHECKPOINT, tune_network
-from neo_ros.updating.turned_back import turn_back
+from neo_ros.updating.turned_back import turn_back, TurnedBack
 from neo_ros.updating.update_report import update_sections
 from neo_ros.updating.update_run import UpdateRun
 from neo_ros.updating.what_happened import what_happened
@@ -136,26 +133,17 @@ def update_once(run: UpdateRun, bag: Path, out: Path, options: UpdateOptions,
     if growth is not None:
         field = growth.field
     old, told = field, compared
-    back = turn_back(field, compared, run.past, of_stage(progress, 'what was there before'))
-    field, compared = back.field, back.compared
-    try:
-        space = find_changed_space(field, compared, other_light=drive.other_light)
-    except BagError as error:
-        raise BagError(f'{bag}: {error}') from error
-    if space.places:
-        field, space = refit(
-            field, space, compared, lambda chosen: run.photos(drive, chosen, run.fitted_camera),
-            run.experiment.field, run.experiment.seed, options.minutes,
-            of_stage(progress, 'field'))
-    fitted, changed = space.cells, space.joined(back.space)
+    field, compared, fitted, back = _as_it_is_now(run, bag, field, drive, compared,
+                                                  options.minutes, progress)
+    changed = fitted.joined(back.space)
     space = changed if growth is None else growth.space.joined(changed)
     if not space.places:
         return None
     field.save(out / 'field.npz')
     source, scene = run.card.expansion.source, run.scene
     work = out.with_name(f'{out.name}.work')
-    chosen, seen, wrong, right = _photos_that_see(old, field, space, compared)
-    kept = _keep(run, drive, compared, chosen, wrong, right, out / 'field.npz', work)
+    chosen, seen, wrong, right = photos_that_see(old, field, space, compared)
+    kept = keep_photos(run, drive, compared, chosen, wrong, right, out / 'field.npz', work)
     photos, gains = kept.read_photos(), compared.gains[chosen]
     shared = kept if options.cluster else None
     if growth is not None:
@@ -185,7 +173,7 @@ def update_once(run: UpdateRun, bag: Path, out: Path, options: UpdateOptions,
         updates=(*run.card.updates, Update(
             memory=named.sha256, bag=bag.name, photos=len(drive.poses),
             at=f'{datetime.now(timezone.utc):%Y-%m-%d %H:%M:%S}'))))
-    run.past.with_more(old, field, fitted, back.undone, len(run.card.updates) + 1,
+    run.past.with_more(old, field, fitted.cells, back.undone, len(run.card.updates) + 1,
                        _founders(chosen, compared, growth)).write(out)
     note_update(out, run.folder, updated)
     for name in (PLAN_FILE, 'field.json', CHECKPOINT):
@@ -226,59 +214,21 @@ def _grown(run: UpdateRun, bag: Path, field: VoxelField, before: SceneMemory, dr
     return longer, compared, growth
 
 
-def _photos_that_see(old: VoxelField, field: VoxelField, space: ChangedSpace,
-                     compared: ComparedPhotos
-                     ) -> tuple[list[int], np.ndarray, np.ndarray, np.ndarray]:
-    """
-    Return which photos see changed space, the last are the new ones; how far; wrong and right.
-
-    Wrong, bool (N, h, w), are pixels of photos of before that show what is there no more; not
-    those that show what is behind something new. And pixels of new ones that show what did not
-    become part of the scene, such as somebody who walked by. Right are stale pixels that show
-    what is there again.
-    """
-    rules, small = BakingRules(), compared.photos.intrinsics
-    reached = space.reached_by(field, compared, rules.one_surface)
-    chosen = [index for index, pixels in enumerate(reached) if pixels.any()]
-    assert compared.photos.usable is not None
-    passing = (compared.depth > 0) & ~compared.agrees & ~reached & ~compared.stale
-    reached[compared.old:] = compared.photos.usable[compared.old:] & ~passing[compared.old:]
-    agree = still_right(old, field, space, compared, reached)
-    seen, wrong, stale = compared.depth[chosen], passing[chosen], compared.stale[chosen]
-    right = np.zeros_like(stale)
-    for place, index in enumerate(chosen):
-        origin, rays = world_rays(small, compared.pose(index))
-        pixels = reached[index]
-        now = render_rays(field, origin, rays[pixels])
-        seen[place][pixels] = np.where(now.coverage > rules.least_coverage, now.depth, 0)
-        if index < compared.old:
-            right[place] = stale[place] & pixels & agree[index]
-            past, depth = pixels & ~agree[index], compared.depth[index]
-            past &= compared.photos.usable[index]  # Else it is out of date already.
-            # A surface outside of the space did not change, whatever is before it now.
-            outside = past & (depth > 0)
-            outside[outside] = ~space.holds(
-                field, origin + depth[outside][:, None] * rays[outside])
-            seen[place][outside] = depth[outside]
-            wrong[place] = past & ~outside
-    seen[wrong | stale & ~right] = 0
-    return chosen, seen, wrong, right
-
-
-def _keep(run: UpdateRun, drive: Drive, compared: ComparedPhotos, chosen: list[int],
-          wrong: np.ndarray, right: np.ndarray, field: Path, folder: Path) -> SharedScene:
-    """Keep chosen photos, and what of them shows what is there, in files: they may be large."""
-    camera = run.camera
-
-    def usable(index: int, *small: np.ndarray) -> np.ndarray:
-        off, back = (shrunk(one, camera.width, camera.height) for one in small)
-        now, stale = run.masks(index)
-        return (now | stale & back) & ~off
-
-    return SharedScene.of_rows(
-        field, camera, compared.photos.T_world_cam[chosen],
-        (run.image(drive, index) for index in chosen),
-        map(usable, chosen, wrong, right), folder)
+def _as_it_is_now(run: UpdateRun, bag: Path, field: VoxelField, drive: Drive,
+                  compared: ComparedPhotos, minutes: float | None, progress: StageProgress
+                  ) -> tuple[VoxelField, ComparedPhotos, ChangedSpace, TurnedBack]:
+    """Return the field as new photos show it, these compared anew, what was fitted and turned."""
+    back = turn_back(field, compared, run.past, of_stage(progress, 'what was there before'))
+    field, compared = back.field, back.compared
+    try:
+        space = find_changed_space(field, compared, other_light=drive.other_light)
+    except BagError as error:
+        raise BagError(f'{bag}: {error}') from error
+    if space.places:
+        field, space = refit(
+            field, space, compared, lambda chosen: run.photos(drive, chosen, run.fitted_camera),
+            run.experiment.field, run.experiment.seed, minutes, of_stage(progress, 'field'))
+    return field, compared, space, back
 
 
 def _founders(chosen: list[int], compared: ComparedPhotos, growth: Growth | None) -> np.ndarray:
