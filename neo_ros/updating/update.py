@@ -182,7 +182,7 @@ def update_once(run: UpdateRun, bag: Path, out: Path, options: UpdateOptions,
     return len(space.places), update_sections(
         bag.name, scene, run.card.expansion, drive, told, space.places,
         what_happened(old, field, space.places, told), before, after,
-        time.monotonic() - started, growth)
+        time.monotonic() - started, growth, len(back.space.places))
 
 
 def _grown(run: UpdateRun, bag: Path, field: VoxelField, before: SceneMemory, drive: Drive,

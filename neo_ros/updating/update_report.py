@@ -22,15 +22,22 @@ _PHOTO, _CHANGED = (150, 155, 165), (200, 40, 40)
 def update_sections(bag: str, scene: Scene, expansion: ViewExpansion, drive: Drive,
                     compared: ComparedPhotos, places: list[ChangedPlace],
                     events: list[list[Event]], before: SceneMemory, after: SceneMemory,
-                    seconds: float, growth: Growth | None = None) -> list[Section]:
-    """Return the part of a report that tells of one bag; events: of each place."""
+                    seconds: float, growth: Growth | None, turned: int) -> list[Section]:
+    """
+    Return the part of a report that tells of one bag.
+
+    events: of each place; turned: so many, the last ones, are as they were before an update.
+    """
     what = 'changed places' if growth is None else 'changed or new places, the first is new'
     intro = (f'{len(drive.poses)} photos out of {drive.seen} images show {len(places)} '
              f'{what}; the update took {seconds / 60:.1f} minutes.')
     if drive.lost and growth is None:
         intro += (f' Of {len(drive.lost)} more nobody knows where they were taken, or they show '
                   'no place that is new.')
-    words = [', '.join(event.value for event in happened) for happened in events]
+    told = [[event.value for event in happened] for happened in events]
+    for happened in told[len(told) - turned:]:
+        happened.append('as it was once')
+    words = list(map(', '.join, told))
     if growth is not None:
         words[0] = 'new'
     rows = [(str(number), event, *(f'{low:.2f} to {high:.2f}' for low, high in zip(
@@ -40,7 +47,8 @@ def update_sections(bag: str, scene: Scene, expansion: ViewExpansion, drive: Dri
             Table(('place', 'what happened', 'x, m', 'y, m', 'z, m', 'photos'), rows, note=(
                 'Boxes around what may have changed; they are larger than the things in them. '
                 'Something came where photos see a surface nearer than before, and left where '
-                'they see farther. Photos: how many say so.')),
+                'they see farther. As it was once: as before an earlier update. Photos: how many '
+                'say so.')),
             Picture('Changed places from above', _plan(scene, drive, places), (
                 'Red, with the numbers of the table: what may have changed. Grey: where photos '
                 'were taken, and where they looked. Pale green: free floor.')),
