@@ -61,11 +61,11 @@ def turn_back(field: VoxelField, compared: ComparedPhotos, past: Past,
     now, updates = field, past.looks.updates[::-1]
     for done, update in enumerate(updates, 1):
         points, values = past.looks.of(update, now)
-        then = with_values(now, points, values)
+        then = _with_values(now, points, values)
         back, photos = _chosen(now, then, _with_corners(points), compared, rules)
         if back.any():
             points &= dilated(back, 0)
-            now = with_values(now, points, then.grid[then.row_of[points.ravel()]])
+            now = _with_values(now, points, then.grid[then.row_of[points.ravel()]])
             undone[back], votes[back] = update, photos[back]
         progress(done, len(updates))
     space = space_of(field, undone > 0, votes, ChangeRules(), 0)
@@ -73,7 +73,7 @@ def turn_back(field: VoxelField, compared: ComparedPhotos, past: Past,
                       space, undone)
 
 
-def with_values(field: VoxelField, points: np.ndarray, values: np.ndarray) -> VoxelField:
+def _with_values(field: VoxelField, points: np.ndarray, values: np.ndarray) -> VoxelField:
     """Return a field with rows of a grid (M, 1 + 3K) at points, bool (X, Y, Z)."""
     flat = points.ravel()
     found = field.keeping((field.row_of >= 0) | flat)
@@ -96,25 +96,7 @@ def _chosen(now: VoxelField, then: VoxelField, cells: np.ndarray, compared: Comp
     reached = _reached_by_new(now, compared, cells)
     if (reached & compared.contradicts).sum() < rules.least_pixels:
         return nothing
-    photos, thick = compared.photos, rules.thick * now.voxel
-    counts = np.zeros((3, len(now.row_of)), np.int32)
-    last = np.zeros(len(now.row_of), np.int32)
-    for index in map(int, np.flatnonzero(reached.any((1, 2)))):
-        pixels = reached[index]
-        origin, rays = world_rays(photos.intrinsics, compared.pose(index))
-        rays = np.ascontiguousarray(rays[pixels], np.float32)
-        shown = [render_rays(field, origin, rays) for field in (now, then)]
-        photo = photos.images[index][pixels] * (compared.gains[index] / 255)
-        off = [np.abs(one.image - photo).max(-1) for one in shown]
-        first = np.minimum(shown[0].depth, shown[1].depth)
-        as_now, as_then = (off[1 - kind] - off[kind] > rules.grey_levels / 255 for kind in (0, 1))
-        for kind, (those, depth) in enumerate((
-                (as_now, shown[0].depth), (as_then, shown[1].depth),
-                (as_then & compared.contradicts[index][pixels], shown[1].depth))):
-            count_spans(origin.astype(np.float64), rays[those],
-                        np.maximum(first[those] - thick, now.near), depth[those] + thick,
-                        now.box, np.array(now.shape), 3 * index + kind + 1, last, counts[kind])
-    stays, back, contradict = counts.reshape(3, *now.shape)
+    stays, back, contradict = _votes(now, then, reached, compared, rules)
     near = 2 * round(rules.around / now.voxel) + 1
     agreed, against = (ndimage.uniform_filter(one.astype(np.float32), near)
                        for one in (back, contradict))
@@ -129,6 +111,35 @@ def _chosen(now: VoxelField, then: VoxelField, cells: np.ndarray, compared: Comp
     for place in space_of(now, as_then, back, ChangeRules(), 0).places:
         kept[tuple(place.cells.T)] = True
     return kept, back
+
+
+def _votes(now: VoxelField, then: VoxelField, reached: np.ndarray, compared: ComparedPhotos,
+           rules: TurnRules) -> np.ndarray:
+    """
+    Count the photos that say something of each cell, by pixels bool (N, h, w): (3, X, Y, Z).
+
+    That are nearer to what is there; to what was; and of these those that contradict the memory.
+    """
+    photos, thick = compared.photos, rules.thick * now.voxel
+    counts = np.zeros((3, len(now.row_of)), np.int32)
+    last = np.zeros(len(now.row_of), np.int32)
+    for index in map(int, np.flatnonzero(reached.any((1, 2)))):
+        pixels = reached[index]
+        origin, rays = world_rays(photos.intrinsics, compared.pose(index))
+        rays = np.ascontiguousarray(rays[pixels], np.float32)
+        shown = [render_rays(field, origin, rays) for field in (now, then)]
+        photo = photos.images[index][pixels] * (compared.gains[index] / 255)
+        off = [np.abs(one.image - photo).max(-1) for one in shown]
+        first = np.minimum(shown[0].depth, shown[1].depth)
+        like_now, like_then = (
+            off[1 - kind] - off[kind] > rules.grey_levels / 255 for kind in (0, 1))
+        for kind, (those, depth) in enumerate((
+                (like_now, shown[0].depth), (like_then, shown[1].depth),
+                (like_then & compared.contradicts[index][pixels], shown[1].depth))):
+            count_spans(origin.astype(np.float64), rays[those],
+                        np.maximum(first[those] - thick, now.near), depth[those] + thick,
+                        now.box, np.array(now.shape), 3 * index + kind + 1, last, counts[kind])
+    return counts.reshape(3, *now.shape)
 
 
 def _reached_by_new(field: VoxelField, compared: ComparedPhotos, cells: np.ndarray) -> np.ndarray:

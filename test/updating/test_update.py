@@ -179,7 +179,7 @@ def test_an_updated_run_can_be_updated_again(base: Path, tmp_path: Path) -> None
     assert not after.scores  # They were of another memory.
     assert after.trained_seconds > read_model_card(base / 'new' / 'room.onnx').trained_seconds
     assert 'as it was once' in (tmp_path / 'back' / 'report.html').read_text()
-    assert 'left, as it was' not in (base / 'new' / 'report.html').read_text()
+    assert 'as it was once' not in (base / 'new' / 'report.html').read_text()
     # Where the post stood in between, voxels are those of the training again, bit by bit.
     fields = [VoxelField.load(folder / 'field.npz').with_air() for folder in (
         base / 'run', base / 'new', tmp_path / 'back')]
