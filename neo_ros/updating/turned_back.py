@@ -19,8 +19,10 @@ from scipy import ndimage
 class TurnRules:
     """When a place is as it was."""
 
-    # Pixels that contradict the memory and see a place, at least: else nobody looks closer.
-    least_pixels: int = 50
+    # Of all rows and columns of pixels one in so many is asked: a cell is seen by several.
+    every: int = 2
+    # That contradict the memory and see a place, at least: else nobody looks closer.
+    least_pixels: int = 12
     # Photos show one of two looks where it is nearer to them by more than so many grey levels; so
     # many do at least, of all that decide.
     grey_levels: float = 15.0
@@ -93,7 +95,7 @@ def _chosen(now: VoxelField, then: VoxelField, cells: np.ndarray, compared: Comp
             rules: TurnRules) -> tuple[np.ndarray, np.ndarray]:
     """Return which cells are as they were, bool (X, Y, Z), and how many photos say so, int32."""
     nothing = np.zeros(now.shape, bool), np.zeros(now.shape, np.int32)
-    reached = _reached_by_new(now, compared, cells)
+    reached = _reached_by_new(now, compared, cells, rules.every)
     if (reached & compared.contradicts).sum() < rules.least_pixels:
         return nothing
     stays, back, contradict = _votes(now, then, reached, compared, rules)
@@ -105,8 +107,9 @@ def _chosen(now: VoxelField, then: VoxelField, cells: np.ndarray, compared: Comp
     as_then &= ~as_now
     if not as_then.any():
         return nothing
-    apart, nearest = ndimage.distance_transform_edt(~(as_then | as_now), return_indices=True)
-    as_then = as_then[tuple(nearest)] & (apart * now.voxel <= rules.reach) & cells
+    box, = ndimage.find_objects(cells.view(np.uint8))
+    apart, nearest = ndimage.distance_transform_edt(~(as_then | as_now)[box], return_indices=True)
+    as_then[box] = as_then[box][tuple(nearest)] & (apart * now.voxel <= rules.reach) & cells[box]
     kept = np.zeros_like(cells)
     for place in space_of(now, as_then, back, ChangeRules(), 0).places:
         kept[tuple(place.cells.T)] = True
@@ -142,14 +145,17 @@ def _votes(now: VoxelField, then: VoxelField, reached: np.ndarray, compared: Com
     return counts.reshape(3, *now.shape)
 
 
-def _reached_by_new(field: VoxelField, compared: ComparedPhotos, cells: np.ndarray) -> np.ndarray:
-    """Do what `ChangedSpace.reached_by` does, for new photos alone: bool (N, h, w)."""
+def _reached_by_new(field: VoxelField, compared: ComparedPhotos, cells: np.ndarray,
+                    every: int = 1) -> np.ndarray:
+    """Do what `ChangedSpace.reached_by` does, for some pixels of new photos: bool (N, h, w)."""
     found, photos, space = np.zeros_like(compared.stale), compared.photos, ChangedSpace(cells, [])
     assert photos.usable is not None
+    some = slice(None, None, every), slice(None, None, every)
     for index in range(compared.old, len(found)):
-        found[index] = photos.usable[index] & space.met_by(
-            field, *world_rays(photos.intrinsics, compared.pose(index)),
-            (1 + BakingRules.one_surface) * compared.depth[index])
+        origin, rays = world_rays(photos.intrinsics, compared.pose(index))
+        found[index][some] = photos.usable[index][some] & space.met_by(
+            field, origin, rays[some],
+            (1 + BakingRules.one_surface) * compared.depth[index][some])
     return found
 
 
