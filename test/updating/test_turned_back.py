@@ -135,8 +135,7 @@ def test_a_run_of_an_earlier_version_has_no_looks(tmp_path: Path) -> None:
     assert turn_back(now, taken_in(room(3.0), now), read).field is now
 
 
-def test_a_pose_is_asked_where_it_was_taken() -> None:
-    """Photos that look away from the place say nothing."""
+def test_photos_that_look_away_say_nothing() -> None:
     there, gone = room(3.0), room(None)
     found = taken_in(there, gone)
     away = [CameraPose.from_planar(pose.position[0], pose.position[1], pose.position[2],
