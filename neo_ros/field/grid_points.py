@@ -28,6 +28,14 @@ def dilated(cells: np.ndarray, around: int) -> np.ndarray:
     return maximum_filter(cells.view(np.uint8), size, mode='constant').view(np.bool_)
 
 
+def cells_around(points: np.ndarray) -> np.ndarray:
+    """Mark the cells that have one of these points (X, Y, Z) for a corner: bool (X, Y, Z)."""
+    from scipy.ndimage import maximum_filter
+    cells = maximum_filter(points.view(np.uint8), 2, mode='constant', origin=-1).view(np.bool_)
+    cells[-1], cells[:, -1], cells[:, :, -1] = False, False, False  # There are no cells.
+    return cells
+
+
 def numbered(kept: np.ndarray) -> np.ndarray:
     """Return `row_of` of a field that keeps these points."""
     flat = kept.ravel()

@@ -200,9 +200,15 @@ class VoxelField:
 
     def cells_at(self, points: np.ndarray) -> np.ndarray:
         """Return the cells that world points (..., 3) lie in, or the nearest: int (..., 3)."""
-        size = np.array(self.shape)
-        place = (self.grid_position(np.asarray(points)) + 1) / 2 * (size - 1)
-        return np.clip(place.astype(int), 0, size - 2)
+        return np.clip(self._place(points).astype(int), 0, np.array(self.shape) - 2)
+
+    def points_at(self, points: np.ndarray) -> np.ndarray:
+        """Return the grid points that are nearest to world points (..., 3): int (..., 3)."""
+        return np.clip(np.rint(self._place(points)).astype(int), 0, np.array(self.shape) - 1)
+
+    def _place(self, points: np.ndarray) -> np.ndarray:
+        """Return where world points (..., 3) lie, counted in grid points."""
+        return (self.grid_position(np.asarray(points)) + 1) / 2 * (np.array(self.shape) - 1)
 
     def is_matter(self, points: np.ndarray) -> np.ndarray:
         """Tell which world points (..., 3) lie in cells that are not empty air: bool (...)."""

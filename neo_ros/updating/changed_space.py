@@ -81,20 +81,23 @@ class ChangedSpace:
         """
         return rays_meet_cells(field, self.cells, origin, rays_d, reach)
 
-    def reached_by(self, field: VoxelField, compared: ComparedPhotos, beyond: float
-                   ) -> np.ndarray:
+    def reached_by(self, field: VoxelField, compared: ComparedPhotos, beyond: float,
+                   first: int = 0, every: int = 1) -> np.ndarray:
         """
         Tell which usable, or stale, pixels of photos see it: bool (N, h, w).
 
-        As far as a surface, and a share `beyond` of its distance behind it.
+        As far as a surface, and a share `beyond` of its distance behind it. Asked are photos from
+        number `first` on, and of their rows and columns one in `every`.
         """
         photos = compared.photos
         assert photos.usable is not None
         reached = np.zeros(photos.usable.shape, bool)
-        for index in range(len(reached)):
-            reached[index] = (photos.usable[index] | compared.stale[index]) & self.met_by(
-                field, *world_rays(photos.intrinsics, compared.pose(index)),
-                (1 + beyond) * compared.depth[index])
+        some = slice(None, None, every), slice(None, None, every)
+        for index in range(first, len(reached)):
+            origin, rays = world_rays(photos.intrinsics, compared.pose(index))
+            reached[index][some] = (
+                photos.usable[index] | compared.stale[index])[some] & self.met_by(
+                    field, origin, rays[some], (1 + beyond) * compared.depth[index][some])
         return reached
 
     def joined(self, other: 'ChangedSpace') -> 'ChangedSpace':

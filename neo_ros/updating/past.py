@@ -31,23 +31,23 @@ class Looks:
 
     @property
     def updates(self) -> list[int]:
-        """The updates that changed something, the latest first."""
-        return np.unique(self.until)[::-1].tolist()
+        """The updates that changed something, the first one first."""
+        return np.unique(self.until).tolist()
 
     def of(self, update: int, field: VoxelField) -> tuple[np.ndarray, np.ndarray]:
         """Return the points of a field, bool (X, Y, Z), that an update changed, and their rows."""
         chosen = np.flatnonzero(self.until == update)
-        index = _grid_index(field, self.points[chosen])
+        index = tuple(field.points_at(self.points[chosen]).T)
         points, where = np.zeros(field.shape, bool), np.zeros(field.shape, np.int64)
         points[index], where[index] = True, chosen
         return points, self.values[where[points]]
 
     def without(self, field: VoxelField, undone: np.ndarray) -> 'Looks':
         """Return this without what was turned back to: cells of undone int32 (X, Y, Z)."""
-        kept = np.ones(len(self.until), bool)
+        kept, where = np.ones(len(self.until), bool), tuple(field.points_at(self.points).T)
         for update in np.unique(undone[undone > 0]):
             points = dilated(undone == update, 0)
-            kept &= (self.until != update) | ~points[_grid_index(field, self.points)]
+            kept &= (self.until != update) | ~points[where]
         return Looks(self.points[kept], self.values[kept], self.until[kept])
 
     def with_more(self, before: VoxelField, after: VoxelField, cells: np.ndarray, update: int
@@ -76,13 +76,6 @@ def _rows(field: VoxelField, index: np.ndarray) -> np.ndarray:
     found = np.zeros((len(rows), field.grid.shape[1]), np.float32)
     found[rows >= 0] = field.grid[rows[rows >= 0]]
     return found
-
-
-def _grid_index(field: VoxelField, points: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Return the grid points that world points (M, 3) are."""
-    size = np.array(field.shape) - 1
-    place = (field.grid_position(points.astype(np.float64)) + 1) / 2 * size
-    return tuple(np.clip(np.rint(place).astype(int), 0, size).T)
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.memory.contradiction import contradicted, contradiction
 from neo_ros.updating.changed_space import around, ChangedSpace, ChangeRules, space_of
 from neo_ros.updating.compared_photos import ComparedPhotos
-from neo_ros.updating.kernels import count_spans
+from neo_ros.updating.photo_votes import CellVotes, shown_twice
 import numpy as np
 from scipy import ndimage
 
@@ -179,27 +179,16 @@ class _Seen(NamedTuple):
 def _seen_differently(one: VoxelField, other: VoxelField, reached: np.ndarray,
                       compared: ComparedPhotos, rules: RefitRules) -> _Seen:
     """Ask photos which of two fields they show; reached bool (N, h, w): the pixels that count."""
-    photos, thick = compared.photos, rules.thick * one.voxel
-    counts = np.zeros((3, len(one.row_of)), np.int32)
-    last = np.zeros(len(one.row_of), np.int32)
-    for index in map(int, np.flatnonzero(reached.any((1, 2)))):
-        pixels = reached[index]
-        origin, rays = world_rays(photos.intrinsics, compared.pose(index))
-        rays = np.ascontiguousarray(rays[pixels], np.float32)
-        shown, then = (render_rays(field, origin, rays) for field in (one, other))
-        photo = photos.images[index][pixels] * (compared.gains[index] / 255)
-        off, off_then = (np.abs(each.image - photo).max(-1) for each in (shown, then))
-        nearer = off - off_then > rules.grey_levels / 255
-        if index >= compared.old:
-            nearer &= ~compared.agrees[index][pixels]
-        first = np.minimum(shown.depth, then.depth)
+    votes = CellVotes(one, 3, rules.thick)
+    for shown in shown_twice(one, other, reached, compared):
+        nearer = shown.off[0] - shown.off[1] > rules.grey_levels / 255
+        if shown.index >= compared.old:
+            nearer &= ~compared.agrees[shown.index][shown.pixels]
+        surface = shown.views[1].depth
         for kind, (chosen, begin) in enumerate((
-                (nearer, first), (nearer, then.depth), (~nearer, first))):
-            count_spans(origin.astype(np.float64), rays[chosen],
-                        np.maximum(begin[chosen] - thick, one.near), then.depth[chosen] + thick,
-                        one.box, np.array(one.shape), 3 * index + kind + 1, last,
-                        counts[kind])
-    return _Seen(*counts.reshape(3, *one.shape))
+                (nearer, shown.first), (nearer, surface), (~nearer, shown.first))):
+            votes.add(shown, kind, chosen, begin, surface)
+    return _Seen(*votes.counts)
 
 
 def still_right(before: VoxelField, after: VoxelField, space: ChangedSpace,

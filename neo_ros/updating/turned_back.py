@@ -2,15 +2,15 @@
 from dataclasses import dataclass, replace
 
 from neo_ros.baking.keyframes import BakingRules
-from neo_ros.field.grid_points import dilated
+from neo_ros.field.grid_points import cells_around, dilated
 from neo_ros.field.rendering import render_rays, world_rays
 from neo_ros.field.voxel_field import VoxelField
 from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.memory.contradiction import contradicted, contradiction
 from neo_ros.updating.changed_space import ChangedSpace, ChangeRules, space_of
 from neo_ros.updating.compared_photos import ComparedPhotos
-from neo_ros.updating.kernels import count_spans
 from neo_ros.updating.past import Past
+from neo_ros.updating.photo_votes import CellVotes, shown_twice
 import numpy as np
 from scipy import ndimage
 
@@ -60,11 +60,11 @@ def turn_back(field: VoxelField, compared: ComparedPhotos, past: Past,
     A thing that comes back is seen in part; what was there before it left is known as a whole.
     """
     undone, votes = np.zeros((2, *field.shape), np.int32)
-    now, updates = field, past.looks.updates[::-1]
+    now, updates = field, past.looks.updates
     for done, update in enumerate(updates, 1):
         points, values = past.looks.of(update, now)
         then = _with_values(now, points, values)
-        back, photos = _chosen(now, then, _with_corners(points), compared, rules)
+        back, photos = _chosen(now, then, cells_around(points), compared, rules)
         if back.any():
             points &= dilated(back, 0)
             now = _with_values(now, points, then.grid[then.row_of[points.ravel()]])
@@ -84,18 +84,12 @@ def _with_values(field: VoxelField, points: np.ndarray, values: np.ndarray) -> V
     return found
 
 
-def _with_corners(points: np.ndarray) -> np.ndarray:
-    """Return the cells that have one of these points for a corner, bool (X, Y, Z)."""
-    cells = ndimage.maximum_filter(points.view(np.uint8), 2, mode='constant', origin=-1).view(bool)
-    cells[-1], cells[:, -1], cells[:, :, -1] = False, False, False  # There are no cells.
-    return cells
-
-
 def _chosen(now: VoxelField, then: VoxelField, cells: np.ndarray, compared: ComparedPhotos,
             rules: TurnRules) -> tuple[np.ndarray, np.ndarray]:
     """Return which cells are as they were, bool (X, Y, Z), and how many photos say so, int32."""
     nothing = np.zeros(now.shape, bool), np.zeros(now.shape, np.int32)
-    reached = _reached_by_new(now, compared, cells, rules.every)
+    reached = ChangedSpace(cells, []).reached_by(now, compared, BakingRules.one_surface,
+                                                 compared.old, rules.every)
     if (reached & compared.contradicts).sum() < rules.least_pixels:
         return nothing
     stays, back, contradict = _votes(now, then, reached, compared, rules)
@@ -123,40 +117,14 @@ def _votes(now: VoxelField, then: VoxelField, reached: np.ndarray, compared: Com
 
     That are nearer to what is there; to what was; and of these those that contradict the memory.
     """
-    photos, thick = compared.photos, rules.thick * now.voxel
-    counts = np.zeros((3, len(now.row_of)), np.int32)
-    last = np.zeros(len(now.row_of), np.int32)
-    for index in map(int, np.flatnonzero(reached.any((1, 2)))):
-        pixels = reached[index]
-        origin, rays = world_rays(photos.intrinsics, compared.pose(index))
-        rays = np.ascontiguousarray(rays[pixels], np.float32)
-        shown = [render_rays(field, origin, rays) for field in (now, then)]
-        photo = photos.images[index][pixels] * (compared.gains[index] / 255)
-        off = [np.abs(one.image - photo).max(-1) for one in shown]
-        first = np.minimum(shown[0].depth, shown[1].depth)
+    votes = CellVotes(now, 3, rules.thick)
+    for shown in shown_twice(now, then, reached, compared):
         like_now, like_then = (
-            off[1 - kind] - off[kind] > rules.grey_levels / 255 for kind in (0, 1))
-        for kind, (those, depth) in enumerate((
-                (like_now, shown[0].depth), (like_then, shown[1].depth),
-                (like_then & compared.contradicts[index][pixels], shown[1].depth))):
-            count_spans(origin.astype(np.float64), rays[those],
-                        np.maximum(first[those] - thick, now.near), depth[those] + thick,
-                        now.box, np.array(now.shape), 3 * index + kind + 1, last, counts[kind])
-    return counts.reshape(3, *now.shape)
-
-
-def _reached_by_new(field: VoxelField, compared: ComparedPhotos, cells: np.ndarray,
-                    every: int = 1) -> np.ndarray:
-    """Do what `ChangedSpace.reached_by` does, for some pixels of new photos: bool (N, h, w)."""
-    found, photos, space = np.zeros_like(compared.stale), compared.photos, ChangedSpace(cells, [])
-    assert photos.usable is not None
-    some = slice(None, None, every), slice(None, None, every)
-    for index in range(compared.old, len(found)):
-        origin, rays = world_rays(photos.intrinsics, compared.pose(index))
-        found[index][some] = photos.usable[index][some] & space.met_by(
-            field, origin, rays[some],
-            (1 + BakingRules.one_surface) * compared.depth[index][some])
-    return found
+            shown.off[1 - kind] - shown.off[kind] > rules.grey_levels / 255 for kind in (0, 1))
+        against = like_then & compared.contradicts[shown.index][shown.pixels]
+        for kind, (chosen, view) in enumerate(zip((like_now, like_then, against), (0, 1, 1))):
+            votes.add(shown, kind, chosen, shown.first, shown.views[view].depth)
+    return votes.counts
 
 
 def _compared_anew(field: VoxelField, compared: ComparedPhotos, space: ChangedSpace
@@ -169,7 +137,7 @@ def _compared_anew(field: VoxelField, compared: ComparedPhotos, space: ChangedSp
     photos = compared.photos
     contradicts, agrees, depth = (one.copy() for one in (
         compared.contradicts, compared.agrees, compared.depth))
-    reached = _reached_by_new(field, compared, space.cells)
+    reached = space.reached_by(field, compared, BakingRules.one_surface, compared.old)
     for index in map(int, np.flatnonzero(reached.any((1, 2)))):
         pixels = reached[index]
         origin, rays = world_rays(photos.intrinsics, compared.pose(index))

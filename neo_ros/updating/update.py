@@ -132,6 +132,7 @@ def update_once(run: UpdateRun, bag: Path, out: Path, options: UpdateOptions,
     drive, compared, growth = _grown(run, bag, field, before, drive, options.minutes, progress)
     if growth is not None:
         field = growth.field
+    # The report tells of all that contradicts the memory, also of what was turned back.
     old, told = field, compared
     field, compared, fitted, back = _as_it_is_now(run, bag, field, drive, compared,
                                                   options.minutes, progress)

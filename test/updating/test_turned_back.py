@@ -116,7 +116,7 @@ def test_what_was_turned_back_counts_as_before_and_may_turn_again() -> None:
 def test_looks_are_kept_in_the_run_and_the_oldest_go(tmp_path: Path) -> None:
     there, gone = room(3.0), room(None)
     past = past_of(*[there, gone] * (MOST_LOOKS // 2), there, gone)
-    assert past.looks.updates == [*range(MOST_LOOKS + 1, 1, -1)]
+    assert past.looks.updates == [*range(2, MOST_LOOKS + 2)]
     past.write(tmp_path)
     read = Past.read(tmp_path)
     points, values = read.looks.of(2, gone)
