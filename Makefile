@@ -11,8 +11,8 @@ unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH 
 	PYTHONPATH RMW_IMPLEMENTATION ROS_DISTRO VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 # Modules that were compiled once are kept: tests start some hundred interpreters.
 unexport PYTHONDONTWRITEBYTECODE
-# Two files at a time, the slow ones first, see test/conftest.py.
-PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+# Three files at a time, for many wait for a clock; the slow ones first, see test/conftest.py.
+PYTEST := $(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
 
 .PHONY: help setup train-setup dev-setup demo check test bench soak fuzz lint docs constraints clean
 help:
