@@ -13,8 +13,8 @@ import numpy as np
 
 
 def render_band(field: RadianceField, position: np.ndarray, rays: np.ndarray, block: int,
-                wraps: bool, one_surface: float, far: float, least_coverage: float
-                ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+                wraps: bool, one_surface: float, far: float, least_coverage: float,
+                wanted: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
     Return depth float32 (h, w), metres along the ray, 0 = unknown, colours float32 (h, w, 3).
 
@@ -23,21 +23,30 @@ def render_band(field: RadianceField, position: np.ndarray, rays: np.ndarray, bl
     rays (h, w, 3), whole blocks of `block` squared pixels; wraps: the last column is a neighbour
     of the first; one_surface: depths that differ by less than this share are of one surface, and
     so are those of which one over the depth differs by less than `far`, 1/m; least_coverage: of a
-    pixel, for its depth to be known.
+    pixel, for its depth to be known. wanted bool (h / block, w / block): blocks that are cast, the
+    others stay unknown and black; None: all.
     """
     def cast(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         found = render_rays(field, position, directions)
         known = found.coverage > least_coverage
         return np.where(known, found.depth, 0).astype(np.float32), found.image
 
-    few_depths, few_colours = cast(block_centres(rays, block))
+    centres = block_centres(rays, block)
+    if wanted is None:
+        wanted = np.ones(centres.shape[:2], np.bool_)
+    few_depths, few_colours = (np.zeros(shape, np.float32) for shape in (
+        wanted.shape, centres.shape))
+    few_depths[wanted], few_colours[wanted] = cast(centres[wanted])
     if block == 1:
-        return few_depths, few_colours, np.ones(rays.shape[:2], np.bool_)
+        return few_depths, few_colours, wanted
     depth = np.empty(rays.shape[:2], np.float32)
     colours = np.empty(rays.shape, np.float32)
     rough = np.empty(rays.shape[:2], np.bool_)
     _interpolate(few_depths, few_colours, _smooth(few_depths, wraps, one_surface, far), block,
                  wraps, depth, colours, rough)
+    all_wanted = wanted.repeat(block, 0).repeat(block, 1)
+    depth[~all_wanted], colours[~all_wanted] = 0, 0
+    rough &= all_wanted
     depth[rough], colours[rough] = cast(rays[rough])
     block_centres(rough, block)[:] = True
     return depth, colours, rough

@@ -195,12 +195,14 @@ def keyframe_size(band: Band, focal: float, rules: BakingRules = BakingRules()
 def bake_keyframe(field: RadianceField, photos: Photos, seen: np.ndarray, gains: np.ndarray,
                   position: np.ndarray, band: Band, size: tuple[int, int, int],
                   rules: BakingRules, directions: np.ndarray = NO_DIRECTIONS,
-                  part: tuple[slice, slice] | None = None) -> Keyframe:
+                  part: tuple[slice, slice] | None = None,
+                  wanted: np.ndarray | None = None) -> Keyframe:
     """
     Render and colour a keyframe of a size as `keyframe_size` tells.
 
     seen, gains: of the photos, see `seen_by_photos`; directions: that planes face, see
-    `with_planes`; part: rows and columns of the mesh that are made, None: all.
+    `with_planes`; part: rows and columns of the mesh that are made, None: all; wanted bool (h, w):
+    pixels of the part's mesh that are made, the others stay unknown, None: all.
     """
     height, width, finer = size
     dense = min(finer, rules.dense)
@@ -210,7 +212,7 @@ def bake_keyframe(field: RadianceField, photos: Photos, seen: np.ndarray, gains:
             slice(dense * one.start, dense * one.stop) for one in part)])
     height, width = rays.shape[0] // dense, rays.shape[1] // dense
     depth, colours, own = render_band(field, position, rays, dense, wraps,
-                                      rules.one_surface, FAR, rules.least_coverage)
+                                      rules.one_surface, FAR, rules.least_coverage, wanted)
     shown = to_uint8(colours)
     move_to_planes(depth, shown, rays, dense, directions, rules.one_surface)
     texture = np.empty((height * finer, width * finer, 3), np.uint8)

@@ -83,6 +83,18 @@ def quality_over_time(root: Path) -> bytes:
         Series('test frames', minutes, [row['ring_psnr'] for row in found])]))
 
 
+def over_the_minutes(root: Path) -> bytes:
+    """Return the plot of what `neo train --minutes` gives on two scenes over the minutes, SVG."""
+    from neo_ros.reports.plot import Plot, plot_svg, Series
+    found = sorted(rows_of(root, 'minutes'), key=lambda row: row['minutes'])
+    return plot_svg(Plot('', 'minutes of training', 'ring PSNR, dB', [
+        Series(f'{scene}, {name}', *zip(*(
+            (row['minutes'], row[key]) for row in found
+            if (row['scene'], row['camera']) == (scene, camera))))
+        for scene, camera in (('demo_flat', '256x256'), ('redkitchen', '160x240'))
+        for name, key in (('guided', 'ring_psnr'), ('network alone', 'network_ring_psnr'))]))
+
+
 def over_the_floor(root: Path, unit: str, values: Mapping[str, str]) -> bytes:
     """Return the plot of values, name and key each, of trained floors over their area, SVG."""
     from neo_ros.reports.plot import Plot, plot_svg, Series
@@ -109,6 +121,7 @@ MAKERS: dict[str, Maker] = {
     'sources': sources, 'rows': rows, 'suite': suite, 'stated': stated, 'paper': paper}
 PLOTS: dict[str, Callable[[Path], bytes]] = {
     'quality_over_time.svg': quality_over_time,
+    'minutes.svg': over_the_minutes,
     'floor_quality.svg': lambda root: over_the_floor(root, 'dB', {
         'guided ring': 'guided_ring_psnr', 'field at the true pose': 'oracle_ring_psnr'}),
     'floor_time.svg': lambda root: over_the_floor(root, 'ms of the processor', {

@@ -36,6 +36,25 @@ def cells_around(points: np.ndarray) -> np.ndarray:
     return cells
 
 
+def cells_apart(cells: np.ndarray) -> np.ndarray:
+    """
+    Return how far cells are from those that are marked, bool (X, Y, Z): uint8 (X, Y, Z), 0 there.
+
+    As many cells along the axis where it is most, or less: it is found between blocks of 2 x 2 x 2
+    cells, in an eighth of the time. Where none is marked it is 255.
+    """
+    from scipy.ndimage import distance_transform_cdt
+    if not cells.any():
+        return np.full(cells.shape, 255, np.uint8)
+    padded = np.pad(cells, [(0, size % 2) for size in cells.shape])
+    x, y, z = (size // 2 for size in padded.shape)
+    blocks = padded.reshape(x, 2, y, 2, z, 2).any(axis=(1, 3, 5))
+    distance = np.clip(2 * distance_transform_cdt(~blocks, 'chessboard') - 1, 1, 255)
+    apart = distance.astype(np.uint8).repeat(2, 0).repeat(2, 1).repeat(2, 2)
+    apart[padded] = 0
+    return apart[tuple(slice(size) for size in cells.shape)]
+
+
 def numbered(kept: np.ndarray) -> np.ndarray:
     """Return `row_of` of a field that keeps these points."""
     flat = kept.ravel()

@@ -14,7 +14,8 @@ from typing import Any, ClassVar
 from neo_ros.errors import SceneError
 from neo_ros.field import kernels
 from neo_ros.field.field_file import check_shapes, write_field
-from neo_ros.field.grid_points import dilated, lattice_box, numbered, packed, unpacked
+from neo_ros.field.grid_points import (
+    cells_apart, dilated, lattice_box, numbered, packed, unpacked)
 import numpy as np
 import torch
 
@@ -219,25 +220,16 @@ class VoxelField:
         """
         Recompute the empty-space distances; returns the occupied share of all cells.
 
-        They are those between blocks of 2 x 2 x 2 cells, which are never too large and are found
-        in an eighth of the time. A field that is empty still, early in a fit, is searched
-        everywhere; a sparse one, which has no rows for that, nowhere.
+        A field that is empty still, early in a fit, is searched everywhere; a sparse one, which
+        has no rows for that, nowhere.
         """
-        from scipy.ndimage import distance_transform_cdt
         occupied = self.occupied(self.grid)
         if not occupied.any():
             self.skip[:] = len(self.grid) < len(self.row_of)
             return 0.0
         if self.searched is not None:
             occupied |= self.searched.ravel()
-        cells = np.pad(occupied.reshape(self.shape), [(0, size % 2) for size in self.shape])
-        x, y, z = (size // 2 for size in cells.shape)
-        blocks = cells.reshape(x, 2, y, 2, z, 2).any(axis=(1, 3, 5))
-        distance = np.clip(2 * distance_transform_cdt(~blocks, 'chessboard') - 1, 1, 255)
-        skip = distance.astype(np.uint8).repeat(2, 0).repeat(2, 1).repeat(2, 2)
-        skip[cells] = 0
-        x, y, z = self.shape
-        self.skip = skip[:x, :y, :z].ravel()
+        self.skip = cells_apart(occupied.reshape(self.shape)).ravel()
         return float(occupied.mean())
 
     def occupied(self, grid: np.ndarray) -> np.ndarray:

@@ -1,5 +1,5 @@
 """Bake keyframes anew where the scene has changed; elsewhere they stay as they are."""
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import cast
@@ -54,11 +54,13 @@ class ChangeRecipe:
         met = self.space.met_by(field, old.position, rays, (1 + rules.one_surface) * old.depth)
         if not met.any():
             return None
-        part = _box(met)
+        side = 2 * AROUND + 1
+        wanted = cv2.dilate(met.view(np.uint8), np.ones((side, side), np.uint8)) > 0
+        part = _box(wanted)
         finer = len(old.texture) // len(old.depth)
         new = bake_keyframe(field, self.photos, self.seen, self.gains, old.position, memory.band,
-                            (*old.depth.shape, finer), rules, part=part)
-        new = _with_planes(old, new, part, rays, self.directions)
+                            (*old.depth.shape, finer), rules, part=part, wanted=wanted[part])
+        new = _with_planes(old, new, wanted, part, rays, self.directions)
         inside = [self.space.holds(field, (old.position + depth[..., None] * rays[part]).reshape(
             -1, 3)).reshape(depth.shape) for depth in (old.depth[part], new.depth)]
         found = _changed(old, new, part, inside[0] | inside[1], rules)
@@ -155,14 +157,21 @@ def directions_of(memory: SceneMemory) -> np.ndarray:
     return dominant_directions(depths, [rays] * len(depths))
 
 
-def _with_planes(old: Keyframe, new: Keyframe, part: tuple[slice, slice], rays: np.ndarray,
-                 directions: np.ndarray) -> Keyframe:
-    """Return the new part with planes: their edges may lie outside of it, in the old keyframe."""
+def _with_planes(old: Keyframe, new: Keyframe, wanted: np.ndarray, part: tuple[slice, slice],
+                 rays: np.ndarray, directions: np.ndarray) -> Keyframe:
+    """
+    Return a part of the old keyframe, with the new one where wanted, and its planes.
+
+    wanted bool (h, w), of the old one. The edges of planes may lie outside of the part.
+    """
     finer = len(old.texture) // len(old.depth)
     depth, texture = old.depth.copy(), old.texture.copy()
-    depth[part] = new.depth
-    texture[tuple(slice(finer * one.start, finer * one.stop) for one in part)] = new.texture
-    return replace(new, depth=with_planes(depth, texture, rays, directions)[part])
+    depth[wanted] = new.depth[wanted[part]]
+    fine = tuple(slice(finer * one.start, finer * one.stop) for one in part)
+    np.copyto(texture[fine], new.texture,
+              where=wanted[part].repeat(finer, 0).repeat(finer, 1)[..., None])
+    return Keyframe(old.position, with_planes(depth, texture, rays, directions)[part],
+                    texture[fine])
 
 
 def _changed(old: Keyframe, new: Keyframe, part: tuple[slice, slice], inside: np.ndarray,
@@ -187,9 +196,7 @@ def _changed(old: Keyframe, new: Keyframe, part: tuple[slice, slice], inside: np
     return Keyframe(old.position, depth, texture)
 
 
-def _box(met: np.ndarray) -> tuple[slice, slice]:
-    """Return rows and columns (slices) of the pixels that are marked, and of some around them."""
-    rows, columns = (np.flatnonzero(met.any(axis)) for axis in (1, 0))
-    return (slice(max(int(rows[0]) - AROUND, 0), min(int(rows[-1]) + 1 + AROUND, len(met))),
-            slice(max(int(columns[0]) - AROUND, 0),
-                  min(int(columns[-1]) + 1 + AROUND, met.shape[1])))
+def _box(pixels: np.ndarray) -> tuple[slice, slice]:
+    """Return rows and columns (slices) of the pixels that are marked."""
+    rows, columns = (np.flatnonzero(pixels.any(axis)) for axis in (1, 0))
+    return (slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1))

@@ -1,9 +1,11 @@
 """Where a scene has changed: cells of the field that photos contradict."""
 from dataclasses import dataclass, replace
+from functools import cached_property
 import math
 
 import cv2
 from neo_ros.errors import BagError
+from neo_ros.field.grid_points import cells_apart
 from neo_ros.field.rendering import world_rays
 from neo_ros.field.voxel_field import VoxelField
 from neo_ros.updating.compared_photos import ComparedPhotos, WitnessRules
@@ -79,7 +81,11 @@ class ChangedSpace:
 
         reach float32 (...): metres along the ray to what hides the rest, 0 = nothing does.
         """
-        return rays_meet_cells(field, self.cells, origin, rays_d, reach)
+        return rays_meet_cells(field, self._apart, origin, rays_d, reach)
+
+    @cached_property
+    def _apart(self) -> np.ndarray:
+        return cells_apart(self.cells)
 
     def reached_by(self, field: VoxelField, compared: ComparedPhotos, beyond: float,
                    first: int = 0, every: int = 1) -> np.ndarray:

@@ -3,6 +3,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from neo_ros.baking.keyframes import BakingRules, Photos
+from neo_ros.field.grid_points import cells_apart
 from neo_ros.field.rendering import world_rays
 from neo_ros.field.voxel_field import VoxelField
 from neo_ros.geometry import CameraPose, Intrinsics
@@ -61,12 +62,18 @@ class EarlierChanges:
         update = int(self.updates[index])
         if update >= self._last:
             return np.zeros(depth.shape, bool)
-        return rays_meet_cells(self.field, self.dates, *world_rays(camera, pose),
-                               (1 + BakingRules.one_surface) * depth, above=update)
+        return rays_meet_cells(self.field, self._apart[update], *world_rays(camera, pose),
+                               (1 + BakingRules.one_surface) * depth)
 
     @cached_property
     def _last(self) -> int:
         return int(self.dates.max())
+
+    @cached_property
+    def _apart(self) -> dict[int, np.ndarray]:
+        """How far cells are from those that changed after an update that took photos."""
+        return {update: cells_apart(self.dates > update)
+                for update in np.unique(self.updates).tolist() if update < self._last}
 
 
 @dataclass(frozen=True, eq=False)

@@ -204,12 +204,12 @@ def compare_depths(origin, rays_d, reach, colours, but, cameras, depth, contradi
 
 
 @njit(parallel=True, error_model='numpy')
-def rays_meet(origin, rays_d, reach, box, shape, cells, above, near, met):
+def rays_meet(origin, rays_d, reach, box, shape, apart, near, met):
     """
-    Tell which unit rays float32 (N, 3) from one point meet cells above a number.
+    Tell which unit rays float32 (N, 3) from one point meet marked cells.
 
-    Nearer than `reach` (N,); cells integer (X * Y * Z,): their numbers; box, shape as in
-    `FieldArrays`; near in metres. Fills met uint8 (N,).
+    Nearer than `reach` (N,); apart uint8 (X * Y * Z,): as `cells_apart` tells of them; box, shape
+    as in `FieldArrays`; near in metres. Fills met uint8 (N,).
     """
     for r in prange(len(rays_d)):
         met[r] = 0
@@ -218,27 +218,40 @@ def rays_meet(origin, rays_d, reach, box, shape, cells, above, near, met):
             cell, stretch = _cell_at(origin, rays_d, r, t, box, shape)
             if cell < 0:
                 break
-            if cells[cell] > above:
+            if apart[cell] == 0:
                 met[r] = 1
                 break
-            t += 0.5 * box[7] * stretch
+            step = 0.5 * box[7] * stretch
+            # Up to so many steps on, no cell is marked. Cells are larger outside of the inner box.
+            steps = 2 * int(apart[cell]) - 2
+            if steps < 2 or stretch > 1 or not _in_box(origin, rays_d, r, t + steps * step, box):
+                steps = 1
+            for _ in range(steps):
+                t += step
 
 
-def rays_meet_cells(field: VoxelField, cells: np.ndarray, origin: np.ndarray, rays_d: np.ndarray,
-                    reach: np.ndarray, above: int = 0) -> np.ndarray:
+@njit(error_model='numpy')
+def _in_box(origin, rays_d, r, t, box):
+    """Tell whether a ray is within the inner box after t metres."""
+    for k in range(3):
+        if not abs(origin[k] + t * rays_d[r, k] - box[k]) < box[3 + k]:
+            return False
+    return True
+
+
+def rays_meet_cells(field: VoxelField, apart: np.ndarray, origin: np.ndarray, rays_d: np.ndarray,
+                    reach: np.ndarray) -> np.ndarray:
     """
-    Tell which unit rays (..., 3) from one point (3,) meet cells of a field: bool (...).
+    Tell which unit rays (..., 3) from one point (3,) meet marked cells of a field: bool (...).
 
-    cells bool or integer (X, Y, Z): those whose number is larger than `above`; reach float32
-    (...): metres along the ray to what hides the rest, 0 = nothing does.
+    apart uint8 (X, Y, Z): as `cells_apart` tells of them; reach float32 (...): metres along the
+    ray to what hides the rest, 0 = nothing does.
     """
     met = np.empty(reach.size, np.uint8)
     rays_meet(np.asarray(origin, np.float64),
               np.ascontiguousarray(rays_d.reshape(-1, 3), np.float32),
               np.where(reach > 0, reach, np.inf).ravel().astype(np.float32), field.box,
-              np.array(field.shape),
-              (cells.view(np.uint8) if cells.dtype == bool else cells).ravel(), above, field.near,
-              met)
+              np.array(field.shape), apart.ravel(), field.near, met)
     return met.reshape(reach.shape).view(bool)
 
 

@@ -9,7 +9,7 @@ from neo_ros.pictures.usable import shrunk
 from neo_ros.updating.changed_space import ChangedSpace
 from neo_ros.updating.compared_photos import ComparedPhotos
 from neo_ros.updating.driven_photos import Drive
-from neo_ros.updating.refit import still_right
+from neo_ros.updating.refit import StillRight
 from neo_ros.updating.update_run import UpdateRun
 import numpy as np
 
@@ -31,7 +31,7 @@ def photos_that_see(old: VoxelField, field: VoxelField, space: ChangedSpace,
     assert compared.photos.usable is not None
     passing = (compared.depth > 0) & ~compared.agrees & ~reached & ~compared.stale
     reached[compared.old:] = compared.photos.usable[compared.old:] & ~passing[compared.old:]
-    agree = still_right(old, field, space, compared, reached)
+    judge = StillRight(old, field, space, compared)
     seen, wrong, stale = compared.depth[chosen], passing[chosen], compared.stale[chosen]
     right = np.zeros_like(stale)
     for place, index in enumerate(chosen):
@@ -40,8 +40,9 @@ def photos_that_see(old: VoxelField, field: VoxelField, space: ChangedSpace,
         now = render_rays(field, origin, rays[pixels])
         seen[place][pixels] = np.where(now.coverage > rules.least_coverage, now.depth, 0)
         if index < compared.old:
-            right[place] = stale[place] & pixels & agree[index]
-            past, depth = pixels & ~agree[index], compared.depth[index]
+            agree = judge.of(index, pixels, origin, rays, now.image)
+            right[place] = stale[place] & agree
+            past, depth = pixels & ~agree, compared.depth[index]
             past &= compared.photos.usable[index]  # Else it is out of date already.
             # A surface outside of the space did not change, whatever is before it now.
             outside = past & (depth > 0)

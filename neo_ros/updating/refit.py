@@ -194,37 +194,56 @@ def _seen_differently(one: VoxelField, other: VoxelField, reached: np.ndarray,
 def still_right(before: VoxelField, after: VoxelField, space: ChangedSpace,
                 compared: ComparedPhotos, reached: np.ndarray,
                 rules: RefitRules = RefitRules()) -> np.ndarray:
-    """
-    Tell which reached pixels of the photos of before show what an updated field shows there.
-
-    reached bool (N, h, w), of all photos; returns bool (old, h, w). Pixels behind matter that came
-    do not: beside slats and legs they seem to agree, would wear these away, and paint them in the
-    colours of the floor. Stale ones may show that very thing, which came back: then they are
-    nearer to the updated field.
-    """
-    photos, right = compared.photos, reached[:compared.old].copy()
-    came = ChangedSpace(ndimage.binary_dilation(
-        after.matter & ~before.matter & space.cells, np.ones((3, 3, 3))) & space.cells, [])
+    """Judge reached pixels of all photos of before, see `StillRight`: bool (old, h, w)."""
+    judge, right = StillRight(before, after, space, compared, rules), reached[:compared.old].copy()
     for index in map(int, np.flatnonzero(right.any((1, 2)))):
-        pixels, stale = right[index], compared.stale[index]
-        origin, rays = world_rays(photos.intrinsics, compared.pose(index))
+        origin, rays = world_rays(compared.photos.intrinsics, compared.pose(index))
+        now = render_rays(after, origin, rays[right[index]])
+        right[index] = judge.of(index, right[index], origin, rays, now.image)
+    return right
+
+
+class StillRight:
+    """
+    Tells which pixels of photos of before show what an updated field shows there.
+
+    Pixels behind matter that came do not: beside slats and legs they seem to agree, would wear
+    these away, and paint them in the colours of the floor. Stale ones may show that very thing,
+    which came back: then they are nearer to the updated field.
+    """
+
+    def __init__(self, before: VoxelField, after: VoxelField, space: ChangedSpace,
+                 compared: ComparedPhotos, rules: RefitRules = RefitRules()) -> None:
+        self._before, self._compared, self._rules = before, compared, rules
+        self._came = ChangedSpace(ndimage.binary_dilation(
+            after.matter & ~before.matter & space.cells, np.ones((3, 3, 3))) & space.cells, [])
+
+    def of(self, index: int, reached: np.ndarray, origin: np.ndarray, rays: np.ndarray,
+           now: np.ndarray) -> np.ndarray:
+        """
+        Return those of the reached pixels of a photo, bool (h, w).
+
+        rays (h, w, 3) from origin (3,), unit vectors; now float32 (M, 3): the colours, 0 ... 1,
+        that the updated field has in the reached ones.
+        """
+        compared = self._compared
+        pixels, stale = reached.copy(), compared.stale[index]
         current = pixels & ~stale
-        pixels[current] = ~came.met_by(
-            before, origin, rays[current],
+        pixels[current] = ~self._came.met_by(
+            self._before, origin, rays[current],
             (1 + BakingRules.one_surface) * compared.depth[index][current])
-        image, gain = photos.images[index].astype(np.float32), compared.gains[index]
+        image, gain = compared.photos.images[index].astype(np.float32), compared.gains[index]
         shown = image.copy()
-        shown[pixels] = 255 * render_rays(after, origin, rays[pixels]).image / gain
+        shown[pixels] = 255 * now[pixels[reached]] / gain
         asked = pixels & stale
         if asked.any():
-            then = 255 * render_rays(before, origin, rays[asked]).image / gain
+            then = 255 * render_rays(self._before, origin, rays[asked]).image / gain
             off_then, off = (np.abs(one - image[asked]).max(-1) for one in (then, shown[asked]))
             came_back = np.zeros(pixels.shape, np.uint8)
-            came_back[asked] = off_then - off > rules.grey_levels
+            came_back[asked] = off_then - off > self._rules.grey_levels
             # Beside them both fields may have one colour.
             pixels &= ~stale | (cv2.dilate(came_back, np.ones((3, 3), np.uint8)) > 0)
-        pixels &= ~contradicted(contradiction(image, shown, pixels))
-    return right
+        return pixels & ~contradicted(contradiction(image, shown, pixels))
 
 
 def _finished(field: VoxelField, fitted: VoxelField, space: ChangedSpace, reached: np.ndarray,

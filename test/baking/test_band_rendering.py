@@ -1,6 +1,7 @@
 """A panorama with few rays shows what one with a ray a pixel shows."""
 from typing import Any
 
+import cv2
 from neo_ros.baking.band_rendering import block_centres, render_band
 from neo_ros.geometry import Band
 import numpy as np
@@ -53,9 +54,10 @@ class Terrace:
         return out
 
 
-def drawn(room: Any, block: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def drawn(room: Any, block: int, wanted: np.ndarray | None = None
+          ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     rays = BAND.rays(240, 1260)
-    return render_band(room, POSITION, rays, block, BAND.wraps, 0.1, 0.01, 0.5)
+    return render_band(room, POSITION, rays, block, BAND.wraps, 0.1, 0.01, 0.5, wanted)
 
 
 @pytest.mark.slow
@@ -92,3 +94,20 @@ def test_the_pole_is_as_sharp_as_with_all_rays() -> None:
     pole = true < 1.1
     assert pole.sum() > 2000
     assert np.abs(depth - true)[pole].max() < 0.002
+
+
+@pytest.mark.parametrize('block', [1, 2, 3])
+def test_what_nobody_wants_is_not_cast(block: int) -> None:
+    whole, part = Room(), Room()
+    wanted = np.zeros((240 // block, 1260 // block), bool)
+    wanted[20:40, 30:70] = wanted[50:70, 300:400] = True
+    depth, colours, _ = drawn(part, block, wanted)
+    all_depth, all_colours, _ = drawn(whole, block)
+    assert part.rays < 0.3 * whole.rays
+    pixels = wanted.repeat(block, 0).repeat(block, 1)
+    assert (depth[~pixels] == 0).all() and (colours[~pixels] == 0).all()
+    # At the rim every pixel has a ray of its own.
+    rim = cv2.erode(wanted.astype(np.uint8), np.ones((5, 5), np.uint8)) == 0
+    inner = pixels & ~rim.repeat(block, 0).repeat(block, 1)
+    np.testing.assert_array_equal(depth[inner], all_depth[inner])
+    np.testing.assert_array_equal(colours[inner], all_colours[inner])

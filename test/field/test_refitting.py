@@ -1,7 +1,7 @@
 """A fitted field changes where it may, and nowhere else."""
 from neo_ros.field.config import FieldConfig
 from neo_ros.field.fitting import FieldTrainer
-from neo_ros.field.grid_points import dilated
+from neo_ros.field.grid_points import cells_apart, dilated
 from neo_ros.field.voxel_field import VoxelField
 from neo_ros.geometry import Intrinsics
 import numpy as np
@@ -50,6 +50,16 @@ def test_air_can_be_kept_and_searched() -> None:
     air.searched = cells
     air.update_occupancy()
     assert air.skip.reshape(air.shape)[8, 8, 8] == 0
+
+
+def test_cells_are_no_nearer_to_marked_ones_than_they_are() -> None:
+    cells = np.random.default_rng(2).random((9, 14, 11)) < 0.004
+    there = np.argwhere(cells)
+    truly = np.abs(np.argwhere(cells | True)[:, None] - there).max(-1).min(1).reshape(cells.shape)
+    apart = cells_apart(cells)
+    assert len(there) > 2 and truly.max() > 5
+    assert ((apart == 0) == cells).all() and (apart <= truly).all() and (truly <= apart + 2).all()
+    assert (cells_apart(np.zeros((3, 4, 5), bool)) == 255).all()
 
 
 def test_few_usable_pixels_are_drawn_out_of_a_list_of_them() -> None:

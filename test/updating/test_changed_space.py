@@ -6,11 +6,13 @@ from changing_room import remembered
 from neo_ros.baking.keyframes import Photos
 from neo_ros.benchmark.small_room import AFTER, BEFORE, drive, HEIGHT, look, Place
 from neo_ros.errors import BagError
+from neo_ros.field.grid_points import cells_apart
 from neo_ros.field.rendering import render_rays, world_rays
 from neo_ros.field.voxel_field import VoxelField
 from neo_ros.geometry import CameraPose
 from neo_ros.updating.changed_space import ChangedSpace, find_changed_space
 from neo_ros.updating.compared_photos import compare, ComparedPhotos, EarlierChanges
+from neo_ros.updating.kernels import rays_meet_cells
 from neo_ros.updating.refit import still_right
 import numpy as np
 import pytest
@@ -161,6 +163,22 @@ def test_rays_meet_cells_up_to_their_reach(reach: float, met: bool) -> None:
     rays = np.array([[1.0, 0, 0], [-1.0, 0, 0], [0, 1.0, 0]], np.float32)
     found = space.met_by(field, origin, rays, np.full(3, reach, np.float32))
     assert found.tolist() == [met, False, False]
+
+
+def test_far_steps_pass_no_cell_over() -> None:
+    field, random = empty_field(), np.random.default_rng(0)
+    for share in (1e-3, 1e-2):
+        cells = random.random(field.shape) < share
+        apart = cells_apart(cells)
+        assert apart.max() > 4
+        for origin in field.centre + field.half_extent * random.uniform(-1.1, 1.1, (5, 3)):
+            rays = random.normal(size=(500, 3)).astype(np.float32)
+            rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+            reach = random.uniform(0, 9, 500).astype(np.float32)
+            found, half_a_voxel = (rays_meet_cells(field, one, origin, rays, reach)
+                                   for one in (apart, np.minimum(apart, 1)))
+            np.testing.assert_array_equal(found, half_a_voxel)
+            assert 0 < found.sum() < 500
 
 
 def test_photos_of_before_say_nothing_of_what_is_behind_what_came() -> None:

@@ -32,8 +32,7 @@ def base(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_first_room(folder / 'room')
     train(folder / 'room', EXPERIMENT, folder / 'run')
     write_door_drive(folder / 'drive')
-    found, = update(folder / 'run', [folder / 'drive'], folder / 'new', QUICK,
-                    experiment=EXPERIMENT)
+    found, = update(folder / 'run', [folder / 'drive'], folder / 'new', experiment=EXPERIMENT)
     assert found
     return folder
 
