@@ -88,11 +88,10 @@ def over_the_minutes(root: Path) -> bytes:
     from neo_ros.reports.plot import Plot, plot_svg, Series
     found = sorted(rows_of(root, 'minutes'), key=lambda row: row['minutes'])
     return plot_svg(Plot('', 'minutes of training', 'ring PSNR, dB', [
-        Series(f'{scene}, {name}', *zip(*(
-            (row['minutes'], row[key]) for row in found
-            if (row['scene'], row['camera']) == (scene, camera))))
+        Series(scene + more, *zip(*((row['minutes'], row[key]) for row in found
+                                    if (row['scene'], row['camera']) == (scene, camera))))
         for scene, camera in (('demo_flat', '256x256'), ('redkitchen', '160x240'))
-        for name, key in (('guided', 'ring_psnr'), ('network alone', 'network_ring_psnr'))]))
+        for more, key in (('', 'ring_psnr'), (', network', 'network_ring_psnr'))]))
 
 
 def over_the_floor(root: Path, unit: str, values: Mapping[str, str]) -> bytes:
