@@ -195,21 +195,21 @@ def keyframe_size(band: Band, focal: float, rules: BakingRules = BakingRules()
 def bake_keyframe(field: RadianceField, photos: Photos, seen: np.ndarray, gains: np.ndarray,
                   position: np.ndarray, band: Band, size: tuple[int, int, int],
                   rules: BakingRules, directions: np.ndarray = NO_DIRECTIONS,
-                  part: tuple[slice, slice] | None = None,
                   wanted: np.ndarray | None = None) -> Keyframe:
     """
     Render and colour a keyframe of a size as `keyframe_size` tells.
 
     seen, gains: of the photos, see `seen_by_photos`; directions: that planes face, see
-    `with_planes`; part: rows and columns of the mesh that are made, None: all; wanted bool (h, w):
-    pixels of the part's mesh that are made, the others stay unknown, None: all.
+    `with_planes`; wanted bool (h, w): pixels of the mesh that are made, None: all. Then the
+    keyframe is the `box_of` them, in which the others stay unknown.
     """
     height, width, finer = size
     dense = min(finer, rules.dense)
-    rays, wraps = band.rays(height * dense, width * dense), band.wraps and part is None
-    if part is not None:
-        rays = np.ascontiguousarray(rays[tuple(
-            slice(dense * one.start, dense * one.stop) for one in part)])
+    rays, wraps = band.rays(height * dense, width * dense), band.wraps and wanted is None
+    if wanted is not None:
+        part = box_of(wanted)
+        wanted = wanted[part]
+        rays = np.ascontiguousarray(rays[finer_slices(part, dense)])
     height, width = rays.shape[0] // dense, rays.shape[1] // dense
     depth, colours, own = render_band(field, position, rays, dense, wraps,
                                       rules.one_surface, FAR, rules.least_coverage, wanted)
@@ -228,3 +228,15 @@ def bake_keyframe(field: RadianceField, photos: Photos, seen: np.ndarray, gains:
                     camera.fx, camera.fy, camera.cx, camera.cy, near),
         wraps, rules.one_surface, texture, own, dense)
     return Keyframe(position, mesh_depth(depth, dense, rules.one_surface), texture)
+
+
+def box_of(pixels: np.ndarray) -> tuple[slice, slice]:
+    """Return rows and columns (slices) of the pixels that are marked, bool (h, w)."""
+    rows, columns = (np.flatnonzero(pixels.any(axis)) for axis in (1, 0))
+    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
+
+
+def finer_slices(part: tuple[slice, slice], finer: int) -> tuple[slice, slice]:
+    """Return the rows and columns of pixels that are so many times finer."""
+    rows, columns = (slice(finer * one.start, finer * one.stop) for one in part)
+    return rows, columns

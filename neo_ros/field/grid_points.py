@@ -52,7 +52,8 @@ def cells_apart(cells: np.ndarray) -> np.ndarray:
     distance = np.clip(2 * distance_transform_cdt(~blocks, 'chessboard') - 1, 1, 255)
     apart = distance.astype(np.uint8).repeat(2, 0).repeat(2, 1).repeat(2, 2)
     apart[padded] = 0
-    return apart[tuple(slice(size) for size in cells.shape)]
+    # Rays take it flat, photo by photo: it would be copied each time.
+    return np.ascontiguousarray(apart[tuple(slice(size) for size in cells.shape)])
 
 
 def numbered(kept: np.ndarray) -> np.ndarray:

@@ -5,7 +5,8 @@ from pathlib import Path
 from typing import cast
 
 import cv2
-from neo_ros.baking.keyframes import bake_keyframe, BakingRules, Photos
+from neo_ros.baking.keyframes import (
+    bake_keyframe, BakingRules, box_of, finer_slices, Photos)
 from neo_ros.baking.plain_surfaces import (
     dominant_directions, hand_held, NO_DIRECTIONS, with_planes)
 from neo_ros.baking.worker_files import keep_array, kept_file, read_part, SharedScene
@@ -56,11 +57,10 @@ class ChangeRecipe:
             return None
         side = 2 * AROUND + 1
         wanted = cv2.dilate(met.view(np.uint8), np.ones((side, side), np.uint8)) > 0
-        part = _box(wanted)
-        finer = len(old.texture) // len(old.depth)
+        part, finer = box_of(wanted), len(old.texture) // len(old.depth)
         new = bake_keyframe(field, self.photos, self.seen, self.gains, old.position, memory.band,
-                            (*old.depth.shape, finer), rules, part=part, wanted=wanted[part])
-        new = _with_planes(old, new, wanted, part, rays, self.directions)
+                            (*old.depth.shape, finer), rules, wanted=wanted)
+        new = _with_planes(old, new, wanted, rays, self.directions)
         inside = [self.space.holds(field, (old.position + depth[..., None] * rays[part]).reshape(
             -1, 3)).reshape(depth.shape) for depth in (old.depth[part], new.depth)]
         found = _changed(old, new, part, inside[0] | inside[1], rules)
@@ -157,17 +157,17 @@ def directions_of(memory: SceneMemory) -> np.ndarray:
     return dominant_directions(depths, [rays] * len(depths))
 
 
-def _with_planes(old: Keyframe, new: Keyframe, wanted: np.ndarray, part: tuple[slice, slice],
-                 rays: np.ndarray, directions: np.ndarray) -> Keyframe:
+def _with_planes(old: Keyframe, new: Keyframe, wanted: np.ndarray, rays: np.ndarray,
+                 directions: np.ndarray) -> Keyframe:
     """
     Return a part of the old keyframe, with the new one where wanted, and its planes.
 
     wanted bool (h, w), of the old one. The edges of planes may lie outside of the part.
     """
-    finer = len(old.texture) // len(old.depth)
+    part, finer = box_of(wanted), len(old.texture) // len(old.depth)
     depth, texture = old.depth.copy(), old.texture.copy()
     depth[wanted] = new.depth[wanted[part]]
-    fine = tuple(slice(finer * one.start, finer * one.stop) for one in part)
+    fine = finer_slices(part, finer)
     np.copyto(texture[fine], new.texture,
               where=wanted[part].repeat(finer, 0).repeat(finer, 1)[..., None])
     return Keyframe(old.position, with_planes(depth, texture, rays, directions)[part],
@@ -178,7 +178,7 @@ def _changed(old: Keyframe, new: Keyframe, part: tuple[slice, slice], inside: np
              rules: BakingRules) -> Keyframe | None:
     """Return the old keyframe with what differs in a part of it; None where nothing does."""
     finer = len(old.texture) // len(old.depth)
-    fine = tuple(slice(finer * one.start, finer * one.stop) for one in part)
+    fine = finer_slices(part, finer)
     before, after = old.depth[part], new.depth
     other = np.abs(after - before) > rules.one_surface * np.maximum(after, before)
     now, then = (cv2.resize(one, after.shape[::-1], interpolation=cv2.INTER_AREA)
@@ -194,9 +194,3 @@ def _changed(old: Keyframe, new: Keyframe, part: tuple[slice, slice], inside: np
     other = other.repeat(finer, 0).repeat(finer, 1)
     texture[fine][other] = new.texture[other]
     return Keyframe(old.position, depth, texture)
-
-
-def _box(pixels: np.ndarray) -> tuple[slice, slice]:
-    """Return rows and columns (slices) of the pixels that are marked."""
-    rows, columns = (np.flatnonzero(pixels.any(axis)) for axis in (1, 0))
-    return (slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1))
