@@ -18,7 +18,7 @@ from typing import Annotated, Any, Optional
 from neo_ros.benchmark.method_memory import resident_mb
 from neo_ros.benchmark.true_memory import true_memory
 from neo_ros.flat.building import build_building, Building
-from neo_ros.flat.building_plan import BuildingPlan
+from neo_ros.flat.building_plan import BuildingPlan, FLOOR_HEIGHT
 from neo_ros.flat.building_routes import door_walks
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
 from neo_ros.geometry.camera_pose import rotation_angle
@@ -37,6 +37,8 @@ LAYOUTS: Mapping[str, BuildingPlan] = {
     'alike to 95 %': BuildingPlan(rooms=12, seed=1, alike=0.95),
     'twins': BuildingPlan(rooms=12, seed=1, twins=6),
     'twins but one picture': BuildingPlan(rooms=12, seed=1, twins=6, own_picture=True),
+    'all equal': BuildingPlan(rooms=12, seed=1, alike=1.0),
+    'two equal floors': BuildingPlan(floors=2, rooms=6, seed=1, equal_floors=True),
     'a floor of 50': BuildingPlan(rooms=50, seed=1)}
 UNMEASURED = ('guided_ring_psnr', 'one_room_ring_psnr', 'guided_share', 'train_minutes')
 
@@ -52,6 +54,9 @@ class BuildingRules:
     # A camera right before a wall sees nothing: the median of the depth, metres.
     least_depth: float = 0.8
     walk_frames: int = 25
+    # How far off a prior is, as a click on a map: its height is the floor's.
+    prior_metres: float = 0.7
+    prior_degrees: float = 30.0
 
 
 @dataclass
@@ -62,6 +67,8 @@ class Counts:
     ambiguous: int = 0
     lost: int = 0
     by_landmarks: int = 0
+    prior_right: int = 0
+    prior_wrong: int = 0
     walks: int = 0
     walks_found_right: int = 0
     walks_ever_wrong: int = 0
@@ -107,6 +114,12 @@ def measure_search(layout: str, building: Building, path: Path, expansion: ViewE
     counts, plan, source = Counts(), building.plan, expansion.source
     for image, pose in views:
         _search(guide, image, pose, rules, counts)
+    for (image, pose), prior in zip(views, _clicks(views, rules)):
+        guide.reset()
+        told = guide.guide(image, prior)
+        wrong = told is not None and _is_wrong(told.pose, pose, rules)
+        counts.prior_wrong += wrong
+        counts.prior_right += told is not None and not wrong
     _walk(building, source, guide, rules, counts)
     return {
         'layout': layout, 'search': 'compared with rivals' if rivals else 'before',
@@ -118,6 +131,7 @@ def measure_search(layout: str, building: Building, path: Path, expansion: ViewE
         'found_ms_p95': _rounded(np.percentile(counts.search_ms, 95)),
         'searches': len(views), 'wrong_places': counts.wrong, 'ambiguous': counts.ambiguous,
         'lost': counts.lost, 'by_landmarks': counts.by_landmarks,
+        'prior_right': counts.prior_right, 'prior_wrong': counts.prior_wrong,
         'door_walks': counts.walks, 'walks_found_right': counts.walks_found_right,
         'walks_ever_wrong': counts.walks_ever_wrong,
         'file_mb': _rounded(path.stat().st_size / 1e6), 'resident_mb': _rounded(resident),
@@ -156,6 +170,18 @@ def _search(guide: SceneGuide, image: np.ndarray, pose: CameraPose, rules: Build
     else:
         counts.wrong += _is_wrong(found.pose, pose, rules)
         counts.by_landmarks += found.found == 'landmarks'
+
+
+def _clicks(views: Sequence[tuple[np.ndarray, CameraPose]], rules: BuildingRules
+            ) -> Iterator[CameraPose]:
+    """Yield for each image where somebody clicks on a map of its floor."""
+    random, most = np.random.default_rng(6), np.radians(rules.prior_degrees)
+    for _, pose in views:
+        away, way = random.uniform(0, rules.prior_metres), random.uniform(-np.pi, np.pi)
+        x, y, z = pose.position
+        yield CameraPose.from_planar(
+            x + away * np.cos(way), y + away * np.sin(way), FLOOR_HEIGHT * (z // FLOOR_HEIGHT),
+            pose.yaw + random.uniform(-most, most))
 
 
 def _places(building: Building, source: Intrinsics, count: int, rules: BuildingRules

@@ -157,7 +157,8 @@ KILLS = (
 BUILDING = (
     Column('rooms', 'layout'), Column('search', 'search'), Column('searches', 'searches'),
     Column('wrong place believed', 'wrong_places'), Column('ambiguous', 'ambiguous'),
-    Column('not found', 'lost'), Column('walks through doors', 'door_walks'),
+    Column('not found', 'lost'), Column('right with a prior', 'prior_right'),
+    Column('wrong with it', 'prior_wrong'), Column('walks through doors', 'door_walks'),
     Column('right at the end', 'walks_found_right'), Column('ever wrong', 'walks_ever_wrong'),
     Column('search, ms', 'found_ms_median', '{:.0f}'), Column('p95', 'found_ms_p95', '{:.0f}'))
 

@@ -29,12 +29,14 @@ class GlanceFinder:
         """
         Return places that an image, uint8 RGB (h, w, 3), looks like, the most alike first.
 
-        around: only there, within prior_metres of any height and about in this direction.
+        around: only there, within prior_metres on its storey and about in this direction.
         """
         if around is None:
             places, _ = self._most_alike(image)
         else:
-            near = np.flatnonzero(self._near(around))
+            near = np.flatnonzero(self._within(slice(None), self.on_storey(around),
+                                               self._limits.prior_metres,
+                                               self._limits.prior_cosine))
             order = np.argsort(-self._likeness(image, near), kind='stable')
             places = near[order[:self._limits.alike]]
         return [CameraPose(self.poses[index]) for index in self._apart(places)]
@@ -77,11 +79,15 @@ class GlanceFinder:
         alike: np.ndarray = (self._codes[places].astype(np.float32) - MIDDLE) @ own / STEPS ** 2
         return alike
 
-    def _near(self, pose: CameraPose) -> np.ndarray:
+    def on_storey(self, pose: CameraPose) -> CameraPose:
+        """Return a pose in the height of the glances around it that is nearest to its own."""
         away = np.linalg.norm(self.poses[:, :2, 3] - pose.position[:2], axis=1)
-        near: np.ndarray = (away < self._limits.prior_metres) & (
-            self.poses[:, :3, 2] @ pose.forward > self._limits.prior_cosine)
-        return near
+        heights = self.poses[away < self._limits.prior_metres, 2, 3]
+        if not len(heights):
+            return pose
+        T = pose.T_world_cam.copy()
+        T[2, 3] = heights[np.abs(heights - T[2, 3]).argmin()]
+        return CameraPose(T)
 
     def _apart(self, places: Iterable[int]) -> list[int]:
         """Choose the first glances that differ in place or direction."""

@@ -53,10 +53,10 @@ class PlaceFinder:
         """Look around where somebody says that the camera is; None: nothing is like it."""
         limits = self._thresholds
         location = self.locate(image, prior)
-        if location is not None and is_near(location.pose, prior, limits.prior_metres,
-                                            limits.prior_cosine):
-            return replace(self.look_from(location, image), found='prior')
         # A click on a map tells no height: the places around it do.
+        if location is not None and is_near(location.pose, self.glances.on_storey(prior),
+                                            limits.prior_metres, limits.prior_cosine):
+            return replace(self.look_from(location, image), found='prior')
         starts = [prior, *self.glances.find(image.pixels, prior)]
         return self._looker.best_of(image, starts, 'prior')
 
@@ -75,6 +75,6 @@ class PlaceFinder:
 
 
 def is_near(pose: CameraPose, other: CameraPose, metres: float, cosine: float) -> bool:
-    """Tell whether two poses are so near on the floor, and look so much the same way."""
-    return bool(np.linalg.norm((pose.position - other.position)[:2]) < metres
+    """Tell whether two poses are so near, and look so much the same way."""
+    return bool(np.linalg.norm(pose.position - other.position) < metres
                 and pose.forward @ other.forward > cosine)

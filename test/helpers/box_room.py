@@ -13,6 +13,7 @@ import numpy as np
 from tiny_model import write_tiny_model
 
 AWAY = 20.0  # metres from the room to its twin
+ABOVE = 3.0  # or to the one on the floor above
 BAND = Band(1.1, -1.1)
 EXPANSION = ViewExpansion.to_size(SOURCE, 128, 128)
 
@@ -58,18 +59,19 @@ def apart(one: CameraPose, other: CameraPose) -> tuple[float, float]:
             float(np.degrees(rotation_angle(turn))))
 
 
-def twin_memory(own_picture: bool) -> SceneMemory:
+def twin_memory(own_picture: bool, way: tuple[float, float, float] = (AWAY, 0, 0)
+                ) -> SceneMemory:
     """
-    Remember the room twice, the second one AWAY metres along x.
+    Remember the room twice, the second one so far away, metres (x, y, z).
 
     own_picture: the second one has a dark picture on the wall that the first one's x ends at.
     """
     first, positions = box_memory(), box_memory().positions
     keyframes = [keyframe(position) for position in positions]
-    second = [Keyframe(one.position + [AWAY, 0, 0], one.depth,
+    second = [Keyframe(one.position + way, one.depth,
                        _with_picture(one) if own_picture else one.texture) for one in keyframes]
     moved = first.glances.T_world_cam.copy()
-    moved[:, 0, 3] += AWAY
+    moved[:, :3, 3] += way
     glances = Glances(np.concatenate([first.glances.pictures] * 2),
                       np.concatenate([first.glances.T_world_cam, moved]))
     return SceneMemory.from_keyframes([*keyframes, *second], BAND, glances)

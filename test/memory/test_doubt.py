@@ -2,7 +2,8 @@
 from dataclasses import replace
 
 from box_room import (
-    apart, AWAY, box_memory, EXPANSION, planar, SOURCE, twin_memory, view, view_with_picture)
+    ABOVE, apart, AWAY, box_memory, EXPANSION, planar, SOURCE, twin_memory, view,
+    view_with_picture)
 from neo_ros.baking.twin_search import find_twins
 from neo_ros.geometry import CameraPose
 from neo_ros.memory.doubt import Doubt, Hypothesis, is_elsewhere, misfit, speaks_against
@@ -32,9 +33,9 @@ def with_picture() -> SceneGuide:
     return SceneGuide(twin_memory(own_picture=True), EXPANSION)
 
 
-def _in_twin(pose: CameraPose) -> CameraPose:
+def _in_twin(pose: CameraPose, way: tuple[float, float, float] = (AWAY, 0, 0)) -> CameraPose:
     T = pose.T_world_cam.copy()
-    T[0, 3] += AWAY
+    T[:3, 3] += way
     return CameraPose(T)
 
 
@@ -56,6 +57,21 @@ def test_a_prior_says_which_of_two_equal_rooms_it_is(twins: SceneGuide) -> None:
         # From there on it is followed.
         after = twins.guide(photo_at(planar(1.95, 1.7, 37)))
         assert after is not None and apart(after.pose, found.pose)[0] < 0.2
+
+
+@pytest.mark.parametrize('height', [0.0, ABOVE])
+def test_a_prior_says_on_which_of_two_equal_floors_it_is(height: float) -> None:
+    guide = SceneGuide(twin_memory(own_picture=False, way=(0, 0, ABOVE)), EXPANSION)
+    for step in range(8):
+        pose = planar(1.9, 1.7, 35 + 40 * step)
+        image = photo_at(pose)
+        guide.reset()
+        assert guide.guide(image) is None and guide.ambiguous
+        # A click on a map of the floor: the height of the floor, not of the camera.
+        found = guide.guide(image, prior=CameraPose.from_planar(
+            2.3, 1.3, height, np.radians(55 + 40 * step)))
+        assert found is not None and found.found == 'prior'
+        assert apart(found.pose, _in_twin(pose, (0, 0, height)))[0] < 0.05
 
 
 @pytest.mark.slow
