@@ -12,7 +12,7 @@ from neo_ros.geometry import CameraPose
 from neo_ros.memory.glancing import GlanceFinder
 from neo_ros.memory.looking import Looker
 from neo_ros.memory.parallel import on_cores
-from neo_ros.memory.sight import AmbiguityThresholds, better, CameraImage, Sight
+from neo_ros.memory.sight import AmbiguityThresholds, better, CameraImage, is_near, Sight
 from neo_ros.memory.twins import NO_TWINS, Twins
 import numpy as np
 
@@ -204,11 +204,14 @@ class Doubt:
             if len(rivals) == limits.most_rivals:
                 break
             if any(not is_elsewhere(start, rival.pose, limits) for rival in rivals) or any(
-                    is_same(start, other, limits) for other in looked):
+                    is_near(start, other, limits.same_metres, limits.same_cosine)
+                    for other in looked):
                 continue
             looked.append(start)
+            with on_cores(1):
+                start = coarse.align(photo, start, rounds=1)
             # Not as strictly as what is searched for: a little off, a twin agrees a little less.
-            pose = looker.aligner.align(image.photo, start, rounds=1)
+            pose = looker.aligner.align(image.photo, start, rounds=2)
             pose = looker.aligner.align(image.photo, pose, rounds=1, near=True)
             if any(not is_elsewhere(pose, other.pose, limits) for other in (found, *rivals)):
                 continue
@@ -225,18 +228,22 @@ class Doubt:
         The best is the one against which the least speaks, of all others. A third one's word does
         not count: between two equal places it is chance.
         """
-        misfits = [self._misfit(image, sight) for sight in sights]
+        finest = self._looker.aligner.levels[0]
+        own = _in_unit_range(image.pixels, (finest.width, finest.height))
+        misfits = [self._misfit(own, sight) for sight in sights]
         shares = np.array([[speaks_against(own, other, self._limits) for other in misfits]
                            for own in misfits]).clip(0)
         return shares[:, shares.max(1).argmin()]
 
-    def _misfit(self, image: CameraImage, sight: Sight) -> np.ndarray:
+    def _misfit(self, image: np.ndarray, sight: Sight) -> np.ndarray:
         solid = np.where(sight.view.stretched, 0, sight.view.depth)
         grey, depth = self._looker.observed(replace(sight.view, depth=solid))
         square = np.ones((3, 3), np.uint8)
         near, far = cv2.erode(depth, square), cv2.dilate(depth, square)
         known = (near > 0) & (far < (1 + self._limits.leap) * near)
-        return misfit(image.photo[0].grey, grey, known, self._limits)
+        shown = _in_unit_range(sight.view.image[self._looker.expansion.observed],
+                               grey.shape[::-1])
+        return misfit(image, shown, known, self._limits)
 
     def _is_elsewhere(self, one: Sight, other: Sight) -> bool:
         return is_elsewhere(one.pose, other.pose, self._limits)
@@ -248,28 +255,32 @@ def is_elsewhere(one: CameraPose, other: CameraPose, limits: AmbiguityThresholds
                 or one.forward @ other.forward < limits.elsewhere_cosine)
 
 
-def is_same(one: CameraPose, other: CameraPose, limits: AmbiguityThresholds) -> bool:
-    """Tell whether two coarsely aligned poses are nearly one: a closer look finds the same."""
-    return bool(np.linalg.norm(one.position - other.position) < limits.same_metres
-                and one.forward @ other.forward > limits.same_cosine)
-
-
 def misfit(image: np.ndarray, shown: np.ndarray, known: np.ndarray,
            limits: AmbiguityThresholds) -> np.ndarray:
     """
     Return by how much an image differs from what a place shows, float32 (h, w), smoothed.
 
-    image, shown: grey float32 (h, w) in [0, 1], whose exposures may differ; NaN where not known.
+    image, shown: RGB float32 (h, w, 3) in [0, 1], whose exposures and white balances may differ.
+    The channel that differs most counts. NaN where not known.
     """
+    if not known.any():
+        return np.full(known.shape, np.nan, np.float32)
+    if np.ptp(image, axis=-1).mean() < limits.colourless:  # Of a camera that sees no colours.
+        shown = shown.mean(-1, keepdims=True)
     a, b = shown[known], image[known]
-    if not len(a):
-        return np.full_like(image, np.nan)
-    gain = float(np.mean((a - a.mean()) * (b - b.mean()))) / max(float(a.var()), 1e-6)
-    off = np.where(known, image - (b.mean() + gain * (shown - a.mean())), 0)
+    gain = ((a - a.mean(0)) * (b - b.mean(0))).mean(0) / np.maximum(a.var(0), 1e-6)
+    off = np.abs(image - (b.mean(0) + gain * (shown - a.mean(0)))).max(-1)
     size = max(round(limits.around * image.shape[1]), 1)
     share = cv2.blur(known.astype(np.float32), (size, size))
-    mean = cv2.blur(np.abs(off).astype(np.float32), (size, size)) / np.maximum(share, 0.5)
-    return np.where(share >= 0.5, mean, np.nan)
+    mean = cv2.blur(np.where(known, off, 0).astype(np.float32), (size, size))
+    return np.where(share >= 0.5, mean / np.maximum(share, 0.5), np.nan)
+
+
+def _in_unit_range(pixels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Return colours of 0 to 255 as float32 (h, w, 3) in [0, 1], of this width and height."""
+    shrunk = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
+    scaled: np.ndarray = shrunk.astype(np.float32) / 255
+    return scaled
 
 
 def speaks_against(one: np.ndarray, other: np.ndarray,

@@ -13,7 +13,7 @@ from neo_ros.memory.pose_covariance import (
 from neo_ros.memory.rendering import GuideView, MemoryRenderer
 from neo_ros.memory.scene_light import SceneLight
 from neo_ros.memory.scene_memory import SceneMemory
-from neo_ros.memory.sight import CameraImage, Found, GuideThresholds, Sight
+from neo_ros.memory.sight import CameraImage, Found, GuideThresholds, is_near, Sight
 import numpy as np
 
 
@@ -109,14 +109,21 @@ class Looker:
 
     def _most_likely(self, image: CameraImage, starts: Sequence[CameraPose]
                      ) -> Iterator[CameraPose]:
-        """Yield the first start, then those of the others that agree most when seen coarsely."""
+        """Yield the first start, then from where all agree most, aligned and seen coarsely."""
         yield from starts[:1]
         coarse, limits = self.coarse_aligner, self.thresholds
-        photo = coarse.photo(image.pixels)
+        photo, tried = coarse.photo(image.pixels), list[tuple[float, CameraPose]]()
         with on_cores(1):  # To share such small views out takes longer.
-            agreements = [coarse.agreement(photo, coarse.align(photo, start, rounds=1))
-                          for start in starts[1:]]
-        for agrees, index in sorted(zip(agreements, range(1, len(starts))),
-                                    key=lambda one: -one[0]):
-            if agrees > limits.least_likely:
-                yield starts[index]
+            for start in starts:
+                pose = coarse.align(photo, start, rounds=1)
+                tried.append((coarse.agreement(photo, pose), pose))
+        likely, same = list[CameraPose](), limits.ambiguity
+        for agrees, pose in sorted(tried, key=lambda one: -one[0]):
+            if agrees <= limits.least_likely or len(likely) == limits.likely:
+                return
+            if not any(is_near(pose, other, same.same_metres, same.same_cosine)
+                       for other in likely):
+                likely.append(pose)
+                with on_cores(1):
+                    pose = coarse.align(photo, pose, rounds=1)
+                yield pose

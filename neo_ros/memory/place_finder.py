@@ -7,8 +7,7 @@ from neo_ros.memory.landmark_watch import LandmarkWatch
 from neo_ros.memory.landmarks import Location, Locator
 from neo_ros.memory.looking import Looker
 from neo_ros.memory.scene_memory import SceneMemory
-from neo_ros.memory.sight import CameraImage, GuideThresholds, located, Sight
-import numpy as np
+from neo_ros.memory.sight import CameraImage, GuideThresholds, is_near, located, Sight
 
 
 class PlaceFinder:
@@ -72,9 +71,3 @@ class PlaceFinder:
         self.watch.forget()  # What is tracked next may be off, too.
         return located(self._looker.look(image, pose, pose), self._thresholds.least_located,
                        location, 'landmarks')
-
-
-def is_near(pose: CameraPose, other: CameraPose, metres: float, cosine: float) -> bool:
-    """Tell whether two poses are so near, and look so much the same way."""
-    return bool(np.linalg.norm(pose.position - other.position) < metres
-                and pose.forward @ other.forward > cosine)

@@ -12,11 +12,11 @@ from neo_ros.memory.local_features import Features
 from neo_ros.memory.looking import Looker
 from neo_ros.memory.panorama import draw_panorama, Panorama
 from neo_ros.memory.parallel import parallel_loops
-from neo_ros.memory.place_finder import is_near, PlaceFinder
+from neo_ros.memory.place_finder import PlaceFinder
 from neo_ros.memory.recent_images import RecentImages
 from neo_ros.memory.scene_light import SceneLight
 from neo_ros.memory.scene_memory import SceneMemory
-from neo_ros.memory.sight import (CameraImage, Found, Guide, GuideThresholds, located,
+from neo_ros.memory.sight import (CameraImage, Found, Guide, GuideThresholds, is_near, located,
                                   Sight)
 from neo_ros.pictures.exposure import exposure_gain
 import numpy as np
