@@ -176,16 +176,18 @@ def test_colours_speak_where_all_is_as_bright() -> None:
     tinted = image.copy()
     tinted[20:40, 20:40] += [0.2, -0.1, -0.02]  # Grey of it is as before, within 0.002.
     known = np.ones((64, 64), bool)
-    balanced = image * np.float32([0.8, 0.9, 1.1])  # Of another white balance.
+    balanced = (image * [0.8, 0.9, 1.1]).astype(np.float32)  # Of another white balance.
 
     def against(one: np.ndarray, other: np.ndarray, seen: np.ndarray) -> float:
-        return speaks_against(*(misfit(seen, shown, known, LIMITS) for shown in (one, other)),
-                              LIMITS)
+        bad, good = (misfit(seen, shown, known, LIMITS) for shown in (one, other))
+        return speaks_against(bad, good, LIMITS)
+
     assert against(tinted, image, balanced) > 0.05
     assert against(image, balanced, image) == 0
     # A camera that sees no colours says nothing of them.
     grey = np.repeat(image.mean(-1, keepdims=True), 3, -1)
-    red = image + np.float32([0.4, -0.2, -0.2]) * (np.arange(64) < 32)[:, None, None]
+    red = (image + np.array([0.4, -0.2, -0.2]) * (np.arange(64) < 32)[:, None, None]).astype(
+        np.float32)
     assert against(red, image, grey) == 0 < against(red, image, balanced)
 
 
