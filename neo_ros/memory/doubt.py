@@ -22,14 +22,14 @@ class Hypothesis:
     """
     A place that could be it.
 
-    motion: (4, 4), of the camera's last step there; against: the most of an image that spoke for
-    another place; refuted: (4, 4) each, from where the camera is, if it is here, to where it is
-    not though it looked alike, in world axes.
+    motion: (4, 4), of the camera's last step there; asked: the pose there of the last image that
+    was asked; refuted: (4, 4) each, from where the camera is, if it is here, to where it is not
+    though it looked alike, in world axes.
     """
 
     sight: Sight
     motion: np.ndarray
-    against: float = 0.0
+    asked: CameraPose
     refuted: tuple[np.ndarray, ...] = ()
 
     def way_to(self, pose: CameraPose) -> np.ndarray:
@@ -48,11 +48,22 @@ class Doubt:
     def forget(self) -> None:
         """Decide nothing, doubt nothing."""
         self._open: list[Hypothesis] = []
+        # Of all images that were asked, float (N, N): what speaks against one for another.
+        self._evidence = np.zeros((0, 0))
 
     @property
     def is_open(self) -> bool:
         """Whether there are several places that could be it."""
         return bool(self._open)
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether the last image agrees with none of them by so much as a search needs."""
+        return self.is_open and self._best.sight.agreement < self._looker.thresholds.least_found
+
+    @property
+    def _best(self) -> Hypothesis:
+        return max(self._open, key=lambda one: one.sight.agreement)
 
     def settle(self, image: CameraImage, followed: Sight | None, found: Sight | None,
                elsewhere: Sequence[CameraPose]) -> Sight | None:
@@ -71,26 +82,27 @@ class Doubt:
         candidates = [found, *self._rivals(image, found, self._starts(image, found, elsewhere))]
         if stays is not None:
             candidates.append(stays)
-        against = self._against(image, candidates)
-        best = int(np.argmin(against))
+        evidence = self._ask(image, candidates)
+        best = least_refuted(evidence)
         asked = 0
         while best != asked and len(candidates) <= 2 * self._limits.most_rivals:
             # What was found may lie a little off, as landmarks do, and look worse than it is: its
             # twin leads to where exactly it would be.
             asked, winner = best, candidates[best]
             candidates += self._rivals(image, winner, self._twins.of(winner.pose))
-            against = self._against(image, candidates)
-            best = int(np.argmin(against))
+            evidence = self._ask(image, candidates)
+            best = least_refuted(evidence)
         # What led to the best may be a little off it, the same place.
-        left = [index for index, share in enumerate(against) if index == best or (
-            share - against[best] < self._limits.decisive
+        left = [index for index, share in enumerate(evidence[:, best]) if index == best or (
+            share < self._limits.decisive
             and self._is_elsewhere(candidates[index], candidates[best]))]
         if len(left) == 1:
             return candidates[best]
         if stays is not None:
             return stays
-        self._open = [Hypothesis(candidates[index], np.eye(4), float(against[index]))
+        self._open = [Hypothesis(candidates[index], np.eye(4), candidates[index].pose)
                       for index in left]
+        self._evidence = evidence[np.ix_(left, left)]
         return None
 
     def follow(self, image: CameraImage, motion: np.ndarray | None) -> Hypothesis | None:
@@ -99,47 +111,60 @@ class Doubt:
 
         motion: (4, 4), as in `SceneGuide.guide`. None while several are left, or none.
         """
-        self._open = self._followed(image, motion)
+        self._follow_all(image, motion)
         if not self._open:
             self.forget()
             return None
-        shares = self._against(image, [one.sight for one in self._open])
-        for one, share in zip(self._open, shares):
-            one.against = max(one.against, float(share))
-        least = min(one.against for one in self._open)
-        best = min(self._open, key=lambda one: one.against)
-        refuted = [one.sight.pose for one in self._open
-                   if one.against - least >= self._limits.decisive]
-        self._open = [one for one in self._open
-                      if one.against - least < self._limits.decisive]
+        if self._is_worth_asking(self._best):
+            self._evidence *= self._limits.remembered
+            self._evidence += self._ask(image, [one.sight for one in self._open])
+            for one in self._open:
+                one.asked = one.sight.pose
+        against = self._evidence[:, least_refuted(self._evidence)]
+        refuted = [one.sight.pose for one, share in zip(self._open, against)
+                   if share >= self._limits.decisive_together]
+        self._keep(np.flatnonzero(against < self._limits.decisive_together).tolist())
         for one in self._open:
             one.refuted += tuple(map(one.way_to, refuted))
+        best = self._open[0]
         if len(self._open) == 1:
-            self._open += self._newly_doubted(image, self._open[0])
+            self._doubt_anew(image, best)
         if len(self._open) > 1:
             return None
         self.forget()
         return replace(best, sight=replace(best.sight, found='searched'))
 
-    def _followed(self, image: CameraImage, motion: np.ndarray | None) -> list[Hypothesis]:
+    def _is_worth_asking(self, best: Hypothesis) -> bool:
+        """Tell whether an image that agrees so shows what the last one that was asked did not."""
+        return best.sight.agreement >= self._looker.thresholds.least_agreement and not is_near(
+            best.sight.pose, best.asked, self._limits.asked_metres, self._limits.asked_cosine)
+
+    def _keep(self, kept: list[int]) -> None:
+        self._open = [self._open[index] for index in kept]
+        self._evidence = self._evidence[np.ix_(kept, kept)]
+
+    def _follow_all(self, image: CameraImage, motion: np.ndarray | None) -> None:
         """Move all places on with the camera, and drop those that the image does not fit."""
         moved = [self._moved(image, one, motion) for one in self._open]
         best = max(moved, key=lambda one: one.sight.agreement)
-        sure, kept = self._looker.thresholds.sure, list[Hypothesis]()
-        for before, one in zip(self._open, moved):
+        sure, kept = self._looker.thresholds.sure, list[int]()
+        for index, (before, one) in enumerate(zip(self._open, moved)):
             last = before.sight.pose
-            if motion is None and one.sight.agreement < sure <= best.sight.agreement:
-                # It is one camera: where it is followed surely tells how it moves.
+            if motion is None and one.sight.agreement < min(sure, best.sight.agreement):
+                # It is one camera: where it is followed best tells how it moves.
                 pose = CameraPose.nearest(last.T_world_cam @ best.motion)
-                one = replace(one, sight=self._looker.look(image, pose, pose), motion=best.motion)
+                sight = self._looker.look(image, pose, pose)
+                if best.sight.agreement >= sure or sight.agreement > one.sight.agreement:
+                    moved[index] = one = replace(one, sight=sight, motion=best.motion)
             expected = last if motion is None else CameraPose.nearest(last.T_world_cam @ motion)
-            if all(self._is_elsewhere(one.sight, other.sight) for other in kept) and (
+            if all(self._is_elsewhere(one.sight, moved[other].sight) for other in kept) and (
                     not is_elsewhere(one.sight.pose, expected, self._limits)):
-                kept.append(one)
-        least = 1 - max((one.sight.agreement for one in kept), default=1.0)
-        return [one for one in kept if one.sight.believed or (
-            any(other.sight.believed for other in kept)
-            and 1 - one.sight.agreement < self._limits.unexplained * least)]
+                kept.append(index)
+        self._open = moved
+        least = 1 - max((moved[index].sight.agreement for index in kept), default=1.0)
+        self._keep([index for index in kept if moved[index].sight.believed or (
+            any(moved[other].sight.believed for other in kept)
+            and 1 - moved[index].sight.agreement < self._limits.unexplained * least)])
 
     def _moved(self, image: CameraImage, one: Hypothesis, motion: np.ndarray | None
                ) -> Hypothesis:
@@ -153,30 +178,32 @@ class Doubt:
             sight = self._looker.look(image, pose, last)
         return replace(one, sight=sight, motion=last.inverse() @ pose.T_world_cam)
 
-    def _newly_doubted(self, image: CameraImage, only: Hypothesis) -> list[Hypothesis]:
+    def _doubt_anew(self, image: CameraImage, only: Hypothesis) -> None:
         """Find places that could be it but were not followed, before the last one is believed."""
         here = only.sight.pose.T_world_cam
         refuted = [CameraPose.nearest(T @ here) for T in only.refuted]
         rivals = [rival for rival in self._rivals(image, only.sight, self._starts(
             image, only.sight)) if all(
                 is_elsewhere(rival.pose, pose, self._limits) for pose in refuted)]
-        found = [Hypothesis(rival, only.motion, only.against + against)
-                 for rival, against in self._equal(image, only.sight, rivals)]
-        for one in found:
+        equal, self._evidence = self._equal(image, only.sight, rivals)
+        for rival in equal:
+            one = Hypothesis(rival, only.motion, rival.pose)
             one.refuted = tuple(map(one.way_to, refuted))
-        return found
+            self._open.append(one)
+        only.asked = only.sight.pose
 
     def equals(self, image: CameraImage, here: Sight, starts: Sequence[CameraPose]
                ) -> list[Sight]:
         """Return what is seen from places near some starts that an image does not tell apart."""
-        return [rival for rival, _ in self._equal(image, here, self._rivals(image, here, starts))]
+        return self._equal(image, here, self._rivals(image, here, starts))[0]
 
     def _equal(self, image: CameraImage, here: Sight, rivals: list[Sight]
-               ) -> list[tuple[Sight, float]]:
-        """Return the rivals that an image does not refute, and how much more speaks against."""
-        own, *shares = self._against(image, [here, *rivals]).tolist()
-        return [(rival, share - own) for rival, share in zip(rivals, shares)
-                if share - own < self._limits.decisive]
+               ) -> tuple[list[Sight], np.ndarray]:
+        """Return the rivals that an image does not refute, and the evidence: `here` is first."""
+        evidence = self._ask(image, [here, *rivals])
+        left = np.flatnonzero(evidence[1:, 0] < self._limits.decisive) + 1
+        kept = [0, *left.tolist()]
+        return [rivals[index - 1] for index in left], evidence[np.ix_(kept, kept)]
 
     def _starts(self, image: CameraImage, found: Sight, elsewhere: Sequence[CameraPose] = ()
                 ) -> list[CameraPose]:
@@ -221,19 +248,13 @@ class Doubt:
                 rivals.append(sight)
         return rivals
 
-    def _against(self, image: CameraImage, sights: list[Sight]) -> np.ndarray:
-        """
-        Return how much of an image speaks against each of several places, and for the best, (N,).
-
-        The best is the one against which the least speaks, of all others. A third one's word does
-        not count: between two equal places it is chance.
-        """
+    def _ask(self, image: CameraImage, sights: list[Sight]) -> np.ndarray:
+        """Return how much of an image speaks against each place for each other one, (N, N)."""
         finest = self._looker.aligner.levels[0]
         own = _in_unit_range(image.pixels, (finest.width, finest.height))
         misfits = [self._misfit(own, sight) for sight in sights]
-        shares = np.array([[speaks_against(own, other, self._limits) for other in misfits]
-                           for own in misfits]).clip(0)
-        return shares[:, shares.max(1).argmin()]
+        return np.array([[speaks_against(one, other, self._limits) for other in misfits]
+                         for one in misfits])
 
     def _misfit(self, image: np.ndarray, sight: Sight) -> np.ndarray:
         solid = np.where(sight.view.stretched, 0, sight.view.depth)
@@ -247,6 +268,15 @@ class Doubt:
 
     def _is_elsewhere(self, one: Sight, other: Sight) -> bool:
         return is_elsewhere(one.pose, other.pose, self._limits)
+
+
+def least_refuted(evidence: np.ndarray) -> int:
+    """
+    Return the place against which the least speaks for any other.
+
+    Between the others a third one's word does not count: between two equal places it is chance.
+    """
+    return int(evidence.max(1).argmin())
 
 
 def is_elsewhere(one: CameraPose, other: CameraPose, limits: AmbiguityThresholds) -> bool:

@@ -114,6 +114,8 @@ class SceneGuide:
             left = self._doubt.follow(image, motion)
             best = None if left is None else left.sight
         self._since_search += 1
+        if self._doubt.is_lost and self._since_search >= self.thresholds.search_every:
+            self._doubt.forget()
         if not self._doubt.is_open and self._search_is_due(best):
             self._since_search = 0
             best = self._doubt.settle(image, best, *self._places.search(image))

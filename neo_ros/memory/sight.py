@@ -62,6 +62,12 @@ class AmbiguityThresholds:
     # that differ in one picture chance let 0.021 speak for the wrong one, once; the picture, where
     # it is in the image, most often 0.04 and more.
     decisive: float = 0.03
+    # The images that follow speak together, each from so far from the one before; what they said
+    # fades by so much with each that is asked: between equal places chance must not add up.
+    decisive_together: float = 0.1
+    asked_metres: float = 0.1
+    asked_cosine: float = 0.996
+    remembered: float = 0.9
     # A rival that agrees less could be it if hardly more of the image is left unexplained there.
     as_unexplained: float = 1.25
     # A place that does not agree any more is dropped if this much more of the image is left

@@ -11,7 +11,7 @@ from neo_ros.memory.glancing import GlanceFinder
 from neo_ros.memory.local_features import find_features
 from neo_ros.memory.looking import Looker
 from neo_ros.memory.scene_guide import SceneGuide
-from neo_ros.memory.sight import AmbiguityThresholds, CameraImage, GuideThresholds
+from neo_ros.memory.sight import AmbiguityThresholds, CameraImage, GuideThresholds, Sight
 import numpy as np
 import pytest
 
@@ -107,8 +107,7 @@ def test_a_place_that_is_shown_poorly_moves_on_with_one_that_is_followed_surely(
     doubt = Doubt(looker, GlanceFinder(memory.glances, looker.thresholds))
     image, moved = _image(looker), doubt._moved
     before = planar(1.84, 1.68, 33)
-    doubt._open = [Hypothesis(looker.look(image, pose), np.eye(4))
-                   for pose in (before, _in_twin(before))]
+    _open(doubt, [looker.look(image, pose) for pose in (before, _in_twin(before))])
 
     def drift(image: CameraImage, one: Hypothesis, motion: np.ndarray | None) -> Hypothesis:
         if one.sight.pose.position[0] > AWAY:
@@ -117,7 +116,8 @@ def test_a_place_that_is_shown_poorly_moves_on_with_one_that_is_followed_surely(
         return replace(one, sight=off, motion=before.inverse() @ off.pose.T_world_cam)
 
     monkeypatch.setattr(doubt, '_moved', drift)
-    here, there = doubt._followed(image, None)
+    doubt._follow_all(image, None)
+    here, there = doubt._open
     assert apart(here.sight.pose, planar(1.9, 1.7, 35))[0] < 0.03
     assert apart(_in_twin(here.sight.pose), there.sight.pose)[0] < 1e-6
 
@@ -235,16 +235,73 @@ def test_what_was_refuted_stays_where_it_is_whichever_place_is_left(
     looker = Looker(memory, EXPANSION, GuideThresholds())
     doubt = Doubt(looker, GlanceFinder(memory.glances, looker.thresholds))
     rooms = [looker.look(_image(looker), planar(x, 1.7, 35)) for x in (1.9, 6.9, 11.9, 16.9)]
-    doubt._open = [Hypothesis(sight, np.eye(4)) for sight in rooms[:3]]
-    against = iter([[0.0, 0.01, 0.2], [0.2, 0.0], [0.0, 0.0]])
-    monkeypatch.setattr(doubt, '_followed', lambda *_: doubt._open)
-    monkeypatch.setattr(doubt, '_against', lambda *_: np.array(next(against)))
+    _open(doubt, rooms[:3])
+    said = iter([_evidence([0.0, 0.01, 0.2]), _evidence([0.2, 0.0]), np.zeros((2, 2))])
+    monkeypatch.setattr(doubt, '_follow_all', lambda *_: None)
+    monkeypatch.setattr(doubt, '_is_worth_asking', lambda _: True)
+    monkeypatch.setattr(doubt, '_ask', lambda *_: next(said))
     monkeypatch.setattr(doubt, '_starts', lambda *_: [])
     monkeypatch.setattr(doubt, '_rivals', lambda *_: [rooms[2], rooms[3]])
     assert doubt.follow(_image(looker), None) is None
     # The fourth, which nothing has refuted, could be it still.
     assert doubt.follow(_image(looker), None) is None
     assert [one.sight for one in doubt._open] == [rooms[1], rooms[3]]
+
+
+@pytest.mark.parametrize('said, left', [
+    # One image that speaks against a place for which those before it spoke does not refute it.
+    ([-0.03, -0.02, 0.085], [0, 1]),
+    # Many that say a little do, and a picture at once.
+    ([0.03, 0.03, 0.03, 0.03], [1]), ([0.0, 0.0, 0.0, 0.12], [1]), ([-0.12], [0]),
+    # What is said now and then is chance, however long one walks.
+    (20 * [0.008, -0.001], [0, 1])])
+def test_images_speak_together(monkeypatch: pytest.MonkeyPatch, said: list[float],
+                               left: list[int]) -> None:
+    memory = twin_memory(own_picture=False)
+    looker = Looker(memory, EXPANSION, GuideThresholds())
+    doubt = Doubt(looker, GlanceFinder(memory.glances, looker.thresholds))
+    image, pose = _image(looker), planar(1.9, 1.7, 35)
+    sights = [looker.look(image, one) for one in (pose, _in_twin(pose))]
+    _open(doubt, sights)
+    monkeypatch.setattr(doubt, '_follow_all', lambda *_: None)
+    monkeypatch.setattr(doubt, '_is_worth_asking', lambda _: True)
+    monkeypatch.setattr(doubt, '_starts', lambda *_: [])
+    for share in said:
+        monkeypatch.setattr(doubt, '_ask', lambda _, asked, share=share: _evidence(
+            [share, 0.0][:len(asked)]))
+        found = doubt.follow(image, None)
+    if len(left) == 2:
+        assert found is None and doubt.is_open
+    else:
+        assert found is not None and found.sight.pose is sights[left[0]].pose
+
+
+def test_an_image_is_asked_where_the_camera_has_moved_and_agrees() -> None:
+    memory = twin_memory(own_picture=False)
+    looker = Looker(memory, EXPANSION, GuideThresholds())
+    doubt, image = Doubt(looker, GlanceFinder(memory.glances, looker.thresholds)), _image(looker)
+    pose = planar(1.9, 1.7, 35)
+    sight = looker.look(image, pose)
+    for asked, worth in ((planar(1.9, 1.65, 35), False), (planar(1.9, 1.55, 35), True),
+                         (planar(1.9, 1.7, 43), True)):
+        assert doubt._is_worth_asking(Hypothesis(sight, np.eye(4), asked)) == worth
+        hidden = replace(sight, agreement=0.8)
+        assert not doubt._is_worth_asking(Hypothesis(hidden, np.eye(4), asked))
+
+
+def test_places_that_no_image_agrees_with_are_searched_for_anew(twins: SceneGuide) -> None:
+    twins.reset()
+    assert twins.guide(photo_at(ASIDE)) is None and twins.ambiguous
+    for one in twins._doubt._open:
+        one.sight = replace(one.sight, agreement=0.8)
+    assert twins._doubt.is_lost
+    # The camera is somewhere else; what was followed would never be found again.
+    twins._doubt.follow = lambda *_: None  # type: ignore[method-assign]
+    for _ in range(twins.thresholds.search_every):
+        assert twins.guide(photo_at(planar(1.9, 1.7, 35))) is None
+    del twins._doubt.follow
+    assert twins.ambiguous and not twins._doubt.is_lost
+    assert min(apart(one.sight.pose, planar(1.9, 1.7, 35))[0] for one in twins._doubt._open) < 0.05
 
 
 def test_somebody_before_the_camera_does_not_end_the_doubt() -> None:
@@ -268,15 +325,25 @@ def test_one_place_that_was_found_twice_is_no_doubt(monkeypatch: pytest.MonkeyPa
     found, twin, exact = (replace(looker.look(image, planar(x, 1.7, 35)), believed=True)
                           for x in (2.0, 6.9, 1.9))
     rivals = iter([[twin], [exact], []])
-    against = iter([[0.05, 0.0], [0.02, 0.2, 0.0], [0.02, 0.2, 0.0]])
+    said = iter(map(_evidence, [[0.05, 0.0], [0.02, 0.2, 0.0], [0.02, 0.2, 0.0]]))
     monkeypatch.setattr(doubt, '_rivals', lambda *_: next(rivals))
-    monkeypatch.setattr(doubt, '_against', lambda *_: np.array(next(against)))
+    monkeypatch.setattr(doubt, '_ask', lambda *_: next(said))
     assert doubt.settle(image, None, found, []) is exact and not doubt.is_open
 
 
 def test_rivals_are_drawn_in_the_light_of_now(twins: SceneGuide) -> None:
     renderers = (twins.renderer, twins._looker.coarse_aligner.renderer)
     assert [one.light for one in renderers] == [twins.light] * 2
+
+
+def _open(doubt: Doubt, sights: list[Sight]) -> None:
+    doubt._open = [Hypothesis(sight, np.eye(4), sight.pose) for sight in sights]
+    doubt._evidence = np.zeros((len(sights), len(sights)))
+
+
+def _evidence(against: list[float]) -> np.ndarray:
+    """Return evidence, antisymmetric (N, N), where so much speaks against each for the best."""
+    return np.subtract.outer(against, against)
 
 
 def _image(looker: Looker) -> CameraImage:
