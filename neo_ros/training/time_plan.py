@@ -34,6 +34,7 @@ class PlanRules:
     field: float = 0.45            # share of the minutes
     memory: float = 0.3            # at most; what it leaves is the network's
     rest: float = 0.1              # export, scores and report, and reading the photos
+    most_rest: float = 3.0         # minutes of it: it does not grow with the training
     least_network: float = 0.1
     least_memory: float = 0.1
     report: float = 0.6            # of the time that the scores take
@@ -48,6 +49,10 @@ class PlanRules:
     measured_voxels: int = 500_000
     # A fit is so many times slower than the middle step of its first seconds, of coarse voxels.
     slower: float = 2.5
+
+    def rest_of(self, minutes: float) -> float:
+        """Return the minutes that are kept for what comes last."""
+        return min(self.rest * minutes, self.most_rest)
 
 
 @dataclass(frozen=True)
@@ -129,7 +134,7 @@ def share_network_minutes(out: Path, spent_seconds: float, rank: int = 0,
     plan = read_plan(out)
     if plan.network_minutes is not None:
         return plan.network_minutes
-    left = plan.minutes * (1 - rules.rest) - spent_seconds / 60
+    left = plan.minutes - rules.rest_of(plan.minutes) - spent_seconds / 60
     minutes = max(left, plan.minutes * rules.least_network)
     if rank == 0:
         _write_plan(out, replace(plan, network_minutes=minutes))
@@ -139,9 +144,9 @@ def share_network_minutes(out: Path, spent_seconds: float, rank: int = 0,
 def most_memory_seconds(plan: TimePlan, spent_seconds: float, rules: PlanRules = PlanRules()
                         ) -> float:
     """Return what the memory may take where so much is spent: the network's least is kept."""
-    return 60 * plan.minutes * max(
-        1 - rules.rest - rules.least_network - spent_seconds / 60 / plan.minutes,
-        rules.least_memory)
+    minutes = plan.minutes
+    return max(60 * (minutes * (1 - rules.least_network) - rules.rest_of(minutes)) - spent_seconds,
+               60 * minutes * rules.least_memory)
 
 
 class TimeLeft:
@@ -184,7 +189,7 @@ class TimeLeft:
         if stage in ('geometry', 'joining tiles'):
             return minutes * (1 - self._field)
         if stage == 'outpainter':  # It counts in seconds.
-            return (total - done) / 60 + minutes * rules.rest
+            return (total - done) / 60 + rules.rest_of(minutes)
         if stage == 'scoring':
             self._scores = self._stage_minutes(stage, done, total)
             if self._scores > 0:
@@ -197,8 +202,8 @@ class TimeLeft:
         if part == 'memory':
             left = minutes * (1 - self._field) - self._given() - spent
             return max(left, self._stage_left(stage, done, total)
-                       + minutes * (rules.least_network + rules.rest))
-        return max(minutes * rules.rest - spent, 0.0)
+                       + minutes * rules.least_network + rules.rest_of(minutes))
+        return max(rules.rest_of(minutes) - spent, 0.0)
 
     def _since(self, part: str) -> float:
         """Return the minutes since a part began, which is now where it is new."""
@@ -207,9 +212,9 @@ class TimeLeft:
 
     def _given(self) -> float:
         """Return the minutes that the network has given for the points."""
-        rules = self._rules
-        return min(self._points, self._plan.minutes * (
-            1 - self._field - rules.rest - rules.least_network))
+        rules, minutes = self._rules, self._plan.minutes
+        return min(self._points, minutes * (1 - self._field - rules.least_network)
+                   - rules.rest_of(minutes))
 
     def _stage_left(self, stage: str, done: int, total: int) -> float:
         """Return the minutes that a stage still needs, as fast as it was so far."""

@@ -140,6 +140,14 @@ def test_a_late_network_still_gets_some_minutes(
     assert share_network_minutes(tmp_path, 3600) == pytest.approx(1)
 
 
+def test_what_comes_last_does_not_grow_with_the_training(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(time_plan, '_fitting_rate', lambda *of: RATE)
+    plan_training(tmp_path, scene_of(64, 48, 100), Experiment(), 90, lambda text: None)
+    assert share_network_minutes(tmp_path, 2700) == pytest.approx(42)
+    assert minutes_left(90, (0, 'outpainter', 0, 600), (600, 'outpainter', 600, 600)) == [13, 3]
+
+
 def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:
     (tmp_path / 'run.json').write_text('{}')
     with pytest.raises(ConfigError, match='or a run without --minutes'):
