@@ -114,12 +114,8 @@ def measure_search(layout: str, building: Building, path: Path, expansion: ViewE
     counts, plan, source = Counts(), building.plan, expansion.source
     for image, pose in views:
         _search(guide, image, pose, rules, counts)
-    for (image, pose), prior in zip(views, _clicks(views, rules)):
-        guide.reset()
-        told = guide.guide(image, prior)
-        wrong = told is not None and _is_wrong(told.pose, pose, rules)
-        counts.prior_wrong += wrong
-        counts.prior_right += told is not None and not wrong
+    for (image, pose), click in zip(views, _clicks(views, rules)):
+        _search_around(guide, image, click, pose, rules, counts)
     _walk(building, source, guide, rules, counts)
     return {
         'layout': layout, 'search': 'compared with rivals' if rivals else 'before',
@@ -170,6 +166,16 @@ def _search(guide: SceneGuide, image: np.ndarray, pose: CameraPose, rules: Build
     else:
         counts.wrong += _is_wrong(found.pose, pose, rules)
         counts.by_landmarks += found.found == 'landmarks'
+
+
+def _search_around(guide: SceneGuide, image: np.ndarray, prior: CameraPose, pose: CameraPose,
+                   rules: BuildingRules, counts: Counts) -> None:
+    guide.reset()
+    found = guide.guide(image, prior)
+    if found is not None:
+        wrong = _is_wrong(found.pose, pose, rules)
+        counts.prior_wrong += wrong
+        counts.prior_right += not wrong
 
 
 def _clicks(views: Sequence[tuple[np.ndarray, CameraPose]], rules: BuildingRules

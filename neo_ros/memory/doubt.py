@@ -258,12 +258,12 @@ class Doubt:
 
     def _misfit(self, image: np.ndarray, sight: Sight) -> np.ndarray:
         solid = np.where(sight.view.stretched, 0, sight.view.depth)
-        grey, depth = self._looker.observed(replace(sight.view, depth=solid))
+        _, depth = self._looker.observed(replace(sight.view, depth=solid))
         square = np.ones((3, 3), np.uint8)
         near, far = cv2.erode(depth, square), cv2.dilate(depth, square)
         known = (near > 0) & (far < (1 + self._limits.leap) * near)
         shown = _in_unit_range(sight.view.image[self._looker.expansion.observed],
-                               grey.shape[::-1])
+                               depth.shape[::-1])
         return misfit(image, shown, known, self._limits)
 
     def _is_elsewhere(self, one: Sight, other: Sight) -> bool:

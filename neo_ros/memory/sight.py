@@ -58,10 +58,10 @@ class AmbiguityThresholds:
     # Not where depth leaps by so large a share from pixel to pixel: a pose a little off makes a
     # difference there.
     leap: float = 0.15
-    # Share of an image that has to speak for one place against another. Of 300 searches in rooms
-    # that differ in one picture chance let 0.021 speak for the wrong one, once; the picture, where
+    # Share of an image that has to speak for one place against another. Of 600 searches among
+    # twins chance let 0.031 speak for the wrong one, twice; a picture that one of them has, where
     # it is in the image, most often 0.04 and more.
-    decisive: float = 0.03
+    decisive: float = 0.04
     # The images that follow speak together, each from so far from the one before; what they said
     # fades by so much with each that is asked: between equal places chance must not add up.
     decisive_together: float = 0.1
