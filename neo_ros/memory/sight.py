@@ -49,7 +49,7 @@ class AmbiguityThresholds:
     same_cosine: float = 0.99
     # Levels in [0, 1] by which an image differs from what a place would show, in the colour that
     # differs most, as the mean over a square of so large a share of its width; the place's rival
-    # must fit twice as well. Of 100 images in rooms that all differ 3 decide nothing so, in grey
+    # must fit twice as well. Of 100 images in rooms that all differ 4 decide nothing so, in grey
     # 15: a green wall is as bright as a beige one.
     contradiction: float = 0.08
     around: float = 0.1
@@ -62,8 +62,8 @@ class AmbiguityThresholds:
     # twins chance let 0.031 speak for the wrong one, twice; a picture that one of them has, where
     # it is in the image, most often 0.04 and more.
     decisive: float = 0.04
-    # The images that follow speak together, each from so far from the one before; what they said
-    # fades by so much with each that is asked: between equal places chance must not add up.
+    # The images that follow speak together, each from so far from the one before. Of what was said
+    # so much is left with each that is asked: between equal places chance must not add up.
     decisive_together: float = 0.1
     asked_metres: float = 0.1
     asked_cosine: float = 0.996
