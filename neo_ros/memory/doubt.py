@@ -7,8 +7,8 @@ it; the images that follow tell them apart, or nothing does.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import cv2
 from neo_ros.geometry import CameraPose
+from neo_ros.memory.evidence import ask, least_refuted
 from neo_ros.memory.glancing import GlanceFinder
 from neo_ros.memory.looking import Looker
 from neo_ros.memory.parallel import on_cores
@@ -249,73 +249,13 @@ class Doubt:
         return rivals
 
     def _ask(self, image: CameraImage, sights: list[Sight]) -> np.ndarray:
-        """Return how much of an image speaks against each place for each other one, (N, N)."""
-        finest = self._looker.aligner.levels[0]
-        own = _in_unit_range(image.pixels, (finest.width, finest.height))
-        misfits = [self._misfit(own, sight) for sight in sights]
-        return np.array([[speaks_against(one, other, self._limits) for other in misfits]
-                         for one in misfits])
-
-    def _misfit(self, image: np.ndarray, sight: Sight) -> np.ndarray:
-        solid = np.where(sight.view.stretched, 0, sight.view.depth)
-        _, depth = self._looker.observed(replace(sight.view, depth=solid))
-        square = np.ones((3, 3), np.uint8)
-        near, far = cv2.erode(depth, square), cv2.dilate(depth, square)
-        known = (near > 0) & (far < (1 + self._limits.leap) * near)
-        shown = _in_unit_range(sight.view.image[self._looker.expansion.observed],
-                               depth.shape[::-1])
-        return misfit(image, shown, known, self._limits)
+        return ask(self._looker, image, sights)
 
     def _is_elsewhere(self, one: Sight, other: Sight) -> bool:
         return is_elsewhere(one.pose, other.pose, self._limits)
-
-
-def least_refuted(evidence: np.ndarray) -> int:
-    """
-    Return the place against which the least speaks for any other.
-
-    Between the others a third one's word does not count: between two equal places it is chance.
-    """
-    return int(evidence.max(1).argmin())
 
 
 def is_elsewhere(one: CameraPose, other: CameraPose, limits: AmbiguityThresholds) -> bool:
     """Tell whether two poses are of two places, and not one pose found twice."""
     return bool(np.linalg.norm(one.position - other.position) > limits.elsewhere_metres
                 or one.forward @ other.forward < limits.elsewhere_cosine)
-
-
-def misfit(image: np.ndarray, shown: np.ndarray, known: np.ndarray,
-           limits: AmbiguityThresholds) -> np.ndarray:
-    """
-    Return by how much an image differs from what a place shows, float32 (h, w), smoothed.
-
-    image, shown: RGB float32 (h, w, 3) in [0, 1], whose exposures and white balances may differ.
-    The channel that differs most counts. NaN where not known.
-    """
-    if not known.any():
-        return np.full(known.shape, np.nan, np.float32)
-    if np.ptp(image, axis=-1).mean() < limits.colourless:  # Of a camera that sees no colours.
-        shown = shown.mean(-1, keepdims=True)
-    a, b = shown[known], image[known]
-    gain = ((a - a.mean(0)) * (b - b.mean(0))).mean(0) / np.maximum(a.var(0), 1e-6)
-    off = np.abs(image - (b.mean(0) + gain * (shown - a.mean(0)))).max(-1)
-    size = max(round(limits.around * image.shape[1]), 1)
-    share = cv2.blur(known.astype(np.float32), (size, size))
-    mean = cv2.blur(np.where(known, off, 0).astype(np.float32), (size, size))
-    return np.where(share >= 0.5, mean / np.maximum(share, 0.5), np.nan)
-
-
-def _in_unit_range(pixels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Return colours of 0 to 255 as float32 (h, w, 3) in [0, 1], of this width and height."""
-    shrunk = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
-    scaled: np.ndarray = shrunk.astype(np.float32) / 255
-    return scaled
-
-
-def speaks_against(one: np.ndarray, other: np.ndarray,
-                   limits: AmbiguityThresholds) -> float:
-    """Return the share of an image in which `one` misfits and `other` fits, less the reverse."""
-    def share(bad: np.ndarray, good: np.ndarray) -> float:
-        return float(((bad > limits.contradiction) & (good < bad / 2)).mean())
-    return share(one, other) - share(other, one)
