@@ -12,7 +12,8 @@ unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH 
 # Modules that were compiled once are kept: tests start some hundred interpreters.
 unexport PYTHONDONTWRITEBYTECODE
 # Three files at a time, for many wait for a clock; the slow ones first, see test/conftest.py.
-PYTEST := $(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
+# Threads that wait leave the cores to the other two.
+PYTEST := OMP_WAIT_POLICY=PASSIVE $(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
 
 .PHONY: help setup train-setup dev-setup demo check test bench soak fuzz lint docs constraints clean
 help:
