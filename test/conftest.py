@@ -14,6 +14,8 @@ import pytest
 # The machines that run the tests are shared: how long an example takes says nothing.
 settings.register_profile('shared machine', deadline=None)
 settings.load_profile('shared machine')
+# Side by side a training has one thread: several would wait for one another most of the time.
+os.environ.setdefault('LOCAL_WORLD_SIZE', os.environ.get('PYTEST_XDIST_WORKER_COUNT', '1'))
 # What a file imports, and what fixtures a test uses, tell what it needs.
 MARKS = {'ros': r'import.*\b(ros_graph|live_node|rclpy)\b|^from (ros_graph|live_node) ',
          'torch': r'^ *(import|from) (torch|onnx|tiny_training|tiny_graph|plain_field)\b'}

@@ -1,6 +1,7 @@
 """What the machine can do at its best: the floor that benchmarks are held against."""
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+import functools
 from importlib.metadata import PackageNotFoundError, version
 import os
 from pathlib import Path
@@ -130,11 +131,13 @@ def _version(package: str) -> str | None:
         return None
 
 
+@functools.cache
 def commit() -> str | None:
     """
     Return the commit of the source checkout, None for an installed package.
 
-    With -dirty where code or settings differ from it; results that a run writes do not count.
+    As it was when first asked: what runs was loaded then. With -dirty where code or settings
+    differ from it; results that a run writes do not count.
     """
     root = Path(__file__).resolve().parents[2]
     if not (root / '.git').exists():

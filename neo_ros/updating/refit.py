@@ -23,7 +23,11 @@ from scipy import ndimage
 
 @dataclass(frozen=True)
 class FitLength:
-    """How long a fit takes: each pixel is fitted so often, in a number of steps between these."""
+    """
+    How long a fit takes: each pixel is fitted so often, in a number of steps between these.
+
+    The fit of a part takes no more steps than that of the whole did.
+    """
 
     passes: float = 12.0
     least_steps: int = 600
@@ -110,7 +114,7 @@ def trainer_of(photos: Photos, gains: np.ndarray, config: FieldConfig, seed: int
     assert photos.usable is not None
     pixels = int(photos.usable.sum()) if pixels is None else pixels
     steps = int(np.clip(rules.passes * pixels / config.rays_per_step,
-                        rules.least_steps, rules.most_steps))
+                        rules.least_steps, min(rules.most_steps, config.steps)))
     trainer = FieldTrainer(
         photos.images, photos.intrinsics, photos.T_world_cam,
         replace(config, steps=steps, minutes=minutes, exposure=False, vignetting=False,

@@ -77,13 +77,13 @@ def drive_through_door() -> list[CameraPose]:
                     [5.2, 1.0, 0.2], [6.0, 1.2, 1.0], [6.2, 2.0, 2.0], [5.6, 2.6, 3.0],
                     [4.8, 2.4, 3.9], [4.6, 1.8, 4.9], [5.2, 1.5, 6.0]])
     length = np.r_[0, np.cumsum(np.linalg.norm(np.diff(way[:, :2], axis=0), axis=1))]
-    at = np.arange(0, length[-1], 0.08)
+    at = np.arange(0, length[-1], 0.12)
     x, y, yaw = (np.interp(at, length, one) for one in way.T)
     return [CameraPose.from_planar(*place) for place in zip(
         x.tolist(), y.tolist(), [HEIGHT] * len(at), yaw.tolist())]
 
 
-def write_first_room(folder: Path, count: int = 150) -> None:
+def write_first_room(folder: Path, count: int = 120) -> None:
     """Write the scene folder of the first room, its door closed."""
     (folder / 'train').mkdir(parents=True)
     taken = poses_in_first(count)

@@ -13,17 +13,17 @@ def test_a_commit_is_dirty_by_code_and_settings_alone(
                        cwd=tmp_path, check=True, capture_output=True)
 
     monkeypatch.setattr(host, '__file__', str(tmp_path / 'neo_ros/machine/x.py'))
-    assert host.commit() is None
+    assert host.commit.__wrapped__() is None
     for name in ('neo_ros', 'config', 'results'):
         (tmp_path / name).mkdir()
         (tmp_path / name / 'file').write_text('before')
     git('init')
-    assert host.commit() is None
+    assert host.commit.__wrapped__() is None
     git('add', '.')
     git('commit', '-m', 'first')
-    clean = host.commit()
+    clean = host.commit.__wrapped__()
     assert clean and '-' not in clean
     (tmp_path / 'results/file').write_text('after')
-    assert host.commit() == clean
+    assert host.commit.__wrapped__() == clean
     (tmp_path / 'config/file').write_text('after')
-    assert host.commit() == f'{clean}-dirty'
+    assert host.commit.__wrapped__() == f'{clean}-dirty'

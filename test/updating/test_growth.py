@@ -59,7 +59,7 @@ def test_a_new_room_is_added_and_the_old_one_keeps_its_bits() -> None:
     assert not compared.depth[-len(placed):].any()
     assert not len(stand_outside(compared.first(len(old) + len(located)), len(located)))
     outside = stand_outside(compared, len(placed))
-    inside = [number for number, pose in enumerate(poses) if pose.position[0] > DOORWAY[1, 0]]
+    inside = [number for number, pose in enumerate(poses) if pose.position[0] > DOORWAY[0, 0]]
     assert set(inside) >= set(outside.tolist()) and len(outside) > 0.8 * len(inside)
     chosen = [*range(len(old) + len(located) - 8, len(poses))]
     tied = Placed([LostImage(image, 0) for image in images[-len(placed):]], placed, [], None, None)

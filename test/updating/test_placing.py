@@ -35,7 +35,7 @@ def test_images_in_another_room_are_placed_in_metres() -> None:
 
 
 def test_poses_of_images_that_show_little_of_what_is_known_are_ties() -> None:
-    poses = drive_through_door()[10:60]
+    poses = drive_through_door()[7:40]
     drive = a_drive([pose.position[0] < 3.2 for pose in poses], poses)
     half = len(drive.poses) // 2
     led = [*map(LostImage, drive.images[half:], drive.numbers[half:], drive.poses[half:])]
@@ -62,7 +62,7 @@ def test_what_has_nothing_in_common_is_not_placed() -> None:
 def test_a_room_that_no_known_photo_looks_into_is_not_placed() -> None:
     poses = drive_through_door()
     # The drive through the door is missing: nothing ties the second room to the first.
-    drive = a_drive([True] * 15 + [False] * 40, poses[:15] + poses[60:100])
+    drive = a_drive([True] * 10 + [False] * 27, poses[:10] + poses[40:67])
     assert not place_lost(drive, SOURCE).images
 
 
