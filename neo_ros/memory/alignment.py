@@ -9,9 +9,9 @@ import math
 
 import cv2
 from neo_ros.geometry import CameraPose, Intrinsics
-from neo_ros.geometry.camera_pose import rotation_from_vector
 from neo_ros.memory import alignment_kernels as kernels
 from neo_ros.memory.alignment_kernels import GuideLevel, PhotoLevel, Warp
+from neo_ros.memory.descent_kernels import descend, Descent
 from neo_ros.memory.kernels import Pinhole
 from neo_ros.memory.rendering import MemoryRenderer
 from neo_ros.pictures.exposure import exposure_gain, ExposureThresholds
@@ -132,33 +132,14 @@ class Aligner:
 
     def _align_level(self, level: int, photo: PhotoLevel, guide: GuideLevel, warp: Warp,
                      near: bool) -> Warp:
-        view, depth, limits = self.levels[level], guide.depth, self.thresholds
+        view, limits = self.levels[level], self.thresholds
         most_gain = limits.exposure.most_gain
-        scale = limits.geman_mcclure if near else limits.huber
-        camera = Pinhole(view.fx, view.fy, view.cx, view.cy)
-        away = max(float(np.median(depth[depth > 0])), 0.5) if (depth > 0).any() else 1.0
-        H, g = np.empty((8, 8)), np.empty(8)
-        before, kept = np.inf, warp
-        for iteration in range(limits.iterations + 1):
-            error, overlap = kernels.normal_equations(
-                photo, guide, camera, warp, scale, near, H, g)
-            # Pixels that are lost must not look like an improvement.
-            cost = error / overlap if overlap >= limits.lost else np.inf
-            if cost > before:
-                return kept
-            if iteration == limits.iterations:
-                break  # The last step, too, had to be an improvement.
-            kept, before = warp, cost
-            step = -np.linalg.solve(H + limits.damping * np.diag(np.diag(H) + 1e-6), g)
-            move = np.eye(4)
-            move[:3, :3], move[:3, 3] = rotation_from_vector(step[3:6]), step[:3]
-            warp = Warp(move @ warp.T, float(np.clip(
-                warp.gain + step[6], 0.8 / most_gain, 1.25 * most_gain)),
-                warp.bias + float(step[7]))
-            moved = camera.fx * (np.linalg.norm(step[:3]) / away + np.linalg.norm(step[3:6]))
-            if moved < limits.still:
-                break
-        return warp
+        found: Warp = descend(
+            photo, guide, Pinhole(view.fx, view.fy, view.cx, view.cy), warp, Descent(
+                limits.geman_mcclure if near else limits.huber, near, limits.iterations,
+                limits.still, limits.damping, limits.lost,
+                (0.8 / most_gain, 1.25 * most_gain)))
+        return found
 
 
 def grey_of(image: np.ndarray) -> np.ndarray:

@@ -3,9 +3,11 @@ from concurrent.futures import ThreadPoolExecutor
 
 import cv2
 from neo_ros.geometry import CameraPose, Intrinsics
+from neo_ros.geometry.camera_pose import rotation_from_vector
 from neo_ros.memory.alignment_kernels import (
     equations_in_place, GuideLevel, normal_equations, PhotoLevel, Warp)
 from neo_ros.memory.colour_kernels import bend_colours
+from neo_ros.memory.descent_kernels import _solve, _stepped
 from neo_ros.memory.kernels import Pinhole
 from neo_ros.memory.pose_covariance import aligned_covariance
 from neo_ros.memory.recent_images import SeenBefore
@@ -54,6 +56,29 @@ def test_equations_in_place_are_those_of_a_warp_that_moves_nothing():
     again = np.empty((8, 8))
     assert equations_in_place(photo, guide, pinhole, 0.08, again) == cost
     assert np.array_equal(H, again)
+
+
+@pytest.mark.parametrize('turn', [0.0, 1e-9, 0.3])
+def test_a_step_is_what_linear_algebra_makes_it(turn):
+    random = np.random.default_rng(1)
+    A = random.normal(size=(8, 8))
+    H, g, step = A @ A.T + 0.01 * np.eye(8), random.normal(size=8), np.empty(8)
+    expected = -np.linalg.solve(H, g)
+    _solve(H.copy(), g, step)
+    np.testing.assert_allclose(step, expected, rtol=1e-9)
+    step[3:6] *= turn / np.linalg.norm(step[3:6])
+    move = np.eye(4)
+    move[:3, :3], move[:3, 3] = rotation_from_vector(step[3:6]), step[:3]
+    before = Warp(CameraPose.from_planar(1, 2, 3, 0.4).T_world_cam, 1.0, 0.1)
+    after = _stepped(before, step, (0.9, 1.1))
+    np.testing.assert_allclose(after.T, move @ before.T, atol=1e-12)
+    assert after.gain == np.clip(1.0 + step[6], 0.9, 1.1) and after.bias == 0.1 + step[7]
+
+
+def test_a_guide_of_which_nothing_is_known_makes_no_step():
+    step = np.empty(8)
+    _solve(1e-10 * np.eye(8), np.zeros(8), step)
+    assert not step.any()
 
 
 def plain_trusted_depth(guide, wide_image, confidence, limits):

@@ -117,7 +117,7 @@ def test_landmarks_of_what_left_are_gone_and_those_of_what_came_are_there(base: 
     assert at(new.points, BEFORE).sum() < few and at(new.points, AFTER).sum() > many
     there = {point.tobytes() for point in new.points}
     away = old.points[np.abs(old.points[:, :2, None] - np.transpose([BEFORE, AFTER])).max(
-        1).min(1) > HALF + 0.5]
+        1).min(1) > HALF + 0.7]
     assert all(point.tobytes() in there for point in away)
 
 
