@@ -45,7 +45,7 @@ def descend(level, guide_level, camera, warp, descent):
         error, overlap = normal_equations(level, guide_level, camera, warp, descent.scale,
                                           descent.redescending, H, g)
         # Pixels that are lost must not look like an improvement.
-        cost = error if overlap >= descent.lost else LOST
+        cost = error / overlap if overlap >= descent.lost else LOST
         if cost > before:
             return kept
         if iteration == descent.iterations:

@@ -7,7 +7,7 @@ from neo_ros.geometry.camera_pose import rotation_from_vector
 from neo_ros.memory.alignment_kernels import (
     equations_in_place, GuideLevel, normal_equations, PhotoLevel, Warp)
 from neo_ros.memory.colour_kernels import bend_colours
-from neo_ros.memory.descent_kernels import _solve, _stepped
+from neo_ros.memory.descent_kernels import descend, Descent
 from neo_ros.memory.kernels import Pinhole
 from neo_ros.memory.pose_covariance import aligned_covariance
 from neo_ros.memory.recent_images import SeenBefore
@@ -58,27 +58,62 @@ def test_equations_in_place_are_those_of_a_warp_that_moves_nothing():
     assert np.array_equal(H, again)
 
 
-@pytest.mark.parametrize('turn', [0.0, 1e-9, 0.3])
-def test_a_step_is_what_linear_algebra_makes_it(turn):
-    random = np.random.default_rng(1)
-    A = random.normal(size=(8, 8))
-    H, g, step = A @ A.T + 0.01 * np.eye(8), random.normal(size=8), np.empty(8)
-    expected = -np.linalg.solve(H, g)
-    _solve(H.copy(), g, step)
-    np.testing.assert_allclose(step, expected, rtol=1e-9)
-    step[3:6] *= turn / np.linalg.norm(step[3:6])
-    move = np.eye(4)
-    move[:3, :3], move[:3, 3] = rotation_from_vector(step[3:6]), step[:3]
-    before = Warp(CameraPose.from_planar(1, 2, 3, 0.4).T_world_cam, 1.0, 0.1)
-    after = _stepped(before, step, (0.9, 1.1))
-    np.testing.assert_allclose(after.T, move @ before.T, atol=1e-12)
-    assert after.gain == np.clip(1.0 + step[6], 0.9, 1.1) and after.bias == 0.1 + step[7]
+def plain_descent(photo, guide, camera, warp, descent):
+    """Return what `descend` returns, step by step."""
+    H, g, kept, before = np.empty((8, 8)), np.empty(8), warp, np.inf
+    away = max(np.median(guide.depth[guide.depth > 0]), 0.5)
+    for iteration in range(descent.iterations + 1):
+        error, overlap = normal_equations(photo, guide, camera, warp, descent.scale,
+                                          descent.redescending, H, g)
+        cost = error / overlap if overlap >= descent.lost else np.inf
+        if cost > before:
+            return kept
+        if iteration == descent.iterations:
+            return warp
+        kept, before = warp, cost
+        step = -np.linalg.solve(H + descent.damping * np.diag(np.diag(H) + 1e-6), g)
+        move = np.eye(4)
+        move[:3, :3], move[:3, 3] = rotation_from_vector(step[3:6]), step[:3]
+        warp = Warp(move @ warp.T, np.clip(warp.gain + step[6], *descent.gains),
+                    warp.bias + step[7])
+        if camera.fx * (np.linalg.norm(step[:3]) / away
+                        + np.linalg.norm(step[3:6])) < descent.still:
+            return warp
 
 
-def test_a_guide_of_which_nothing_is_known_makes_no_step():
-    step = np.empty(8)
-    _solve(1e-10 * np.eye(8), np.zeros(8), step)
-    assert not step.any()
+@pytest.mark.parametrize('redescending', [False, True])
+@pytest.mark.parametrize('iterations', [1, 3, 12])
+def test_steps_are_those_of_plain_formulas(redescending, iterations):
+    random, camera = np.random.default_rng(0), Intrinsics(48, 32, 30.0, 31.0, 23.0, 17.0)
+    pinhole, ways = Pinhole(camera.fx, camera.fy, camera.cx, camera.cy), []
+    for shift in (0.02, 0.1, 0.3, 0.6, 1.0, 1.6):  # The last ones lose much of the image.
+        grey, shown = (cv2.GaussianBlur(random.uniform(0, 1, (32, 48)).astype(np.float32),
+                                        (0, 0), 3) * 2 for _ in range(2))
+        photo = PhotoLevel(grey, *(np.gradient(grey, axis=axis).astype(np.float32)
+                                   for axis in (1, 0)))
+        depth = random.uniform(1, 3, (32, 48)).astype(np.float32)
+        guide = GuideLevel(0.8 * grey + 0.2 * shown, depth, camera.pixel_rays())
+        T = CameraPose.from_planar(0, 0, 0, 0.1 * shift).T_world_cam
+        start = Warp(np.linalg.inv(T) @ CameraPose.from_planar(
+            shift, 0.5 * shift, 0, 0).T_world_cam, 1.0, 0.0)
+        descent = Descent(0.08, redescending, iterations, 0.02, 1e-4, 0.05, (0.4, 2.5))
+        found = descend(photo, guide, pinhole, start, descent)
+        expected = plain_descent(photo, guide, pinhole, start, descent)
+        np.testing.assert_allclose(found.T, expected.T, atol=1e-6)
+        np.testing.assert_allclose(found[1:], expected[1:], atol=1e-6)
+        ways.append(np.abs(found.T - start.T).max())
+    assert np.count_nonzero(ways) > 2
+
+
+def test_a_guide_of_which_nothing_is_known_stays_where_it_is():
+    nothing = np.zeros((32, 48), np.float32)
+    camera = Intrinsics(48, 32, 30.0, 31.0, 23.0, 17.0)
+    start = Warp(np.eye(4), 1.0, 0.0)
+    found = descend(PhotoLevel(nothing, nothing, nothing),
+                    GuideLevel(nothing, nothing, camera.pixel_rays()),
+                    Pinhole(camera.fx, camera.fy, camera.cx, camera.cy), start,
+                    Descent(0.08, False, 12, 0.02, 1e-4, 0.05, (0.4, 2.5)))
+    np.testing.assert_array_equal(found.T, start.T)
 
 
 def plain_trusted_depth(guide, wide_image, confidence, limits):

@@ -16,6 +16,7 @@ from neo_ros.updating.driven_photos import LostImage
 from neo_ros.updating.growth import grow, GrowthRules, stand_outside
 from neo_ros.updating.new_keyframes import new_positions
 from neo_ros.updating.placing import Placed
+from neo_ros.updating.refit import FitLength, trainer_of
 import numpy as np
 import pytest
 from two_rooms import (
@@ -88,6 +89,17 @@ def test_a_new_room_is_added_and_the_old_one_keeps_its_bits() -> None:
         far.append(np.abs(shown.depth - depth)[here])
 
     assert np.median(np.concatenate(far)) < 0.15 and np.concatenate(off).mean() < 20
+
+
+def test_the_fit_of_a_part_takes_no_more_steps_than_that_of_the_whole() -> None:
+    poses = poses_in_first(4)
+    photos = Photos(np.zeros((4, 40, 40, 3), np.uint8), SMALL,
+                    np.stack([pose.T_world_cam for pose in poses]), np.ones((4, 40, 40), bool))
+    # Each pixel twelve times: 1200 steps. How many a fit by the minute took nobody knows.
+    for steps, minutes, expected in ((6000, None, 1200), (500, None, 500), (500, 1.0, 1200)):
+        config = FieldConfig(voxels=10_000, rays_per_step=64, steps=steps, minutes=minutes)
+        trainer = trainer_of(photos, np.ones((4, 3)), config, 0, None, FitLength())
+        assert trainer.done == (0, expected)
 
 
 def test_new_keyframes_of_a_robot_stand_at_its_height_not_at_that_of_a_pose_that_is_off() -> None:
