@@ -15,7 +15,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # Threads that wait leave the cores to the other two.
 PYTEST := OMP_WAIT_POLICY=PASSIVE $(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
 
-.PHONY: help setup train-setup dev-setup demo check test bench soak fuzz lint docs constraints clean
+.PHONY: help setup train-setup dev-setup demo check test bench soak fuzz style lint docs constraints clean
 help:
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 22
 
@@ -42,8 +42,10 @@ soak: setup  ## an hour of the node at 30 Hz: does it grow or fall behind?
 fuzz: dev-setup  ## 100,000 broken messages for the message layer, 5,000 for a live node
 	$(BIN)/python test/helpers/message_fuzzer.py
 
-lint: dev-setup  ## style and types
+style: dev-setup  ## style alone
 	$(BIN)/flake8
+
+lint: style  ## style and types
 	$(BIN)/mypy
 
 docs: dev-setup  ## the generated tables of docs/, from results/ and the code
