@@ -113,9 +113,10 @@ def trainer_of(photos: Photos, gains: np.ndarray, config: FieldConfig, seed: int
     """
     assert photos.usable is not None
     pixels = int(photos.usable.sum()) if pixels is None else pixels
-    whole = rules.most_steps if config.minutes is not None else config.steps
-    steps = int(np.clip(rules.passes * pixels / config.rays_per_step,
-                        rules.least_steps, min(rules.most_steps, whole)))
+    most = rules.most_steps
+    if config.minutes is None:  # Else the training did not read its steps.
+        most = min(most, config.steps)
+    steps = int(np.clip(rules.passes * pixels / config.rays_per_step, rules.least_steps, most))
     trainer = FieldTrainer(
         photos.images, photos.intrinsics, photos.T_world_cam,
         replace(config, steps=steps, minutes=minutes, exposure=False, vignetting=False,
