@@ -1,7 +1,7 @@
 """
 Is a large floor as good as one room? Floors of a building, from photos to a model.
 
-    python -m neo_ros.benchmark.floors --work FOLDER [--rooms N ...]
+    python -m neo_ros.benchmark.floors --work FOLDER [--rooms N ...] [--floors N] [--width PIXELS]
 
 Each floor is photographed as a mapping robot does, and trained with the same steps a room; from
 two tiles' width on that is tile by tile, see `field/tiles.py`.
@@ -39,16 +39,16 @@ def floor_experiment(rooms: int, tiled: bool) -> Experiment:
                       memory=MemoryConfig(distance=APART))
 
 
-def measure_floor(work: Path, rooms: int, size: int = 128,
-                  searches: int = 100, progress: StageProgress = no_stage_progress
-                  ) -> dict[str, Any]:
-    """Train on a floor, as far as `work` has nothing of it, and return the row of it."""
-    plan = BuildingPlan(rooms=rooms, seed=SEED)
-    folder = work / f'rooms_{rooms}'
-    write_building_scene(folder, plan, image_size=size, progress=progress)
+def measure_floors(work: Path, plan: BuildingPlan, width: int, searches: int,
+                   progress: StageProgress = no_stage_progress) -> dict[str, Any]:
+    """Train on a building's floors, as far as `work` has nothing of it; return the row of it."""
+    name = f'{plan.floors}x{plan.rooms}_rooms_{width}'
+    folder = work / name
+    write_building_scene(folder, plan, image_size=width, progress=progress)
     scene = read_scene(folder)
     tiles = len(tiles_of(scene, Experiment()))
-    run = train(folder, floor_experiment(rooms, tiles > 1), work / f'run_{rooms}', progress)
+    run = train(folder, floor_experiment(plan.rooms * plan.floors, tiles > 1),
+                work / f'run_{name}', progress)
     model = NeoModel(run.model_path, threads=1)
     scores, = evaluate(scene.name, TruthFrames(scene.test, run.expansion), [model],
                        progress=lambda done: progress('scoring', done, len(scene.test or ())))
@@ -71,22 +71,28 @@ def _say(stage: str, done: int, total: int, note: str = '') -> None:
 def main(work: Annotated[Path, typer.Option(help='Keeps scenes and trainings.')],
          rooms: Annotated[Optional[list[int]], typer.Option(
              help='Of a floor; may be given again. Default: 1, 3 and 12.')] = None,
+         floors: Annotated[int, typer.Option(help='That lie one upon the other.', min=1)] = 1,
+         width: Annotated[int, typer.Option(help='Of the camera, pixels.', min=32)] = 128,
          searches: Annotated[int, typer.Option(help='In each building.', min=1)] = 100,
          out: Annotated[Path, typer.Option(help='JSON file of the rows; others stay.')] = Path(
              'results/building.json')) -> None:
     """Train on floors and measure them; a room takes some minutes, a break costs one at most."""
     for count in rooms or (1, 3, 12):
-        row = measure_floor(work, count, searches=searches, progress=_say)
+        row = measure_floors(work, BuildingPlan(floors=floors, rooms=count, seed=SEED), width,
+                             searches, _say)
         known = json.loads(out.read_text()) if out.exists() else []
-        known = [old for old in known if (old['layout'], old['rooms']) != (
-            row['layout'], row['rooms'])] + [row]
-        one_room = next((old['guided_ring_psnr'] for old in known
-                         if (old['layout'], old['rooms']) == (LAYOUT, 1)), None)
+        known = [old for old in known if _which(old) != _which(row)] + [row]
+        one_rooms = {old['camera']: old['guided_ring_psnr'] for old in known
+                     if (old['layout'], old['floors'] * old['rooms']) == (LAYOUT, 1)}
         for new in known:
             if new['layout'] == LAYOUT:
-                new['one_room_ring_psnr'] = one_room
+                new['one_room_ring_psnr'] = one_rooms.get(new['camera'])
         write_rows(out, known)
         print(row, flush=True)
+
+
+def _which(row: dict[str, Any]) -> tuple[Any, ...]:
+    return tuple(row[key] for key in ('layout', 'camera', 'floors', 'rooms'))
 
 
 if __name__ == '__main__':
