@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 from neo_ros.geometry import CameraPose, ViewExpansion
 from neo_ros.machine.compiled import ALL_THREADS
+from neo_ros.machine.evenly import evenly
 from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.memory.doubt import Doubt
 from neo_ros.memory.glancing import GlanceFinder
@@ -30,16 +31,15 @@ class TwinRules:
     # Two ways from a place to its twin are one if they lead so near.
     same_metres: float = 0.5
     same_cosine: float = 0.97
+    exact_views: int = 12      # by which the way of a pair is told exactly
 
 
 @dataclass
 class _Pair:
-    """A way from a place to its twin, and where it was found."""
+    """A way from a place to its twin, and the views that it leads there."""
 
     T: np.ndarray
-    pose: CameraPose
-    low: np.ndarray
-    high: np.ndarray
+    poses: list[CameraPose]
 
     def explains(self, one: CameraPose, other: CameraPose, rules: TwinRules) -> bool:
         """Tell whether it leads from one pose to another, about, and take the first in if so."""
@@ -47,13 +47,14 @@ class _Pair:
         leads = bool(np.linalg.norm(there[:3, 3] - other.position) < rules.same_metres
                      and there[:3, 2] @ other.forward > rules.same_cosine)
         if leads:
-            self.grow(one)
+            self.poses.append(one)
         return leads
 
-    def grow(self, pose: CameraPose) -> None:
-        """Take a pose into the area."""
-        self.low, self.high = (np.minimum(self.low, pose.position),
-                               np.maximum(self.high, pose.position))
+    @property
+    def area(self) -> np.ndarray:
+        """The corners of where its views were taken, (2, 3)."""
+        positions = np.stack([pose.position for pose in self.poses])
+        return np.stack([positions.min(0), positions.max(0)])
 
 
 def find_twins(memory: SceneMemory, expansion: ViewExpansion, progress: Progress = no_progress,
@@ -81,13 +82,31 @@ def find_twins(memory: SceneMemory, expansion: ViewExpansion, progress: Progress
                 for equal in doubt.equals(image, looker.look(image, pose), left):
                     if _unexplained(pairs, pose, [equal.pose], rules):
                         T = equal.pose.T_world_cam @ np.linalg.inv(pose.T_world_cam)
-                        pairs.append(_Pair(T, pose, pose.position, pose.position))
+                        pairs.append(_Pair(T, [pose]))
             progress(done + 1, len(memory.positions))
+        exact = [_exact(pair, looker, rules) for pair in pairs]
     if not pairs:
         return NO_TWINS
-    return Twins(np.stack([pair.T for pair in pairs]),
-                 np.stack([[pair.low, pair.high] for pair in pairs]),
-                 np.stack([pair.pose.T_world_cam for pair in pairs]))
+    return Twins(np.stack(exact), np.stack([pair.area for pair in pairs]),
+                 np.stack([pair.poses[0].T_world_cam for pair in pairs]))
+
+
+def _exact(pair: _Pair, looker: Looker, rules: TwinRules) -> np.ndarray:
+    """Return the way (4, 4) that some views of a pair agree on; one view may tell it badly."""
+    ways = [pair.T]
+    for index in evenly(len(pair.poses), rules.exact_views):
+        pose = pair.poses[index]
+        view = looker.renderer.render(pose, looker.expansion.source, looker.thresholds.shown)
+        photo = looker.aligner.photo(view.image.clip(0, 255).astype(np.uint8))
+        there = CameraPose.nearest(pair.T @ pose.T_world_cam)
+        found = looker.aligner.align(photo, there, rounds=3, near=True)
+        if looker.aligner.agreement(photo, found) >= looker.thresholds.least_agreement:
+            ways.append(found.T_world_cam @ np.linalg.inv(pose.T_world_cam))
+    # Where they lead the corners of the place; the one that is nearest to all others.
+    corners = np.stack([np.append(corner, 1.0) for corner in pair.area])
+    ends = np.stack([corners @ way.T for way in ways])[..., :3].reshape(len(ways), -1)
+    apart = np.linalg.norm(ends[:, None] - ends, axis=-1)
+    return ways[int(apart.sum(1).argmin())]
 
 
 def _views_at(position: np.ndarray, T_world_cam: np.ndarray, rules: TwinRules

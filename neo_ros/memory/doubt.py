@@ -89,7 +89,7 @@ class Doubt:
             # What was found may lie a little off, as landmarks do, and look worse than it is: its
             # twin leads to where exactly it would be.
             asked, winner = best, candidates[best]
-            candidates += self._rivals(image, winner, self._twins.of(winner.pose))
+            candidates += self._rivals(image, winner, ())
             evidence = self._ask(image, candidates)
             best = least_refuted(evidence)
         # What led to the best may be a little off it, the same place.
@@ -208,26 +208,36 @@ class Doubt:
     def _starts(self, image: CameraImage, found: Sight, elsewhere: Sequence[CameraPose] = ()
                 ) -> list[CameraPose]:
         """Return where else the camera of an image could be, before it is looked closer."""
-        return [*elsewhere, *self._twins.of(found.pose),
+        return [*elsewhere,
                 *self._glances.find_rivals(image.pixels, found.pose, self._limits)]
 
     def _rivals(self, image: CameraImage, found: Sight, starts: Sequence[CameraPose]
                 ) -> list[Sight]:
-        """Return what is seen from other places that explain an image, each place once."""
+        """
+        Return what is seen from other places that explain an image, each place once.
+
+        They are looked for from some starts, and in the twins of where it was found: these are as
+        exact as that is, and stay where they are if aligning them makes them agree less.
+        """
         looker, limits, coarse = self._looker, self._limits, self._looker.coarse_aligner
-        photo, tried = coarse.photo(image.pixels), list[tuple[float, CameraPose]]()
+        twins = self._twins.of(found.pose)
+        photo, tried = coarse.photo(image.pixels), list[
+            tuple[float, CameraPose, CameraPose | None]]()
         with on_cores(1):  # To share such small views out takes longer.
             # Where somebody stands in the image, or what is shown has changed, all agree less.
             least = min(limits.least_coarse,
                         coarse.agreement(photo, found.pose) - limits.agrees_less)
-            for start in starts:
+            for start, twin in (*((twin, twin) for twin in twins),
+                                *((start, None) for start in starts)):
                 pose = coarse.align(photo, start, rounds=1)
                 if is_elsewhere(pose, found.pose, limits):
                     agrees = coarse.agreement(photo, pose)
+                    if twin is not None:
+                        agrees = max(agrees, coarse.agreement(photo, twin))
                     if agrees > least:
-                        tried.append((agrees, pose))
+                        tried.append((agrees, pose, twin))
         rivals, looked = list[Sight](), list[CameraPose]()
-        for _, start in sorted(tried, key=lambda one: -one[0]):
+        for _, start, twin in sorted(tried, key=lambda one: -one[0]):
             if len(rivals) == limits.most_rivals:
                 break
             if any(not is_elsewhere(start, rival.pose, limits) for rival in rivals) or any(
@@ -242,10 +252,13 @@ class Doubt:
             pose = looker.aligner.align(image.photo, pose, rounds=1, near=True)
             if any(not is_elsewhere(pose, other.pose, limits) for other in (found, *rivals)):
                 continue
-            sight = replace(looker.look(image, pose), found='searched')
-            if sight.believed or (
-                    1 - sight.agreement < limits.as_unexplained * (1 - found.agreement)):
-                rivals.append(sight)
+            sight, least = looker.look(image, pose), (
+                1 - limits.as_unexplained * (1 - found.agreement))
+            if twin is not None:
+                sight = max(sight, looker.look(image, twin), key=lambda one: one.agreement)
+                least = min(least, limits.least_twin)
+            if sight.believed or sight.agreement > least:
+                rivals.append(replace(sight, found='searched'))
         return rivals
 
     def _ask(self, image: CameraImage, sights: list[Sight]) -> np.ndarray:

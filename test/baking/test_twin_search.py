@@ -2,10 +2,12 @@
 from pathlib import Path
 
 from box_room import AWAY, box_memory, EXPANSION, planar, twin_memory
-from neo_ros.baking.twin_search import find_twins
+from neo_ros.baking.twin_search import _exact, _Pair, find_twins, TwinRules
 from neo_ros.errors import ModelError
 from neo_ros.geometry import CameraPose
+from neo_ros.memory.looking import Looker
 from neo_ros.memory.scene_memory import SceneMemory
+from neo_ros.memory.sight import GuideThresholds
 from neo_ros.memory.twins import NO_TWINS, Twins
 import numpy as np
 import pytest
@@ -23,8 +25,8 @@ def test_each_of_two_rooms_leads_to_the_other(found: Twins) -> None:
     assert len(found) == 1
     for start, sign in ((planar(1.9, 1.7, 35), 1), (planar(1.9 + AWAY, 1.7, 35), -1)):
         other, = found.of(start)
-        assert np.linalg.norm(other.position - start.position - [sign * AWAY, 0, 0]) < 0.1
-        assert other.forward @ start.forward > 0.999
+        assert np.linalg.norm(other.position - start.position - [sign * AWAY, 0, 0]) < 0.02
+        assert other.forward @ start.forward > 0.9999
 
 
 def test_it_is_told_from_where_they_look_alike(found: Twins) -> None:
@@ -51,3 +53,15 @@ def test_a_memory_file_keeps_its_twins(tmp_path: Path, found: Twins) -> None:
     memory.twins = Twins(2 * found.T, found.areas, found.T_world_cam)
     with pytest.raises(ModelError, match='twins'):
         SceneMemory.read(path, memory.write(path))
+
+
+def test_many_views_tell_the_way_to_a_twin_that_one_told_badly() -> None:
+    memory = twin_memory(own_picture=False)
+    looker = Looker(memory, EXPANSION, GuideThresholds())
+    views = [planar(1.4 + 0.25 * step, 1.7, 60 * step) for step in range(5)]
+    badly = planar(1.4 + AWAY + 0.15, 1.6, 2).T_world_cam @ views[0].inverse()
+    way = _exact(_Pair(badly, views), looker, TwinRules())
+    for view in views:
+        there = CameraPose.nearest(way @ view.T_world_cam)
+        assert np.linalg.norm(there.position - view.position - [AWAY, 0, 0]) < 0.02
+        assert there.forward @ view.forward > 0.9999

@@ -12,6 +12,7 @@ from neo_ros.memory.local_features import find_features
 from neo_ros.memory.looking import Looker
 from neo_ros.memory.scene_guide import SceneGuide
 from neo_ros.memory.sight import AmbiguityThresholds, CameraImage, GuideThresholds, Sight
+from neo_ros.memory.twins import Twins
 import numpy as np
 import pytest
 
@@ -188,6 +189,29 @@ def test_a_place_that_was_found_a_little_off_does_not_lose_to_its_twin(
         assert doubt.is_open == (not told)
         assert settled is None if not told else (
             settled is not None and apart(settled.pose, true)[0] < 0.05)
+
+
+def test_a_known_twin_that_is_aligned_badly_stays_where_it_is(
+        twins: SceneGuide, monkeypatch: pytest.MonkeyPatch) -> None:
+    looker, pose = twins._looker, planar(1.9, 1.7, 35)
+    image, there = _image(looker), _in_twin(pose)
+    ways = Twins(np.stack([_in_twin(CameraPose(np.eye(4))).T_world_cam]),
+                 np.array([[[0, 0, 0], [3, 3, 3]]]), pose.T_world_cam[None])
+    doubt = Doubt(looker, twins._places.glances, ways)
+
+    def drifting(photo: object, start: CameraPose, *_: object, **__: object) -> CameraPose:
+        return planar(start.position[0], start.position[1] + 0.15, 38)
+
+    monkeypatch.setattr(looker.aligner, 'align', drifting)
+    rival, = doubt._rivals(image, looker.look(image, pose), [])
+    assert max(apart(rival.pose, there)) < 1e-6 and rival.believed
+    # What the memory shows too poorly to be believed could be it; what it shows otherwise not.
+    look = looker.look
+    for agrees, rivals in ((0.8, 1), (0.7, 0)):
+        monkeypatch.setattr(looker, 'look', lambda *asked, agrees=agrees: replace(
+            look(*asked), agreement=agrees, believed=False))
+        found = replace(look(image, pose), agreement=0.95)
+        assert len(doubt._rivals(image, found, [])) == rivals
 
 
 def test_what_was_refuted_stays_where_it_is_whichever_place_is_left(
