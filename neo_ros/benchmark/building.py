@@ -39,6 +39,7 @@ LAYOUTS: Mapping[str, BuildingPlan] = {
     'twins but one picture': BuildingPlan(rooms=12, seed=1, twins=6, own_picture=True),
     'all equal': BuildingPlan(rooms=12, seed=1, alike=1.0),
     'two equal floors': BuildingPlan(floors=2, rooms=6, seed=1, equal_floors=True),
+    'two floors': BuildingPlan(floors=2, rooms=6, seed=1),
     'a floor of 50': BuildingPlan(rooms=50, seed=1)}
 UNMEASURED = ('guided_ring_psnr', 'one_room_ring_psnr', 'guided_share', 'train_minutes')
 
@@ -54,6 +55,7 @@ class BuildingRules:
     # A camera right before a wall sees nothing: the median of the depth, metres.
     least_depth: float = 0.8
     walk_frames: int = 25
+    cab_frames: int = 10  # of a lift's walls, while a camera is taken to another floor
     # How far off a prior is, as a click on a map: its height is the floor's.
     prior_metres: float = 0.7
     prior_degrees: float = 30.0
@@ -72,6 +74,9 @@ class Counts:
     walks: int = 0
     walks_found_right: int = 0
     walks_ever_wrong: int = 0
+    rides: int = 0
+    rides_found_right: int = 0
+    rides_ever_wrong: int = 0
     search_ms: list[float] = field(default_factory=list)
     follow_ms: list[float] = field(default_factory=list)
 
@@ -117,6 +122,8 @@ def measure_search(layout: str, building: Building, path: Path, expansion: ViewE
     for (image, pose), click in zip(views, _clicks(views, rules)):
         _search_around(guide, image, click, pose, rules, counts)
     _walk(building, source, guide, rules, counts)
+    if plan.floors > 1:
+        _ride(building, source, guide, rules, counts)
     return {
         'layout': layout, 'search': 'compared with rivals' if rivals else 'before',
         'area_m2': round(plan.area), 'floors': plan.floors, 'rooms': plan.rooms,
@@ -129,7 +136,8 @@ def measure_search(layout: str, building: Building, path: Path, expansion: ViewE
         'lost': counts.lost, 'by_landmarks': counts.by_landmarks,
         'prior_right': counts.prior_right, 'prior_wrong': counts.prior_wrong,
         'door_walks': counts.walks, 'walks_found_right': counts.walks_found_right,
-        'walks_ever_wrong': counts.walks_ever_wrong,
+        'walks_ever_wrong': counts.walks_ever_wrong, 'lift_rides': counts.rides,
+        'rides_found_right': counts.rides_found_right, 'rides_ever_wrong': counts.rides_ever_wrong,
         'file_mb': _rounded(path.stat().st_size / 1e6), 'resident_mb': _rounded(resident),
         'commit': commit(), 'host': host()}
 
@@ -218,6 +226,38 @@ def _walk(building: Building, source: Intrinsics, guide: SceneGuide, rules: Buil
         counts.walks += 1
         counts.walks_found_right += found is not None and not _is_wrong(found.pose, pose, rules)
         counts.walks_ever_wrong += ever
+
+
+def _ride(building: Building, source: Intrinsics, guide: SceneGuide, rules: BuildingRules,
+          counts: Counts) -> None:
+    """Walk through doors, each time first on the ground floor, known by a prior, then above it."""
+    cab = _cab(source)
+    for walk in door_walks(building, 0, rules.walk_frames, 1):
+        guide.reset()
+        guide.guide(building.render(source, walk[0])[0], walk[0])
+        for pose in walk[1:]:
+            guide.guide(building.render(source, pose)[0])
+        for _ in range(rules.cab_frames):
+            guide.guide(cab)
+        ever, found, pose = False, None, walk[0]
+        for before in walk:
+            x, y, z = before.position
+            pose = CameraPose.from_planar(x, y, z + FLOOR_HEIGHT, before.yaw)
+            found = guide.guide(building.render(source, pose)[0])
+            ever |= found is not None and _is_wrong(found.pose, pose, rules)
+        counts.rides += 1
+        counts.rides_found_right += found is not None and not _is_wrong(found.pose, pose, rules)
+        counts.rides_ever_wrong += ever
+
+
+def _cab(source: Intrinsics) -> np.ndarray:
+    """Return an image of brushed steel with a door's gap in the middle, uint8 RGB (h, w, 3)."""
+    random = np.random.default_rng(7)
+    columns = 150 + 12 * random.standard_normal(source.width)
+    columns[source.width // 2] = 30
+    rows = np.linspace(0.8, 1.1, source.height)
+    steel = rows[:, None] * columns + random.standard_normal((source.height, source.width))
+    return np.repeat(steel[..., None].clip(0, 255).astype(np.uint8), 3, axis=2)
 
 
 def _is_wrong(found: CameraPose, true: CameraPose, rules: BuildingRules) -> bool:

@@ -97,7 +97,8 @@ def over_the_minutes(root: Path) -> bytes:
 def over_the_floor(root: Path, unit: str, values: Mapping[str, str]) -> bytes:
     """Return the plot of values, name and key each, of trained floors over their area, SVG."""
     from neo_ros.reports.plot import Plot, plot_svg, Series
-    found = sorted((row for row in rows_of(root, 'building') if row['layout'] == TRAINED),
+    found = sorted((row for row in rows_of(root, 'building')
+                    if (row['layout'], row['camera']) == (TRAINED, '128x128')),
                    key=lambda row: row['area_m2'])
     return plot_svg(Plot('', 'floor, m2', unit, [
         Series(name, [row['area_m2'] for row in found], [row[key] for row in found])

@@ -162,6 +162,12 @@ BUILDING = (
     Column('right at the end', 'walks_found_right'), Column('ever wrong', 'walks_ever_wrong'),
     Column('search, ms', 'found_ms_median', '{:.0f}'), Column('p95', 'found_ms_p95', '{:.0f}'))
 
+# A camera that is taken to another floor.
+LIFTS = (
+    Column('rooms', 'layout'), Column('search', 'search'),
+    Column('rides in a lift', 'lift_rides'), Column('right at the end', 'rides_found_right'),
+    Column('ever wrong', 'rides_ever_wrong'))
+
 # What searches on a floor cost, however its memory was made.
 SEARCHED = (
     Column('searches', 'searches'), Column('wrong place believed', 'wrong_places'),
@@ -178,7 +184,8 @@ FLOORS = (
 # Floors that were photographed and trained.
 TRAINED = 'trained'
 TRAINED_FLOORS = (
-    Column('rooms', 'rooms'), Column('m2', 'area_m2'), Column('photos', 'photos', '{:,}'),
+    Column('camera', 'camera'), Column('floors', 'floors'), Column('rooms of each', 'rooms'),
+    Column('m2', 'area_m2'), Column('photos', 'photos', '{:,}'),
     Column('tiles', 'tiles'), Column('minutes', 'train_minutes', '{:.0f}'),
     Column('guided ring, dB', 'guided_ring_psnr', DB),
     Column('of one room', 'one_room_ring_psnr', DB),
@@ -206,6 +213,7 @@ TABLES: dict[str, Rows] = {
     'imports': Rows('imports', IMPORTS),
     'building': Rows('building', BUILDING,
                      lambda row: not row['layout'].startswith((A_FLOOR, TRAINED))),
+    'lifts': Rows('building', LIFTS, lambda row: row.get('lift_rides', 0) > 0),
     'floors': Rows('building', FLOORS, lambda row: 'by_landmarks' in row and (
         row['search'] != 'before') and row['layout'].startswith((A_FLOOR, 'all different'))),
     'trained_floors': Rows('building', TRAINED_FLOORS,
