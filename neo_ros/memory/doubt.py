@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from neo_ros.geometry import CameraPose
+from neo_ros.memory.alignment_kernels import PhotoLevel
 from neo_ros.memory.evidence import ask, least_refuted
 from neo_ros.memory.glancing import GlanceFinder
 from neo_ros.memory.looking import Looker
@@ -208,8 +209,7 @@ class Doubt:
     def _starts(self, image: CameraImage, found: Sight, elsewhere: Sequence[CameraPose] = ()
                 ) -> list[CameraPose]:
         """Return where else the camera of an image could be, before it is looked closer."""
-        return [*elsewhere,
-                *self._glances.find_rivals(image.pixels, found.pose, self._limits)]
+        return [*elsewhere, *self._glances.find_rivals(image.pixels, found.pose, self._limits)]
 
     def _rivals(self, image: CameraImage, found: Sight, starts: Sequence[CameraPose]
                 ) -> list[Sight]:
@@ -219,25 +219,10 @@ class Doubt:
         They are looked for from some starts, and in the twins of where it was found: these are as
         exact as that is, and stay where they are if aligning them makes them agree less.
         """
-        looker, limits, coarse = self._looker, self._limits, self._looker.coarse_aligner
-        twins = self._twins.of(found.pose)
-        photo, tried = coarse.photo(image.pixels), list[
-            tuple[float, CameraPose, CameraPose | None]]()
-        with on_cores(1):  # To share such small views out takes longer.
-            # Where somebody stands in the image, or what is shown has changed, all agree less.
-            least = min(limits.least_coarse,
-                        coarse.agreement(photo, found.pose) - limits.agrees_less)
-            for start, twin in (*((twin, twin) for twin in twins),
-                                *((start, None) for start in starts)):
-                pose = coarse.align(photo, start, rounds=1)
-                if is_elsewhere(pose, found.pose, limits):
-                    agrees = coarse.agreement(photo, pose)
-                    if twin is not None:
-                        agrees = max(agrees, coarse.agreement(photo, twin))
-                    if agrees > least:
-                        tried.append((agrees, pose, twin))
+        looker, limits = self._looker, self._limits
+        small = looker.coarse_aligner.photo(image.pixels)
         rivals, looked = list[Sight](), list[CameraPose]()
-        for _, start, twin in sorted(tried, key=lambda one: -one[0]):
+        for start, twin in self._likely(small, found, starts):
             if len(rivals) == limits.most_rivals:
                 break
             if any(not is_elsewhere(start, rival.pose, limits) for rival in rivals) or any(
@@ -246,20 +231,44 @@ class Doubt:
                 continue
             looked.append(start)
             with on_cores(1):
-                start = coarse.align(photo, start, rounds=1)
+                start = looker.coarse_aligner.align(small, start, rounds=1)
             # Not as strictly as what is searched for: a little off, a twin agrees a little less.
             pose = looker.aligner.align(image.photo, start, rounds=2)
             pose = looker.aligner.align(image.photo, pose, rounds=1, near=True)
             if any(not is_elsewhere(pose, other.pose, limits) for other in (found, *rivals)):
                 continue
-            sight, least = looker.look(image, pose), (
-                1 - limits.as_unexplained * (1 - found.agreement))
+            sight = looker.look(image, pose)
+            least = 1 - limits.as_unexplained * (1 - found.agreement)
             if twin is not None:
                 sight = max(sight, looker.look(image, twin), key=lambda one: one.agreement)
                 least = min(least, limits.least_twin)
             if sight.believed or sight.agreement > least:
                 rivals.append(replace(sight, found='searched'))
         return rivals
+
+    def _likely(self, small: list[PhotoLevel], found: Sight, starts: Sequence[CameraPose]
+                ) -> list[tuple[CameraPose, CameraPose | None]]:
+        """
+        Return the places elsewhere that a small image agrees with, those first that it does most.
+
+        Each with the twin that led there, None where a start did.
+        """
+        coarse, limits, tried = self._looker.coarse_aligner, self._limits, []
+        twins = self._twins.of(found.pose)
+        with on_cores(1):  # To share such small views out takes longer.
+            # Where somebody stands in the image, or what is shown has changed, all agree less.
+            least = min(limits.least_coarse,
+                        coarse.agreement(small, found.pose) - limits.agrees_less)
+            for start, twin in (*zip(twins, twins), *((start, None) for start in starts)):
+                pose = coarse.align(small, start, rounds=1)
+                if not is_elsewhere(pose, found.pose, limits):
+                    continue
+                agrees = coarse.agreement(small, pose)
+                if twin is not None:
+                    agrees = max(agrees, coarse.agreement(small, twin))
+                if agrees > least:
+                    tried.append((agrees, pose, twin))
+        return [(pose, twin) for _, pose, twin in sorted(tried, key=lambda one: -one[0])]
 
     def _ask(self, image: CameraImage, sights: list[Sight]) -> np.ndarray:
         return ask(self._looker, image, sights)
