@@ -148,6 +148,7 @@ class Doubt:
         """Move all places on with the camera, and drop those that the image does not fit."""
         moved = [self._moved(image, one, motion) for one in self._open]
         best = max(moved, key=lambda one: one.sight.agreement)
+        twins = self._twins.of(best.sight.pose)
         sure, kept = self._looker.thresholds.sure, list[int]()
         for index, (before, one) in enumerate(zip(self._open, moved)):
             last = before.sight.pose
@@ -156,7 +157,9 @@ class Doubt:
                 pose = CameraPose.nearest(last.T_world_cam @ best.motion)
                 sight = self._looker.look(image, pose, pose)
                 if best.sight.agreement >= sure or sight.agreement > one.sight.agreement:
-                    moved[index] = one = replace(one, sight=sight, motion=best.motion)
+                    one = replace(one, sight=sight, motion=best.motion)
+            sight, _ = self._at_twin(image, one.sight, twins)
+            moved[index] = one = replace(one, sight=sight)
             expected = last if motion is None else CameraPose.nearest(last.T_world_cam @ motion)
             if all(self._is_elsewhere(one.sight, moved[other].sight) for other in kept) and (
                     not is_elsewhere(one.sight.pose, expected, self._limits)):
@@ -216,13 +219,12 @@ class Doubt:
         """
         Return what is seen from other places that explain an image, each place once.
 
-        They are looked for from some starts, and in the twins of where it was found: these are as
-        exact as that is, and stay where they are if aligning them makes them agree less.
+        They are looked for from some starts, and in the twins of where it was found.
         """
         looker, limits = self._looker, self._limits
-        small = looker.coarse_aligner.photo(image.pixels)
+        small, twins = looker.coarse_aligner.photo(image.pixels), self._twins.of(found.pose)
         rivals, looked = list[Sight](), list[CameraPose]()
-        for start, twin in self._likely(small, found, starts):
+        for start in self._likely(small, found, twins, starts):
             if len(rivals) == limits.most_rivals:
                 break
             if any(not is_elsewhere(start, rival.pose, limits) for rival in rivals) or any(
@@ -237,38 +239,43 @@ class Doubt:
             pose = looker.aligner.align(image.photo, pose, rounds=1, near=True)
             if any(not is_elsewhere(pose, other.pose, limits) for other in (found, *rivals)):
                 continue
-            sight = looker.look(image, pose)
+            sight, is_twin = self._at_twin(image, looker.look(image, pose), twins)
             least = 1 - limits.as_unexplained * (1 - found.agreement)
-            if twin is not None:
-                sight = max(sight, looker.look(image, twin), key=lambda one: one.agreement)
-                least = min(least, limits.least_twin)
-            if sight.believed or sight.agreement > least:
+            if sight.believed or sight.agreement > (
+                    min(least, limits.least_twin) if is_twin else least):
                 rivals.append(replace(sight, found='searched'))
         return rivals
 
-    def _likely(self, small: list[PhotoLevel], found: Sight, starts: Sequence[CameraPose]
-                ) -> list[tuple[CameraPose, CameraPose | None]]:
-        """
-        Return the places elsewhere that a small image agrees with, those first that it does most.
-
-        Each with the twin that led there, None where a start did.
-        """
-        coarse, limits, tried = self._looker.coarse_aligner, self._limits, []
-        twins = self._twins.of(found.pose)
+    def _likely(self, small: list[PhotoLevel], found: Sight, twins: Sequence[CameraPose],
+                starts: Sequence[CameraPose]) -> list[CameraPose]:
+        """Return the places elsewhere that a small image agrees with, the most agreeing first."""
+        coarse, limits = self._looker.coarse_aligner, self._limits
+        tried = list[tuple[float, CameraPose]]()
         with on_cores(1):  # To share such small views out takes longer.
             # Where somebody stands in the image, or what is shown has changed, all agree less.
             least = min(limits.least_coarse,
                         coarse.agreement(small, found.pose) - limits.agrees_less)
-            for start, twin in (*zip(twins, twins), *((start, None) for start in starts)):
+            tried += [(coarse.agreement(small, twin), twin) for twin in twins]
+            for start in (*twins, *starts):
                 pose = coarse.align(small, start, rounds=1)
-                if not is_elsewhere(pose, found.pose, limits):
-                    continue
-                agrees = coarse.agreement(small, pose)
-                if twin is not None:
-                    agrees = max(agrees, coarse.agreement(small, twin))
-                if agrees > least:
-                    tried.append((agrees, pose, twin))
-        return [(pose, twin) for _, pose, twin in sorted(tried, key=lambda one: -one[0])]
+                if is_elsewhere(pose, found.pose, limits):
+                    tried.append((coarse.agreement(small, pose), pose))
+        return [pose for agrees, pose in sorted(tried, key=lambda one: -one[0])
+                if agrees > least]
+
+    def _at_twin(self, image: CameraImage, sight: Sight, twins: Sequence[CameraPose]
+                 ) -> tuple[Sight, bool]:
+        """
+        Return what is seen from a place, or from its twin there if the image agrees more with it.
+
+        And whether there is one. It is as exact as what it is the twin of; an alignment may fail.
+        """
+        there = [pose for pose in twins if not is_elsewhere(pose, sight.pose, self._limits)]
+        for pose in there:
+            other = self._looker.look(image, pose)
+            if other.agreement > sight.agreement:
+                sight = replace(other, believed=other.believed or sight.believed)
+        return sight, bool(there)
 
     def _ask(self, image: CameraImage, sights: list[Sight]) -> np.ndarray:
         return ask(self._looker, image, sights)
