@@ -55,6 +55,7 @@ class BuildingRules:
     # A camera right before a wall sees nothing: the median of the depth, metres.
     least_depth: float = 0.8
     walk_frames: int = 25
+    walk_seeds: tuple[int, ...] = (1, 2, 3)  # each gives other walks through the same doors
     cab_frames: int = 10  # of a lift's walls, while a camera is taken to another floor
     # How far off a prior is, as a click on a map: its height is the floor's.
     prior_metres: float = 0.7
@@ -210,10 +211,15 @@ def _places(building: Building, source: Intrinsics, count: int, rules: BuildingR
             yield pose
 
 
+def _walks(building: Building, rules: BuildingRules) -> list[list[CameraPose]]:
+    return [walk for seed in rules.walk_seeds
+            for walk in door_walks(building, 0, rules.walk_frames, seed)]
+
+
 def _walk(building: Building, source: Intrinsics, guide: SceneGuide, rules: BuildingRules,
           counts: Counts) -> None:
     """Walk 2 m through each of some doors."""
-    for walk in door_walks(building, 0, rules.walk_frames, 1):
+    for walk in _walks(building, rules):
         guide.reset()
         ever, found, pose = False, None, walk[0]
         for pose in walk:
@@ -232,7 +238,7 @@ def _ride(building: Building, source: Intrinsics, guide: SceneGuide, rules: Buil
           counts: Counts) -> None:
     """Walk through doors, each time first on the ground floor, known by a prior, then above it."""
     cab = _cab(source)
-    for walk in door_walks(building, 0, rules.walk_frames, 1):
+    for walk in _walks(building, rules):
         guide.reset()
         guide.guide(building.render(source, walk[0])[0], walk[0])
         for pose in walk[1:]:
