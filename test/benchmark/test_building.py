@@ -9,7 +9,8 @@ from neo_ros.geometry import CameraPose, Intrinsics
 import numpy as np
 import pytest
 
-RULES = BuildingRules(cab_frames=3, walk_seeds=(1,))  # As many as the walk has images: answers stay in step.
+# As many images of the cab as of the walk: answers stay in step.
+RULES = BuildingRules(cab_frames=3, walk_seeds=(1,))
 WALK = [CameraPose.from_planar(1.0, 2.0 + 0.1 * step, 1.5, 0.3) for step in range(3)]
 
 
