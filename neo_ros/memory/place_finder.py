@@ -37,9 +37,18 @@ class PlaceFinder:
         for location in locations:
             found = self.look_from(location, image)
             if found.believed:
-                return found, [one.pose for one in locations if one is not location]
+                return self._surest(image, found), [
+                    one.pose for one in locations if one is not location]
         best = self._looker.best_of(image, self.glances.find(image.pixels), 'searched')
         return self._in_any_light(image, best), [one.pose for one in locations]
+
+    def _surest(self, image: CameraImage, found: Sight) -> Sight:
+        """Return what surely agrees near a place that landmarks told badly, else that place."""
+        sure = self._thresholds.sure
+        if found.agreement >= sure:
+            return found
+        closer = self._looker.best_of(image, [found.pose], 'searched')
+        return closer if closer is not None and closer.agreement >= sure else found
 
     def _in_any_light(self, image: CameraImage, best: Sight | None) -> Sight | None:
         """Return what is believed if the light is another one; else what was found."""
