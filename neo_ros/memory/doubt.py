@@ -248,7 +248,11 @@ class Doubt:
 
     def _likely(self, small: list[PhotoLevel], found: Sight, twins: Sequence[CameraPose],
                 starts: Sequence[CameraPose]) -> list[CameraPose]:
-        """Return the places elsewhere that a small image agrees with, the most agreeing first."""
+        """
+        Return the places elsewhere that a small image agrees with, the most agreeing first.
+
+        Starts are aligned with it; twins are as exact as what was found, and hundreds on a floor.
+        """
         coarse, limits = self._looker.coarse_aligner, self._limits
         tried = list[tuple[float, CameraPose]]()
         with on_cores(1):  # To share such small views out takes longer.
@@ -256,7 +260,7 @@ class Doubt:
             least = min(limits.least_coarse,
                         coarse.agreement(small, found.pose) - limits.agrees_less)
             tried += [(coarse.agreement(small, twin), twin) for twin in twins]
-            for start in (*twins, *starts):
+            for start in starts:
                 pose = coarse.align(small, start, rounds=1)
                 if is_elsewhere(pose, found.pose, limits):
                     tried.append((coarse.agreement(small, pose), pose))
