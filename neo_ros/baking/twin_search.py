@@ -92,7 +92,7 @@ def find_twins(memory: SceneMemory, expansion: ViewExpansion, progress: Progress
 
 
 def _exact(pair: _Pair, looker: Looker, rules: TwinRules) -> np.ndarray:
-    """Return the way (4, 4) that some views of a pair agree on; one view may tell it badly."""
+    """Return a pair's way (4, 4) as most of some views tell it; one of them may tell it badly."""
     ways = [pair.T]
     for index in evenly(len(pair.poses), rules.exact_views):
         pose = pair.poses[index]
@@ -102,7 +102,7 @@ def _exact(pair: _Pair, looker: Looker, rules: TwinRules) -> np.ndarray:
         found = looker.aligner.align(photo, there, rounds=3, near=True)
         if looker.aligner.agreement(photo, found) >= looker.thresholds.least_agreement:
             ways.append(found.T_world_cam @ np.linalg.inv(pose.T_world_cam))
-    # Where they lead the corners of the place; the one that is nearest to all others.
+    # The way that leads the corners of the place nearest to where all others lead them.
     corners = np.stack([np.append(corner, 1.0) for corner in pair.area])
     ends = np.stack([corners @ way.T for way in ways])[..., :3].reshape(len(ways), -1)
     apart = np.linalg.norm(ends[:, None] - ends, axis=-1)

@@ -251,7 +251,7 @@ class Doubt:
         """
         Return the places elsewhere that a small image agrees with, the most agreeing first.
 
-        Starts are aligned with it; twins are as exact as what was found, and hundreds on a floor.
+        Starts are aligned with it. Twins are as exact as what was found, and many on a floor.
         """
         coarse, limits = self._looker.coarse_aligner, self._limits
         tried = list[tuple[float, CameraPose]]()
@@ -270,9 +270,9 @@ class Doubt:
     def _at_twin(self, image: CameraImage, sight: Sight, twins: Sequence[CameraPose]
                  ) -> tuple[Sight, bool]:
         """
-        Return what is seen from a place, or from its twin there if the image agrees more with it.
+        Return what is seen from a place, or from a twin there if the image agrees more with that.
 
-        And whether there is one. It is as exact as what it is the twin of; an alignment may fail.
+        Also whether a twin is there. It is as exact as what it is the twin of: aligning may fail.
         """
         there = [pose for pose in twins if not is_elsewhere(pose, sight.pose, self._limits)]
         for pose in there:
