@@ -216,22 +216,31 @@ def _walks(building: Building, rules: BuildingRules) -> list[list[CameraPose]]:
             for walk in door_walks(building, 0, rules.walk_frames, seed)]
 
 
+def _follow(building: Building, source: Intrinsics, guide: SceneGuide,
+            walk: Sequence[CameraPose], rules: BuildingRules, follow_ms: list[float]
+            ) -> tuple[bool, bool]:
+    """Return whether a walk ends at the right place, and whether it was ever at a wrong one."""
+    right = ever_wrong = False
+    for pose in walk:
+        image = building.render(source, pose)[0]
+        started = time.process_time()
+        found = guide.guide(image)
+        if found is not None and found.found == 'tracked':
+            follow_ms.append(1e3 * (time.process_time() - started))
+        wrong = found is not None and _is_wrong(found.pose, pose, rules)
+        right, ever_wrong = found is not None and not wrong, ever_wrong or wrong
+    return right, ever_wrong
+
+
 def _walk(building: Building, source: Intrinsics, guide: SceneGuide, rules: BuildingRules,
           counts: Counts) -> None:
     """Walk 2 m through each of some doors."""
     for walk in _walks(building, rules):
         guide.reset()
-        ever, found, pose = False, None, walk[0]
-        for pose in walk:
-            image = building.render(source, pose)[0]
-            started = time.process_time()
-            found = guide.guide(image)
-            if found is not None and found.found == 'tracked':
-                counts.follow_ms.append(1e3 * (time.process_time() - started))
-            ever |= found is not None and _is_wrong(found.pose, pose, rules)
+        right, ever_wrong = _follow(building, source, guide, walk, rules, counts.follow_ms)
         counts.walks += 1
-        counts.walks_found_right += found is not None and not _is_wrong(found.pose, pose, rules)
-        counts.walks_ever_wrong += ever
+        counts.walks_found_right += right
+        counts.walks_ever_wrong += ever_wrong
 
 
 def _ride(building: Building, source: Intrinsics, guide: SceneGuide, rules: BuildingRules,
@@ -241,19 +250,16 @@ def _ride(building: Building, source: Intrinsics, guide: SceneGuide, rules: Buil
     for walk in _walks(building, rules):
         guide.reset()
         guide.guide(building.render(source, walk[0])[0], walk[0])
-        for pose in walk[1:]:
-            guide.guide(building.render(source, pose)[0])
+        _follow(building, source, guide, walk[1:], rules, [])
         for _ in range(rules.cab_frames):
             guide.guide(cab)
-        ever, found, pose = False, None, walk[0]
-        for before in walk:
-            x, y, z = before.position
-            pose = CameraPose.from_planar(x, y, z + FLOOR_HEIGHT, before.yaw)
-            found = guide.guide(building.render(source, pose)[0])
-            ever |= found is not None and _is_wrong(found.pose, pose, rules)
+        above = [CameraPose.from_planar(pose.position[0], pose.position[1],
+                                        pose.position[2] + FLOOR_HEIGHT, pose.yaw)
+                 for pose in walk]
+        right, ever_wrong = _follow(building, source, guide, above, rules, [])
         counts.rides += 1
-        counts.rides_found_right += found is not None and not _is_wrong(found.pose, pose, rules)
-        counts.rides_ever_wrong += ever
+        counts.rides_found_right += right
+        counts.rides_ever_wrong += ever_wrong
 
 
 def _cab(source: Intrinsics) -> np.ndarray:

@@ -71,7 +71,7 @@ class AmbiguityThresholds:
     remembered: float = 0.9
     # A rival that agrees less could be it if hardly more of the image is left unexplained there.
     as_unexplained: float = 1.25
-    # So does a known twin of where it was found, if the memory shows it well enough to ask it.
+    # So could a known twin of where it was found, if the memory shows it well enough to ask it.
     # Of 300 images among twins one agreed by 0.85 with its own place and by 0.95 with the other.
     least_twin: float = 0.75
     # A place that does not agree any more is dropped if this much more of the image is left

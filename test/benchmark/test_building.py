@@ -30,7 +30,8 @@ class Believer:
         if height is None:
             return None
         x, y, _ = pose.position
-        return SimpleNamespace(pose=CameraPose.from_planar(x, y, height, pose.yaw))
+        return SimpleNamespace(
+            pose=CameraPose.from_planar(x, y, height, pose.yaw), found='tracked')
 
 
 @pytest.mark.parametrize('after, right, wrong', [

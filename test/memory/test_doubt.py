@@ -40,6 +40,11 @@ def _in_twin(pose: CameraPose, way: tuple[float, float, float] = (AWAY, 0, 0)) -
     return CameraPose(T)
 
 
+# What is found when a memory is made.
+KNOWN = Twins(_in_twin(CameraPose(np.eye(4))).T_world_cam[None],
+              np.array([[[0, 0, 0], [3, 3, 3]]]), ASIDE.T_world_cam[None])
+
+
 def test_equal_rooms_are_ambiguous_however_long_one_looks(twins: SceneGuide) -> None:
     twins.reset()
     for step in range(8):
@@ -195,9 +200,7 @@ def test_a_known_twin_that_is_aligned_badly_stays_where_it_is(
         twins: SceneGuide, monkeypatch: pytest.MonkeyPatch) -> None:
     looker, pose = twins._looker, planar(1.9, 1.7, 35)
     image, there = _image(looker), _in_twin(pose)
-    ways = Twins(np.stack([_in_twin(CameraPose(np.eye(4))).T_world_cam]),
-                 np.array([[[0, 0, 0], [3, 3, 3]]]), pose.T_world_cam[None])
-    doubt = Doubt(looker, twins._places.glances, ways)
+    doubt = Doubt(looker, twins._places.glances, KNOWN)
 
     def drifting(photo: object, start: CameraPose, *_: object, **__: object) -> CameraPose:
         return planar(start.position[0], start.position[1] + 0.15, 38)
@@ -222,9 +225,7 @@ def test_places_that_are_followed_stay_exact_twins(twins: SceneGuide,
     """Else chance, image after image, speaks against the one that is aligned a little worse."""
     looker, pose = twins._looker, planar(1.9, 1.7, 35)
     image, there = _image(looker), _in_twin(pose)
-    ways = Twins(np.stack([_in_twin(CameraPose(np.eye(4))).T_world_cam]),
-                 np.array([[[0, 0, 0], [3, 3, 3]]]), pose.T_world_cam[None])
-    doubt = Doubt(looker, twins._places.glances, ways)
+    doubt = Doubt(looker, twins._places.glances, KNOWN)
     _open(doubt, [looker.look(image, one) for one in (pose, there)])
     aligned = {0: planar(2.0, 1.7, 37), 1: there}
     monkeypatch.setattr(doubt, '_moved', lambda image, one, motion: replace(one, sight=looker.look(
