@@ -39,7 +39,7 @@ from neo_ros.training.photo_depth import photos_with_depth
 from neo_ros.training.pose_map import COUNTS_FILE
 from neo_ros.training.report import Scoring, write_training_report
 from neo_ros.training.run import TrainingRun
-from neo_ros.training.tiles import fit_tiles, tile_jobs, TILES, tiles_of
+from neo_ros.training.tiles import below_floors, fit_tiles, tile_jobs, TILES, tiles_of
 from neo_ros.training.time_plan import (
     plan_training, read_plan, share_network_minutes, TimeLeft)
 from neo_ros.training.views import (
@@ -163,6 +163,7 @@ def _fit_tiles(run: TrainingRun, tiles: list[Tile], path: Path, writes: bool) ->
     if writes and not (run.out / TILES).exists():
         drop_made_of_a_field(run.out)
     with photos_with_depth(run, writes) as photos:
+        tiles = below_floors(tiles, photos, run.experiment.field_scale)
         field, seconds, run.log['field'] = fit_tiles(
             tile_jobs(run.out, tiles, photos, run.experiment, run.field_config, writes),
             run.cluster, run.progress)

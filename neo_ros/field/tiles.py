@@ -29,6 +29,7 @@ class TileRules:
     overlap: float = 0.5  # around a tile that its voxels cover: rays through it end there, mostly
     reach: float = 1.0    # around a tile, from where photos still look into it
     height: float = 3.0   # of a storey, to say how fine voxels are: what is higher has more
+    below_floor: float = 0.15  # where a storey begins: within the ceiling of the one below
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
 """A field fitted tile by tile: here one after the other, or side by side on a Ray cluster."""
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+import math
 from pathlib import Path
 
 from neo_ros.baking.worker_files import kept_file, read_part
@@ -11,16 +12,20 @@ from neo_ros.field.extent import FineBox
 from neo_ros.field.tiles import (
     brightness, cut_floor, EVERYWHERE, joined, photos_of, Tile, tile_edge, TileRules)
 from neo_ros.field.voxel_field import VoxelField
+from neo_ros.machine.evenly import evenly
 from neo_ros.machine.files import make_output_folder
 from neo_ros.machine.progress import no_stage_progress, StageProgress
 from neo_ros.machine.ray_jobs import make_on_ray
+from neo_ros.pictures.depth import MM_PER_M
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.scene import Scene
+from neo_ros.scenes.storeys import floor_height
 from neo_ros.training.checkpoint import read_notes, train_with_checkpoints, write_notes
 import numpy as np
 
 # Where tiles lie in the output folder until the last one is fitted.
 TILES = 'tiles'
+FLOOR_PHOTOS = 64  # Of a storey, that tell where its floor is.
 
 
 def tiles_of(scene: Scene, experiment: Experiment, held_out: Sequence[int] = ()) -> list[Tile]:
@@ -33,6 +38,38 @@ def tiles_of(scene: Scene, experiment: Experiment, held_out: Sequence[int] = ())
         return [EVERYWHERE]  # A hand that holds the camera at two heights makes no storeys.
     return cut_floor(scene.train.T_world_cam[:, :3, 3], _most(experiment.field),
                      held_out=held_out)
+
+
+def below_floors(tiles: Sequence[Tile], photos: PosedImages, scale: float,
+                 rules: TileRules = TileRules()) -> list[Tile]:
+    """
+    Return the tiles, those of a storey from below its floor on, as far as photos' depth tells it.
+
+    Half-way between the cameras of two storeys, where `cut_floor` cuts, may be the floor of one or
+    the ceiling of the other: in the field of neither as it was fitted.
+    """
+    z = photos.T_world_cam[:, 2, 3]
+    border_of = {math.inf: math.inf, -math.inf: -math.inf}
+    for border in sorted({tile.low[2] for tile in tiles if math.isfinite(tile.low[2])}):
+        high = min(tile.high[2] for tile in tiles if tile.low[2] == border)
+        own = np.flatnonzero((z >= border) & (z < high))
+        floor = floor_height(_heights(photos.subset(own[evenly(len(own), FLOOR_PHOTOS)].tolist()),
+                                      scale), float(z[own].min()))
+        below = -math.inf if floor is None else floor - rules.below_floor
+        border_of[border] = below if below > z[z < border].max() else border
+    return [replace(tile, low=(*tile.low[:2], border_of[tile.low[2]]),
+                    high=(*tile.high[:2], border_of[tile.high[2]])) for tile in tiles]
+
+
+def _heights(photos: PosedImages, scale: float) -> np.ndarray:
+    """Return the heights of all that the photos have depth of, (N,) metres."""
+    depths = photos.read_depths(scale)
+    if depths is None:
+        return np.zeros(0)
+    rays = photos.intrinsics.scaled(scale).pixel_rays()
+    heights = [T[2, 3] + (depth / MM_PER_M * (rays @ T[2, :3]))[depth > 0]
+               for depth, T in zip(depths, photos.T_world_cam)]
+    return np.concatenate(heights)
 
 
 def _most(config: FieldConfig) -> float:
