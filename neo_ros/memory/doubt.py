@@ -8,12 +8,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from neo_ros.geometry import CameraPose
-from neo_ros.memory.alignment_kernels import PhotoLevel
 from neo_ros.memory.evidence import ask, least_refuted
 from neo_ros.memory.glancing import GlanceFinder
 from neo_ros.memory.looking import Looker
-from neo_ros.memory.parallel import on_cores
-from neo_ros.memory.sight import AmbiguityThresholds, better, CameraImage, is_near, Sight
+from neo_ros.memory.rivals import is_elsewhere, RivalFinder
+from neo_ros.memory.sight import better, CameraImage, is_near, Sight
 from neo_ros.memory.twins import NO_TWINS, Twins
 import numpy as np
 
@@ -42,7 +41,7 @@ class Doubt:
     """The places between which the images of one camera have not decided yet."""
 
     def __init__(self, looker: Looker, glances: GlanceFinder, twins: Twins = NO_TWINS) -> None:
-        self._looker, self._glances, self._twins = looker, glances, twins
+        self._looker, self._rivals = looker, RivalFinder(looker, glances, twins)
         self._limits = looker.thresholds.ambiguity
         self.forget()
 
@@ -74,13 +73,16 @@ class Doubt:
         A search is believed if no place elsewhere explains the image as well; else, a followed
         camera stays where it is, and of a lost one the places are kept to be told apart.
         """
+        if found is not None and not found.believed:
+            found = self._rivals.better_twin(image, found)
         if found is None or not found.believed:
             return better(followed, found)
         stays = followed if followed is not None and followed.believed else None
         if stays is not None and not self._is_elsewhere(found, stays):
             return better(followed, found)
         self.forget()
-        candidates = [found, *self._rivals(image, found, self._starts(image, found, elsewhere))]
+        candidates = [found, *self._rivals.find(
+            image, found, self._rivals.starts(image, found, elsewhere))]
         if stays is not None:
             candidates.append(stays)
         evidence = self._ask(image, candidates)
@@ -90,7 +92,7 @@ class Doubt:
             # What was found may lie a little off, as landmarks do, and look worse than it is: its
             # twin leads to where exactly it would be.
             asked, winner = best, candidates[best]
-            candidates += self._rivals(image, winner, ())
+            candidates += self._rivals.find(image, winner, ())
             evidence = self._ask(image, candidates)
             best = least_refuted(evidence)
         # What led to the best may be a little off it, the same place.
@@ -148,7 +150,7 @@ class Doubt:
         """Move all places on with the camera, and drop those that the image does not fit."""
         moved = [self._moved(image, one, motion) for one in self._open]
         best = max(moved, key=lambda one: one.sight.agreement)
-        twins = self._twins.of(best.sight.pose)
+        twins = self._rivals.twins.of(best.sight.pose)
         sure, kept = self._looker.thresholds.sure, list[int]()
         for index, (before, one) in enumerate(zip(self._open, moved)):
             last = before.sight.pose
@@ -158,7 +160,7 @@ class Doubt:
                 sight = self._looker.look(image, pose, pose)
                 if best.sight.agreement >= sure or sight.agreement > one.sight.agreement:
                     one = replace(one, sight=sight, motion=best.motion)
-            sight, _ = self._at_twin(image, one.sight, twins)
+            sight, _ = self._rivals.at_twin(image, one.sight, twins)
             moved[index] = one = replace(one, sight=sight)
             expected = last if motion is None else CameraPose.nearest(last.T_world_cam @ motion)
             if all(self._is_elsewhere(one.sight, moved[other].sight) for other in kept) and (
@@ -186,7 +188,7 @@ class Doubt:
         """Find places that could be it but were not followed, before the last one is believed."""
         here = only.sight.pose.T_world_cam
         refuted = [CameraPose.nearest(T @ here) for T in only.refuted]
-        rivals = [rival for rival in self._rivals(image, only.sight, self._starts(
+        rivals = [rival for rival in self._rivals.find(image, only.sight, self._rivals.starts(
             image, only.sight)) if all(
                 is_elsewhere(rival.pose, pose, self._limits) for pose in refuted)]
         equal, self._evidence = self._equal(image, only.sight, rivals)
@@ -199,7 +201,7 @@ class Doubt:
     def equals(self, image: CameraImage, here: Sight, starts: Sequence[CameraPose]
                ) -> list[Sight]:
         """Return what is seen from places near some starts that an image does not tell apart."""
-        return self._equal(image, here, self._rivals(image, here, starts))[0]
+        return self._equal(image, here, self._rivals.find(image, here, starts))[0]
 
     def _equal(self, image: CameraImage, here: Sight, rivals: list[Sight]
                ) -> tuple[list[Sight], np.ndarray]:
@@ -209,86 +211,8 @@ class Doubt:
         kept = [0, *left.tolist()]
         return [rivals[index - 1] for index in left], evidence[np.ix_(kept, kept)]
 
-    def _starts(self, image: CameraImage, found: Sight, elsewhere: Sequence[CameraPose] = ()
-                ) -> list[CameraPose]:
-        """Return where else the camera of an image could be, before it is looked closer."""
-        return [*elsewhere, *self._glances.find_rivals(image.pixels, found.pose, self._limits)]
-
-    def _rivals(self, image: CameraImage, found: Sight, starts: Sequence[CameraPose]
-                ) -> list[Sight]:
-        """
-        Return what is seen from other places that explain an image, each place once.
-
-        They are looked for from some starts, and in the twins of where it was found.
-        """
-        looker, limits = self._looker, self._limits
-        small, twins = looker.coarse_aligner.photo(image.pixels), self._twins.of(found.pose)
-        rivals, looked = list[Sight](), list[CameraPose]()
-        for start in self._likely(small, found, twins, starts):
-            if len(rivals) == limits.most_rivals:
-                break
-            if any(not is_elsewhere(start, rival.pose, limits) for rival in rivals) or any(
-                    is_near(start, other, limits.same_metres, limits.same_cosine)
-                    for other in looked):
-                continue
-            looked.append(start)
-            with on_cores(1):
-                start = looker.coarse_aligner.align(small, start, rounds=1)
-            # Not as strictly as what is searched for: a little off, a twin agrees a little less.
-            pose = looker.aligner.align(image.photo, start, rounds=2)
-            pose = looker.aligner.align(image.photo, pose, rounds=1, near=True)
-            if any(not is_elsewhere(pose, other.pose, limits) for other in (found, *rivals)):
-                continue
-            sight, is_twin = self._at_twin(image, looker.look(image, pose), twins)
-            least = 1 - limits.as_unexplained * (1 - found.agreement)
-            if sight.believed or sight.agreement > (
-                    min(least, limits.least_twin) if is_twin else least):
-                rivals.append(replace(sight, found='searched'))
-        return rivals
-
-    def _likely(self, small: list[PhotoLevel], found: Sight, twins: Sequence[CameraPose],
-                starts: Sequence[CameraPose]) -> list[CameraPose]:
-        """
-        Return the places elsewhere that a small image agrees with, the most agreeing first.
-
-        Starts are aligned with it. Twins are as exact as what was found, and many on a floor.
-        """
-        coarse, limits = self._looker.coarse_aligner, self._limits
-        tried = list[tuple[float, CameraPose]]()
-        with on_cores(1):  # To share such small views out takes longer.
-            # Where somebody stands in the image, or what is shown has changed, all agree less.
-            least = min(limits.least_coarse,
-                        coarse.agreement(small, found.pose) - limits.agrees_less)
-            tried += [(coarse.agreement(small, twin), twin) for twin in twins]
-            for start in starts:
-                pose = coarse.align(small, start, rounds=1)
-                if is_elsewhere(pose, found.pose, limits):
-                    tried.append((coarse.agreement(small, pose), pose))
-        return [pose for agrees, pose in sorted(tried, key=lambda one: -one[0])
-                if agrees > least]
-
-    def _at_twin(self, image: CameraImage, sight: Sight, twins: Sequence[CameraPose]
-                 ) -> tuple[Sight, bool]:
-        """
-        Return what is seen from a place, or from a twin there if the image agrees more with that.
-
-        Also whether a twin is there. It is as exact as what it is the twin of: aligning may fail.
-        """
-        there = [pose for pose in twins if not is_elsewhere(pose, sight.pose, self._limits)]
-        for pose in there:
-            other = self._looker.look(image, pose)
-            if other.agreement > sight.agreement:
-                sight = replace(other, believed=other.believed or sight.believed)
-        return sight, bool(there)
-
     def _ask(self, image: CameraImage, sights: list[Sight]) -> np.ndarray:
         return ask(self._looker, image, sights)
 
     def _is_elsewhere(self, one: Sight, other: Sight) -> bool:
         return is_elsewhere(one.pose, other.pose, self._limits)
-
-
-def is_elsewhere(one: CameraPose, other: CameraPose, limits: AmbiguityThresholds) -> bool:
-    """Tell whether two poses are of two places, and not one pose found twice."""
-    return bool(np.linalg.norm(one.position - other.position) > limits.elsewhere_metres
-                or one.forward @ other.forward < limits.elsewhere_cosine)

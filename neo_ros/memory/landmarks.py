@@ -6,7 +6,7 @@ from about where the camera is (PnP with RANSAC), and they tell whether a pose f
 way can be right: photometric alignment follows a surface that is at a wrong depth.
 """
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import cv2
@@ -99,26 +99,39 @@ class Landmarks:
 
 
 class Location(NamedTuple):
-    """The pose that landmarks give an image, and what speaks for it: N points and pixels."""
+    """
+    The pose that landmarks give an image, and what speaks for it: N points and pixels.
+
+    other_points (M, 3), other_pixels (M, 2): of pairs that look alike, but do not fit this pose.
+    """
 
     pose: CameraPose
     camera: Intrinsics
     points: np.ndarray
     pixels: np.ndarray
     thresholds: LandmarkThresholds = LandmarkThresholds()
+    other_points: np.ndarray = np.zeros((0, 3))
+    other_pixels: np.ndarray = np.zeros((0, 2))
 
     def allows(self, pose: CameraPose) -> bool:
-        """Tell whether another pose fits the landmarks as well, but for chance."""
-        own, other = (self._squared_errors(one).mean() for one in (self.pose, pose))
+        """
+        Tell whether another pose fits the landmarks as well, but for chance.
+
+        All pairs are asked: of a few that were chosen because they fit a pose, none fits another.
+        """
         limits = self.thresholds
-        witnesses = min(len(self.points), limits.most_witnesses)
-        return bool(2 * witnesses * (other - own)
-                    < limits.most_doubt * max(own, limits.least_variance))
+        own = self._squared_errors(self.pose)
+        more = (self._squared_errors(pose) - own).sum()
+        fits = len(self.points)
+        if fits > limits.most_witnesses:
+            more *= limits.most_witnesses / fits
+        return bool(2 * more < limits.most_doubt * max(own[:fits].mean(), limits.least_variance))
 
     def _squared_errors(self, pose: CameraPose) -> np.ndarray:
-        seen, off = _project(self.points, pose, self.camera)
-        errors = ((off - self.pixels) ** 2).sum(1)
-        return np.minimum(np.where(seen, errors, np.inf), (2 * self.thresholds.inlier_pixels) ** 2)
+        """Return how far off all pairs are, square pixels (N + M,); not more than what fits."""
+        seen, off = _project(np.concatenate([self.points, self.other_points]), pose, self.camera)
+        errors = ((off - np.concatenate([self.pixels, self.other_pixels])) ** 2).sum(1)
+        return np.minimum(np.where(seen, errors, np.inf), self.thresholds.inlier_pixels ** 2)
 
 
 class Locator:
@@ -126,11 +139,12 @@ class Locator:
 
     def __init__(self, landmarks: Landmarks, camera: Intrinsics,
                  thresholds: LandmarkThresholds = LandmarkThresholds()) -> None:
-        self.thresholds = thresholds
-        # An image that is shrunk to find features knows them less exactly, by its own pixels: of
-        # the shrunk one the limits are.
+        # An image that is shrunk to find features knows them less exactly, by its own pixels, and
+        # one that is enlarged more exactly: of what they are found in the limits are.
         self.camera = camera.scaled(min(1.0, WORKED_WIDTH / camera.width))
         self._magnify = magnification(camera)
+        self.thresholds = replace(
+            thresholds, inlier_pixels=thresholds.inlier_pixels / max(self._magnify, 1.0))
         self._shrunk = np.array([self.camera.width / camera.width,
                                  self.camera.height / camera.height])
         self._points = landmarks.points.astype(np.float64)
@@ -239,7 +253,9 @@ class Locator:
             fits = np.flatnonzero(self._fits(pose, points, pixels))
         if len(fits) < least:
             return None
-        return Location(pose, self.camera, points[fits], pixels[fits], limits)
+        others = np.setdiff1d(np.arange(len(points)), fits)
+        return Location(pose, self.camera, points[fits], pixels[fits], limits, points[others],
+                        pixels[others])
 
     def _fits(self, pose: CameraPose, points: np.ndarray, pixels: np.ndarray) -> np.ndarray:
         """Tell which points (K, 3) are seen at these pixels (K, 2) from a pose, bool (K,)."""

@@ -6,10 +6,11 @@ from box_room import (
     view_with_picture)
 from neo_ros.baking.twin_search import find_twins
 from neo_ros.geometry import CameraPose
-from neo_ros.memory.doubt import Doubt, Hypothesis, is_elsewhere
+from neo_ros.memory.doubt import Doubt, Hypothesis
 from neo_ros.memory.glancing import GlanceFinder
 from neo_ros.memory.local_features import find_features
 from neo_ros.memory.looking import Looker
+from neo_ros.memory.rivals import is_elsewhere
 from neo_ros.memory.scene_guide import SceneGuide
 from neo_ros.memory.sight import AmbiguityThresholds, CameraImage, GuideThresholds, Sight
 from neo_ros.memory.twins import Twins
@@ -196,6 +197,23 @@ def test_a_place_that_was_found_a_little_off_does_not_lose_to_its_twin(
             settled is not None and apart(settled.pose, true)[0] < 0.05)
 
 
+def test_a_search_that_ended_in_a_twin_goes_on_to_where_the_camera_is(
+        with_picture: SceneGuide) -> None:
+    looker = with_picture._looker
+    for take, true, way in ((photo_at, AT_THE_PICTURE, (AWAY, 0, 0)),
+                            (view_with_picture, _in_twin(AT_THE_PICTURE), (-AWAY, 0, 0))):
+        doubt = Doubt(looker, with_picture._places.glances, KNOWN)
+        pixels = take(AT_THE_PICTURE)
+        image = CameraImage(pixels, looker.aligner.photo(pixels), find_features)
+        found = looker.look(image, _in_twin(true, way), searched=True)
+        settled = doubt.settle(image, None, replace(found, believed=False), [])
+        assert settled is not None and apart(settled.pose, true)[0] < 0.03
+        # What is nowhere so well stays where it was found, and is not believed.
+        other = replace(looker.look(image, true), believed=False)
+        settled = doubt.settle(image, None, other, [])
+        assert settled is not None and settled.pose is other.pose and not settled.believed
+
+
 def test_a_known_twin_that_is_aligned_badly_stays_where_it_is(
         twins: SceneGuide, monkeypatch: pytest.MonkeyPatch) -> None:
     looker, pose = twins._looker, planar(1.9, 1.7, 35)
@@ -206,10 +224,10 @@ def test_a_known_twin_that_is_aligned_badly_stays_where_it_is(
         return planar(start.position[0], start.position[1] + 0.15, 38)
 
     monkeypatch.setattr(looker.aligner, 'align', drifting)
-    rival, = doubt._rivals(image, looker.look(image, pose), [])
+    rival, = doubt._rivals.find(image, looker.look(image, pose), [])
     assert max(apart(rival.pose, there)) < 1e-6 and rival.believed
     # A start that leads there, too, must not take its place: it ends where the alignment fails.
-    rival, = doubt._rivals(image, looker.look(image, pose), [planar(1.95 + AWAY, 1.7, 35)])
+    rival, = doubt._rivals.find(image, looker.look(image, pose), [planar(1.95 + AWAY, 1.7, 35)])
     assert max(apart(rival.pose, there)) < 1e-6
     # What the memory shows too poorly to be believed could be it; what it shows otherwise not.
     look = looker.look
@@ -217,7 +235,7 @@ def test_a_known_twin_that_is_aligned_badly_stays_where_it_is(
         monkeypatch.setattr(looker, 'look', lambda *asked, agrees=agrees: replace(
             look(*asked), agreement=agrees, believed=False))
         found = replace(look(image, pose), agreement=0.95)
-        assert len(doubt._rivals(image, found, [])) == rivals
+        assert len(doubt._rivals.find(image, found, [])) == rivals
 
 
 def test_places_that_are_followed_stay_exact_twins(twins: SceneGuide,
@@ -247,8 +265,8 @@ def test_what_was_refuted_stays_where_it_is_whichever_place_is_left(
     monkeypatch.setattr(doubt, '_follow_all', lambda *_: None)
     monkeypatch.setattr(doubt, '_is_worth_asking', lambda _: True)
     monkeypatch.setattr(doubt, '_ask', lambda *_: next(said))
-    monkeypatch.setattr(doubt, '_starts', lambda *_: [])
-    monkeypatch.setattr(doubt, '_rivals', lambda *_: [rooms[2], rooms[3]])
+    monkeypatch.setattr(doubt._rivals, 'starts', lambda *_: [])
+    monkeypatch.setattr(doubt._rivals, 'find', lambda *_: [rooms[2], rooms[3]])
     assert doubt.follow(_image(looker), None) is None
     # The fourth, which nothing has refuted, could be it still.
     assert doubt.follow(_image(looker), None) is None
@@ -270,7 +288,7 @@ def test_images_speak_together(twins: SceneGuide, monkeypatch: pytest.MonkeyPatc
     _open(doubt, sights)
     monkeypatch.setattr(doubt, '_follow_all', lambda *_: None)
     monkeypatch.setattr(doubt, '_is_worth_asking', lambda _: True)
-    monkeypatch.setattr(doubt, '_starts', lambda *_: [])
+    monkeypatch.setattr(doubt._rivals, 'starts', lambda *_: [])
     for share in said:
         monkeypatch.setattr(doubt, '_ask', lambda _, asked, share=share: _evidence(
             [share, 0.0][:len(asked)]))
@@ -328,7 +346,7 @@ def test_one_place_that_was_found_twice_is_no_doubt(monkeypatch: pytest.MonkeyPa
                           for x in (2.0, 6.9, 1.9))
     rivals = iter([[twin], [exact], []])
     said = iter(map(_evidence, [[0.05, 0.0], [0.02, 0.2, 0.0], [0.02, 0.2, 0.0]]))
-    monkeypatch.setattr(doubt, '_rivals', lambda *_: next(rivals))
+    monkeypatch.setattr(doubt._rivals, 'find', lambda *_: next(rivals))
     monkeypatch.setattr(doubt, '_ask', lambda *_: next(said))
     assert doubt.settle(image, None, found, []) is exact and not doubt.is_open
 

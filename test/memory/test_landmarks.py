@@ -5,7 +5,7 @@ from neo_ros.flat.demo_flat import build_demo_flat, walking_paths
 from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
 from neo_ros.machine.files import share_dir
 from neo_ros.memory import looking
-from neo_ros.memory.landmarks import Landmarks, Location, Locator
+from neo_ros.memory.landmarks import Landmarks, LandmarkThresholds, Location, Locator
 from neo_ros.memory.scene_guide import SceneGuide
 from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.runtime import FovExtrapolator
@@ -69,6 +69,31 @@ def test_other_poses_are_allowed_as_far_as_landmarks_can_tell(landmarks: Landmar
     # Landmarks behind a camera are not seen by it.
     about = NEW.T_world_cam @ np.diag([-1.0, 1, -1, 1])
     assert not found.allows(CameraPose(about))
+
+
+def test_a_pose_that_most_pairs_fit_is_allowed_whichever_few_were_chosen() -> None:
+    """Some pairs agree on a pose that is 0.2 metres off, as they are in a small image."""
+    random = np.random.default_rng(0)
+    own, other = moved(NEW, 0.2), NEW
+    points = np.stack([own.position + own.forward * z + side for z, side in zip(
+        random.uniform(2, 4, 60), random.uniform(-0.8, 0.8, (60, 3)))])
+
+    def seen(pose: CameraPose, which: slice) -> np.ndarray:
+        in_camera = (points[which] - pose.position) @ pose.T_world_cam[:3, :3]
+        return CAMERA.project(in_camera) + random.normal(0, 0.3, in_camera[:, :2].shape)
+
+    few, most = slice(0, 22), slice(22, 60)
+    chosen = Location(own, CAMERA, points[few], seen(own, few), LandmarkThresholds(),
+                      points[most], seen(other, most))
+    assert chosen.allows(other) and chosen.allows(own)
+    alone = chosen._replace(other_points=points[:0], other_pixels=np.zeros((0, 2)))
+    assert not alone.allows(other)
+
+
+def test_limits_are_of_the_image_that_features_are_found_in(landmarks: Landmarks) -> None:
+    for width, pixels in ((64, 1.0), (128, 4 / 3), (192, 2.0), (640, 2.0)):
+        locator = Locator(landmarks, Intrinsics.from_hfov(width, width, np.pi / 2))
+        assert locator.thresholds.inlier_pixels == pytest.approx(pixels)
 
 
 def test_what_shows_something_else_is_not_found(landmarks: Landmarks) -> None:

@@ -7,15 +7,17 @@ import cv2
 from neo_ros.errors import NeoError
 from neo_ros.experiment import Experiment
 from neo_ros.field.rendering import render_view
-from neo_ros.field.tiles import joined
+from neo_ros.field.tiles import cut_floor, joined
 from neo_ros.field.voxel_field import VoxelField
-from neo_ros.geometry import CameraPose
+from neo_ros.geometry import CameraPose, Intrinsics
 from neo_ros.machine import ray_jobs
 from neo_ros.machine.progress import no_stage_progress
+from neo_ros.pictures.depth import to_millimetres, write_depth
 from neo_ros.scenes.posed_images import PosedImages
 from neo_ros.scenes.scene import read_scene, Scene
 from neo_ros.training import checkpoint
-from neo_ros.training.tiles import fit_tile, fit_tiles, tile_jobs, TileJob, tiles_of
+from neo_ros.training.tiles import (
+    below_floors, fit_tile, fit_tiles, tile_jobs, TileJob, tiles_of)
 from neo_ros.training.time_plan import plan_training
 import numpy as np
 import pytest
@@ -61,6 +63,33 @@ def test_a_hand_that_holds_the_camera_at_two_heights_makes_no_tiles(scene: Scene
     assert len(tiles_of(orbits, TINY)) == 1
     # With a floor map they are two storeys.
     assert len(tiles_of(replace(orbits, walkable=scene.walkable), TINY)) == 2
+
+
+def test_a_storey_begins_below_its_floor_wherever_the_camera_is(tmp_path: Path) -> None:
+    camera = Intrinsics.from_hfov(32, 32, np.pi / 2)
+    down = camera.pixel_rays()[..., 1]  # The camera is level.
+    for height in (0.4, 1.5):
+        poses, paths = list[CameraPose](), list[Path | None]()
+        for floor in (0.0, 3.2):
+            depth = np.where(down > 0, height / np.maximum(down, 1e-6), 2.0)
+            depth[:, :8] = np.minimum(depth[:, :8], 1.5)  # A wall.
+            path = tmp_path / f'{height}_{floor}.png'
+            write_depth(path, to_millimetres(np.where(depth < 9, depth, 0)))
+            poses += [CameraPose.from_planar(x, y, floor + height, x + y)
+                      for x in range(16) for y in range(3)]
+            paths += [path] * 48
+        photos = PosedImages(camera, (Path('none.png'),) * 96, tuple(poses), (0,) * 96,
+                             depth_paths=tuple(paths))
+        tiles = cut_floor(photos.T_world_cam[:, :3, 3], 6.0)
+        moved = below_floors(tiles, photos, 1.0)
+        assert len(moved) == len(tiles) > 4
+        upper = np.array([tile.low[2] > 0 for tile in tiles])
+        assert [tile.low[2] if up else tile.high[2] for tile, up in zip(moved, upper)] == (
+            pytest.approx([3.05] * len(tiles), abs=0.02))
+        assert [(tile.low[:2], tile.high[:2]) for tile in moved] == [
+            (tile.low[:2], tile.high[:2]) for tile in tiles]
+        # Where nothing tells, the border stays.
+        assert below_floors(tiles, replace(photos, depth_paths=()), 1.0) == tiles
 
 
 def test_tiles_make_one_field(scene: Scene, whole: Path) -> None:
