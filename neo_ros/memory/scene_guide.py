@@ -62,7 +62,7 @@ class SceneGuide:
         self._motion = np.eye(4)
         self._since_search = self.thresholds.search_every
         self._places.watch.forget()
-        self._led = 0  # Images for which landmarks alone still say where the camera is.
+        self._led = 0  # Images in which landmarks are still asked first.
 
     def guide(self, image: np.ndarray, prior: CameraPose | None = None,
               motion: np.ndarray | None = None, pace: float = 1.0, stamp_ns: int | None = None
@@ -208,8 +208,7 @@ class SceneGuide:
             self._led -= 1
             location = self._places.locate(image, expected)
             if location is not None:
-                led = self._looker.look(image, location.pose, location.pose)
-                return self._located(led, location, 'landmarks')
+                return self._places.look_from(location, image)
         # A camera in steady motion would be there now.
         tracked = self._tracked_as_drawn(image, before, expected) or self._looker.look(
             image, self.aligner.align(image.photo, expected, 1, near=True), expected)

@@ -6,6 +6,7 @@ from neo_ros.geometry import CameraPose, Intrinsics, ViewExpansion
 from neo_ros.machine.files import share_dir
 from neo_ros.memory import looking
 from neo_ros.memory.landmarks import Landmarks, LandmarkThresholds, Location, Locator
+from neo_ros.memory.local_features import Features
 from neo_ros.memory.scene_guide import SceneGuide
 from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.runtime import FovExtrapolator
@@ -141,6 +142,27 @@ def test_landmarks_lead_where_alignment_is_drawn_aside(
     led, drawn = ([apart(*pair)[0] for pair in zip(found, walk)] for found in poses)
     assert len(led) == 6 and max(led) < 0.03
     assert not drawn or max(drawn) > 0.05
+
+
+@pytest.mark.slow
+def test_while_landmarks_lead_alignment_says_where_exactly_as_far_as_they_allow(
+        shipped: tuple[SceneMemory, ViewExpansion], monkeypatch: pytest.MonkeyPatch) -> None:
+    guide = SceneGuide(*shipped)
+    first, pose = walking_paths(FLAT, 1, 40, 5)[0][:2]
+    guide.guide(FLAT.render(shipped[1].source, first)[0])
+    locator = guide._places.locator
+    assert locator is not None
+    locate = locator.locate
+
+    def a_little_off(features: Features, around: CameraPose) -> Location | None:
+        found = locate(features, around)
+        return found and found._replace(pose=moved(found.pose, 0.04))
+
+    monkeypatch.setattr(locator, 'locate', a_little_off)
+    guide._led = 1
+    found = guide.guide(FLAT.render(shipped[1].source, pose)[0])
+    assert found is not None and found.found == 'landmarks' and found.landmarks > 50
+    assert apart(found.pose, pose)[0] < 0.015
 
 
 @pytest.mark.slow
