@@ -157,7 +157,7 @@ class Doubt:
             if motion is None and one.sight.agreement < min(sure, best.sight.agreement):
                 # It is one camera: where it is followed best tells how it moves.
                 pose = CameraPose.nearest(last.T_world_cam @ best.motion)
-                sight = self._looker.look(image, pose, pose)
+                sight = self._looker.glimpse(image, pose, pose)
                 if best.sight.agreement >= sure or sight.agreement > one.sight.agreement:
                     one = replace(one, sight=sight, motion=best.motion)
             sight, _ = self._rivals.at_twin(image, one.sight, twins)
@@ -178,10 +178,10 @@ class Doubt:
         last, step = one.sight.pose, one.motion if motion is None else motion
         expected = CameraPose.nearest(last.T_world_cam @ step)
         pose = self._looker.aligner.align(image.photo, expected, 1, near=True)
-        sight = self._looker.look(image, pose, expected)
+        sight = self._looker.glimpse(image, pose, expected)
         if not sight.believed and motion is None:
             pose = self._looker.aligner.align(image.photo, last, 3, near=True)
-            sight = self._looker.look(image, pose, last)
+            sight = self._looker.glimpse(image, pose, last)
         return replace(one, sight=sight, motion=last.inverse() @ pose.T_world_cam)
 
     def _doubt_anew(self, image: CameraImage, only: Hypothesis) -> None:

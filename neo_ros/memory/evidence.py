@@ -1,6 +1,5 @@
 """What an image says for one place of a scene and against another, where both could show it."""
 from collections.abc import Sequence
-from dataclasses import replace
 
 import cv2
 from neo_ros.memory.looking import Looker
@@ -12,7 +11,7 @@ def ask(looker: Looker, image: CameraImage, sights: Sequence[Sight]) -> np.ndarr
     """Return how much of an image speaks against each place for each other one, (N, N)."""
     finest, limits = looker.aligner.levels[0], looker.thresholds.ambiguity
     own = _in_unit_range(image.pixels, (finest.width, finest.height))
-    misfits = [_misfit_of(own, looker, sight, limits) for sight in sights]
+    misfits = [_misfit_of(own, sight, limits) for sight in sights]
     return np.array([[speaks_against(one, other, limits) for other in misfits]
                      for one in misfits])
 
@@ -26,14 +25,14 @@ def least_refuted(evidence: np.ndarray) -> int:
     return int(evidence.max(1).argmin())
 
 
-def _misfit_of(image: np.ndarray, looker: Looker, sight: Sight, limits: AmbiguityThresholds
-               ) -> np.ndarray:
-    solid = np.where(sight.view.stretched, 0, sight.view.depth)
-    _, depth = looker.observed(replace(sight.view, depth=solid))
+def _misfit_of(image: np.ndarray, sight: Sight, limits: AmbiguityThresholds) -> np.ndarray:
+    part, size = sight.part, image.shape[1::-1]
+    depth = cv2.resize(np.where(part.stretched, 0, part.depth), size,
+                       interpolation=cv2.INTER_NEAREST)
     square = np.ones((3, 3), np.uint8)
     near, far = cv2.erode(depth, square), cv2.dilate(depth, square)
     known = (near > 0) & (far < (1 + limits.leap) * near)
-    shown = _in_unit_range(sight.view.image[looker.expansion.observed], depth.shape[::-1])
+    shown = _in_unit_range(part.image, size)
     return misfit(image, shown, known, limits)
 
 

@@ -1,6 +1,7 @@
 """Look at the memory from a pose, or from where it agrees most with an image."""
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import cache, partial
 
 import cv2
 from neo_ros.geometry import CameraPose, ViewExpansion
@@ -34,20 +35,42 @@ class Looker:
         """Draw in this light from now on, small views, too."""
         self.renderer.light = self.coarse_aligner.renderer.light = light
 
-    def look(self, image: CameraImage, pose: CameraPose, expected: CameraPose | None = None,
-             searched: bool = False) -> Sight:
+    def look(self, image: CameraImage, pose: CameraPose, expected: CameraPose | None = None
+             ) -> Sight:
         """Draw the wide view from a pose and compare the image with its part of it."""
-        limits, photo = self.thresholds, image.photo
-        view = self.renderer.render(pose, self.expansion.target, limits.shown)
-        drawn = Drawn(pose, *self.observed(view))
-        whole, part = agreement(photo[0].grey, drawn.grey, drawn.depth > 0, limits.alignment)
+        view = self.renderer.render(pose, self.expansion.target, self.thresholds.shown)
+        grey, depth = self.observed(view)
+        rows, columns = self.expansion.observed
+        part = GuideView(view.image[rows, columns], view.depth[rows, columns],
+                         view.stretched[rows, columns])
+        return self._compared(image, Drawn(pose, grey, depth), part, lambda: view, expected)
+
+    def glimpse(self, image: CameraImage, pose: CameraPose, expected: CameraPose | None = None,
+                searched: bool = False) -> Sight:
+        """
+        Draw no more than the image is compared with; the wide view when it is asked for.
+
+        Of all that a search looks at but one is shown, and it is compared in small views.
+        """
+        shown = self.thresholds.shown
+        part = self.renderer.render(pose, self.aligner.levels[0], shown)
+        show = cache(partial(self.renderer.render, pose, self.expansion.target, shown))
+        return self._compared(image, Drawn(pose, grey_of(part.image), part.depth), part, show,
+                              expected, searched)
+
+    def _compared(self, image: CameraImage, drawn: Drawn, part: GuideView,
+                  show: Callable[[], GuideView], expected: CameraPose | None,
+                  searched: bool = False) -> Sight:
+        limits, pose = self.thresholds, drawn.pose
+        whole, best = agreement(image.photo[0].grey, drawn.grey, drawn.depth > 0,
+                                limits.alignment)
         there = expected is not None and (
             np.linalg.norm(pose.position - expected.position) < limits.expected_metres
             and pose.forward @ expected.forward > limits.expected_cosine)
         believed = whole >= limits.least_agreement and (
-            not searched or whole >= limits.least_found or part >= limits.least_found_partial)
-        believed = believed or bool(there and part >= limits.least_partial)
-        return Sight(pose, view, drawn, whole, believed,
+            not searched or whole >= limits.least_found or best >= limits.least_found_partial)
+        believed = believed or bool(there and best >= limits.least_partial)
+        return Sight(pose, show, part, drawn, whole, believed,
                      found='searched' if searched else 'tracked')
 
     def look_in_any_light(self, image: CameraImage, sight: Sight) -> Sight:
@@ -58,7 +81,7 @@ class Looker:
         """
         limits, photo = self.thresholds, image.photo
         pose = self.aligner.align(photo, sight.pose, 3, near=True, any_light=True)
-        found = self.look(image, pose)
+        found = self.glimpse(image, pose)
         fine = fine_agreement(photo[0].grey, found.drawn.grey, found.drawn.depth > 0,
                               limits.alignment)
         return replace(found, found=sight.found, believed=(
@@ -104,7 +127,7 @@ class Looker:
                 best, most = pose, agrees
             if most > self.thresholds.sure:
                 break
-        return (replace(self.look(image, best, searched=True), found=found)
+        return (replace(self.glimpse(image, best, searched=True), found=found)
                 if best is not None else None)
 
     def _most_likely(self, image: CameraImage, starts: Sequence[CameraPose]

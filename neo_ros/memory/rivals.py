@@ -49,7 +49,7 @@ class RivalFinder:
             pose = looker.aligner.align(image.photo, pose, rounds=1, near=True)
             if any(not is_elsewhere(pose, other.pose, limits) for other in (found, *rivals)):
                 continue
-            sight, is_twin = self.at_twin(image, looker.look(image, pose), twins)
+            sight, is_twin = self.at_twin(image, looker.glimpse(image, pose), twins)
             least = 1 - limits.as_unexplained * (1 - found.agreement)
             if sight.believed or sight.agreement > (
                     min(least, limits.least_twin) if is_twin else least):
@@ -65,7 +65,7 @@ class RivalFinder:
         best = max(self.find(image, found, ()), key=lambda one: one.agreement, default=found)
         if best.agreement <= found.agreement:
             return found
-        return self._looker.look(image, best.pose, searched=True)
+        return self._looker.glimpse(image, best.pose, searched=True)
 
     def _likely(self, small: list[PhotoLevel], found: Sight, twins: Sequence[CameraPose],
                 starts: Sequence[CameraPose]) -> list[CameraPose]:
@@ -97,7 +97,7 @@ class RivalFinder:
         """
         there = [pose for pose in twins if not is_elsewhere(pose, sight.pose, self._limits)]
         for pose in there:
-            other = self._looker.look(image, pose)
+            other = self._looker.glimpse(image, pose)
             if other.agreement > sight.agreement:
                 sight = replace(other, believed=other.believed or sight.believed)
         return sight, bool(there)

@@ -259,19 +259,26 @@ class Sight:
     """
     A pose, what the memory shows from it, and how well that agrees with the image.
 
-    view: the wide view; drawn: the image's part of it, as it is aligned with the next image.
+    view: the wide view, which `show` draws, once; part: what the image is of it, in some size;
+    drawn: the same, as it is aligned with the next image.
     believed: good enough to be shown; located: landmarks speak for the pose; location: what they
     say; found: what the pose comes from.
     """
 
     pose: CameraPose
-    view: GuideView
+    show: Callable[[], GuideView]
+    part: GuideView
     drawn: Drawn
     agreement: float
     believed: bool
     located: bool = False
     location: Location | None = None
     found: Found = 'tracked'
+
+    @property
+    def view(self) -> GuideView:
+        """The wide view."""
+        return self.show()
 
     @property
     def led(self) -> bool:

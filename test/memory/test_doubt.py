@@ -205,7 +205,7 @@ def test_a_search_that_ended_in_a_twin_goes_on_to_where_the_camera_is(
         doubt = Doubt(looker, with_picture._places.glances, KNOWN)
         pixels = take(AT_THE_PICTURE)
         image = CameraImage(pixels, looker.aligner.photo(pixels), find_features)
-        found = looker.look(image, _in_twin(true, way), searched=True)
+        found = looker.glimpse(image, _in_twin(true, way), searched=True)
         settled = doubt.settle(image, None, replace(found, believed=False), [])
         assert settled is not None and apart(settled.pose, true)[0] < 0.03
         # What is nowhere so well stays where it was found, and is not believed.
@@ -230,9 +230,9 @@ def test_a_known_twin_that_is_aligned_badly_stays_where_it_is(
     rival, = doubt._rivals.find(image, looker.look(image, pose), [planar(1.95 + AWAY, 1.7, 35)])
     assert max(apart(rival.pose, there)) < 1e-6
     # What the memory shows too poorly to be believed could be it; what it shows otherwise not.
-    look = looker.look
+    look = looker.glimpse
     for agrees, rivals in ((0.8, 1), (0.7, 0)):
-        monkeypatch.setattr(looker, 'look', lambda *asked, agrees=agrees: replace(
+        monkeypatch.setattr(looker, 'glimpse', lambda *asked, agrees=agrees: replace(
             look(*asked), agreement=agrees, believed=False))
         found = replace(look(image, pose), agreement=0.95)
         assert len(doubt._rivals.find(image, found, [])) == rivals

@@ -131,7 +131,7 @@ def test_the_better_of_two_poses(one: tuple[bool, bool, float], other: tuple[boo
                                  ) -> None:
     view = MemoryRenderer(MEMORY).render(TRUE_POSE, SOURCE)
     drawn = Drawn(TRUE_POSE, view.image[..., 0], view.depth)
-    sights = [Sight(TRUE_POSE, view, drawn, agrees, believed, located)
+    sights = [Sight(TRUE_POSE, lambda: view, view, drawn, agrees, believed, located)
               for believed, located, agrees in (one, other)]
     assert better(*sights) is better(*sights[::-1]) is sights[0]
     assert better(None, sights[1]) is sights[1] and better(sights[1], None) is sights[1]
