@@ -190,7 +190,9 @@ TRAINED_FLOORS = (
     Column('guided ring, dB', 'guided_ring_psnr', DB),
     Column('of one room', 'one_room_ring_psnr', DB),
     Column('field at the true pose', 'oracle_ring_psnr', DB),
-    Column('frames guided', 'guided_share', '{:.1f} %', 100), *SEARCHED)
+    Column('frames guided', 'guided_share', '{:.1f} %', 100),
+    Column('down a corridor', 'corridor_ring_psnr', DB),
+    Column('near borders of tiles', 'border_ring_psnr', DB), *SEARCHED)
 
 TABLES: dict[str, Rows] = {
     **{name: Rows(name, METHOD) for name in (

@@ -5,7 +5,7 @@ import math
 from neo_ros.errors import SceneError
 from neo_ros.flat.building import Building
 from neo_ros.flat.building_plan import Placed
-from neo_ros.flat.building_rooms import DOOR
+from neo_ros.flat.building_rooms import Corridor, DOOR
 from neo_ros.flat.walks import connected, Doorway, plan_walk_through
 from neo_ros.geometry import CameraPose
 from neo_ros.machine.evenly import evenly
@@ -53,6 +53,20 @@ def door_walks(building: Building, floor: int, n_frames: int, seed: int
         raise SceneError(f'floor {floor}: expected a door that a robot can pass, got none; '
                          'choose another seed')
     return walks
+
+
+def corridor_drive(building: Building, floor: int, apart: float) -> list[CameraPose]:
+    """Return the poses of a drive down the middle of a floor's first corridor, so far apart."""
+    walkable = building.walkable(floor)
+    pieces = np.stack([_bounds(building, placed) for placed in building.placed
+                       if placed.floor == floor and isinstance(placed.piece, Corridor)])
+    low, high = pieces[0]
+    y = (low[1] + high[1]) / 2
+    pieces = pieces[(pieces[:, 0, 1] < y) & (y < pieces[:, 1, 1])]
+    along = np.arange(pieces[:, 0, 0].min(), pieces[:, 1, 0].max(), apart)
+    places = np.stack([along, np.full(len(along), y)], 1)
+    return [CameraPose.from_planar(x, y, walkable.camera_height, 0.0)
+            for x, y in places[walkable.contains(places)].tolist()]
 
 
 def doorway(room: Placed) -> Doorway:

@@ -3,7 +3,8 @@ from neo_ros.flat import building as building_module
 from neo_ros.flat.building import build_building
 from neo_ros.flat.building_plan import BuildingPlan, place_pieces
 from neo_ros.flat.building_rooms import picture_slot, Room
-from neo_ros.flat.building_routes import door_walks, doorway, mapping_poses
+from neo_ros.flat.building_routes import (
+    corridor_drive, door_walks, doorway, mapping_poses)
 from neo_ros.flat.light import LightQuality
 from neo_ros.flat.raycast import camera_directions, cast_rays
 from neo_ros.flat.scene_writing import write_building_scene
@@ -186,3 +187,14 @@ def test_more_photos_than_the_robot_takes_are_refused(tmp_path, monkeypatch):
     with pytest.raises(SceneError, match='photos: expected at most [0-9]+, which a mapping'):
         write_building_scene(tmp_path, BuildingPlan(rooms=1), n_train=100_000,
                              progress=lambda *_: None, workers=1)
+
+
+def test_a_drive_goes_down_the_middle_of_a_corridor(building):
+    drive = corridor_drive(building, 1, 0.5)
+    places = np.stack([pose.position for pose in drive])
+    assert (np.diff(places[:, 0]) >= 0.5 - 1e-9).all() and np.ptp(places[:, 0]) > 8
+    assert np.ptp(places[:, 1:], axis=0).max() == 0
+    assert building.walkable(1).contains(places[:, :2]).all() and places[0, 2] == 4.5
+    doors = np.array([doorway(room)[:2] for room in building.rooms(1)])
+    assert doors[:, 1].min() < places[0, 1] < doors[:, 1].max()
+    assert all((pose.forward == [1, 0, 0]).all() for pose in drive)
