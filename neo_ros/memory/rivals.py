@@ -42,13 +42,15 @@ class RivalFinder:
                     for other in looked):
                 continue
             looked.append(start)
-            with on_cores(1):
-                start = looker.coarse_aligner.align(small, start, rounds=1)
-            # Not as strictly as what is searched for: a little off, a twin agrees a little less.
-            pose = looker.aligner.align(image.photo, start, rounds=2)
+            pose = start
+            if not any(start is twin for twin in twins):  # They are exact already.
+                with on_cores(1):
+                    pose = looker.coarse_aligner.align(small, pose, rounds=1)
+                pose = looker.aligner.align(image.photo, pose, rounds=2)
             pose = looker.aligner.align(image.photo, pose, rounds=1, near=True)
             if any(not is_elsewhere(pose, other.pose, limits) for other in (found, *rivals)):
                 continue
+            # Not as strictly as what is searched for: a little off, a twin agrees a little less.
             sight, is_twin = self.at_twin(image, looker.glimpse(image, pose), twins)
             least = 1 - limits.as_unexplained * (1 - found.agreement)
             if sight.believed or sight.agreement > (
