@@ -58,11 +58,15 @@ def measure_floors(work: Path, plan: BuildingPlan, width: int, searches: int,
     model = NeoModel(run.model_path, threads=1)
     scores, = evaluate(scene.name, TruthFrames(scene.test, run.expansion), [model],
                        progress=lambda done: progress('scoring', done, len(scene.test or ())))
+    # Through the door of the one room, of the same seed, which is the first of any building.
+    first = [frame['ring_psnr'] for frame in scores.frames
+             if frame['path_id'] == scores.frames[0]['path_id']]
     building = open_building(plan, folder / BUILDING_LIGHT)
     row = measure_search(LAYOUT, building, run.memory_path, run.expansion,
                          look_for(building, run.expansion.source, searches))
     return {**row, **measure_drive(model, building, tiles),
             'guided_ring_psnr': round(scores.estimates['ring_psnr'].mean, 2),
+            'first_walk_ring_psnr': round(float(np.mean(first)), 2),
             'oracle_ring_psnr': round(run.figures['oracle_ring_psnr'], 2),
             'guided_share': round(scores.estimates['guided'].mean, 4),
             'tiles': len(tiles), 'photos': len(scene.train),
