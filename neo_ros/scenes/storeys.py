@@ -4,8 +4,9 @@ import numpy as np
 # Metres between photos one above the other from which on they are of two storeys; and how many a
 # storey has at least, for a pose may be wrong.
 APART, LEAST = 1.5, 10
-# Metres that a floor is below every camera at least; of a layer of points; and how many tell.
-BENEATH, LAYER, LEAST_POINTS = 0.1, 0.05, 1000
+# Metres that a floor is below every camera at least; how many points below them tell where it is,
+# and how many of a hundred may lie deeper: stereo errs, and there are stairs.
+BENEATH, LEAST_POINTS, WRONG_PERCENT = 0.1, 1000, 5
 
 
 def storey_borders(z: np.ndarray) -> list[float]:
@@ -16,15 +17,13 @@ def storey_borders(z: np.ndarray) -> list[float]:
     return ((ordered[gaps] + ordered[gaps + 1]) / 2).tolist()
 
 
-def floor_height(z: np.ndarray, lowest_camera: float) -> float | None:
+def floor_height(z: np.ndarray, above: float, below: float) -> float | None:
     """
-    Return the height of the floor: most of what is seen below the cameras lies at it.
+    Return the height of the floor: next to nothing of what is seen lies below it.
 
-    z (N,): heights of points that a storey's photos show, metres. None where too few tell.
+    z (N,): heights of points that a storey's photos show, metres; some may be wrong, others lie
+    out of the window. above: of the highest camera of the storey below; below: of the storey's own
+    lowest camera. None where too few tell.
     """
-    below = z[z < lowest_camera - BENEATH]
-    if len(below) < LEAST_POINTS:
-        return None
-    heights, counts = np.unique(np.floor(below / LAYER), return_counts=True)
-    fullest = heights[counts.argmax()] * LAYER
-    return float(np.median(below[(below >= fullest - LAYER) & (below < fullest + 2 * LAYER)]))
+    between = z[(z > above) & (z < below - BENEATH)]
+    return None if len(between) < LEAST_POINTS else float(np.percentile(between, WRONG_PERCENT))

@@ -25,7 +25,7 @@ import numpy as np
 
 # Where tiles lie in the output folder until the last one is fitted.
 TILES = 'tiles'
-FLOOR_PHOTOS = 64  # Of a storey, that tell where its floor is.
+FLOOR_PHOTOS = 256  # Of a storey, that tell where its floor is.
 
 
 def tiles_of(scene: Scene, experiment: Experiment, held_out: Sequence[int] = ()) -> list[Tile]:
@@ -53,10 +53,13 @@ def below_floors(tiles: Sequence[Tile], photos: PosedImages, scale: float,
     for border in sorted({tile.low[2] for tile in tiles if math.isfinite(tile.low[2])}):
         high = min(tile.high[2] for tile in tiles if tile.low[2] == border)
         own = np.flatnonzero((z >= border) & (z < high))
-        floor = floor_height(_heights(photos.subset(own[evenly(len(own), FLOOR_PHOTOS)].tolist()),
-                                      scale), float(z[own].min()))
-        below = -math.inf if floor is None else floor - rules.below_floor
-        border_of[border] = below if below > z[z < border].max() else border
+        some = photos.subset(own[evenly(len(own), FLOOR_PHOTOS)].tolist())
+        under = z[z < border].max()
+        floor = floor_height(_heights(some, scale), under, z[own].min())
+        if floor is not None:
+            border_of[border] = max(floor - rules.below_floor, under)
+        else:
+            border_of[border] = border
     return [replace(tile, low=(*tile.low[:2], border_of[tile.low[2]]),
                     high=(*tile.high[:2], border_of[tile.high[2]])) for tile in tiles]
 
