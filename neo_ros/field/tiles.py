@@ -102,9 +102,9 @@ def _cut(tile: Tile, positions: np.ndarray, kept: np.ndarray, most: float, rules
 def _narrow_place(positions: np.ndarray, most: float, rules: TileRules
                   ) -> tuple[int, float] | None:
     """
-    Return where to cut, along x (0) or y (1); None where it is small enough.
+    Return across which axis to cut, and where; None for what is small enough.
 
-    In a wall, mostly: there stand the fewest photos for each metre of the border.
+    There stand the fewest photos for each metre of the border.
     """
     extent, found = np.ptp(positions[:, :2], axis=0), list[tuple[float, float, int, float]]()
     for axis in np.flatnonzero(extent > most).tolist():

@@ -13,7 +13,7 @@ import numpy as np
 
 
 class RivalFinder:
-    """Finds them by what an image is like, and by the twins that a memory knows."""
+    """Finds such places by what an image is like, and by the twins that a memory knows."""
 
     def __init__(self, looker: Looker, glances: GlanceFinder, twins: Twins) -> None:
         self.twins = twins

@@ -17,13 +17,13 @@ def storey_borders(z: np.ndarray) -> list[float]:
     return ((ordered[gaps] + ordered[gaps + 1]) / 2).tolist()
 
 
-def floor_height(z: np.ndarray, above: float, below: float) -> float | None:
+def floor_height(z: np.ndarray, low: float, high: float) -> float | None:
     """
-    Return the height of the floor: next to nothing of what is seen lies below it.
+    Return the height of a storey's floor: next to nothing of what is seen lies below it.
 
-    z (N,): heights of points that a storey's photos show, metres; some may be wrong, others lie
-    out of the window. above: of the highest camera of the storey below; below: of the storey's own
-    lowest camera. None where too few tell.
+    z (N,): heights of points that its photos show, metres; some may be wrong, others lie out of
+    the window. low: of the highest camera of the storey below; high: of its own lowest camera.
+    None where too few tell.
     """
-    between = z[(z > above) & (z < below - BENEATH)]
+    between = z[(z > low) & (z < high - BENEATH)]
     return None if len(between) < LEAST_POINTS else float(np.percentile(between, WRONG_PERCENT))

@@ -56,10 +56,7 @@ def below_floors(tiles: Sequence[Tile], photos: PosedImages, scale: float,
         some = photos.subset(own[evenly(len(own), FLOOR_PHOTOS)].tolist())
         under = z[z < border].max()
         floor = floor_height(_heights(some, scale), under, z[own].min())
-        if floor is not None:
-            border_of[border] = max(floor - rules.below_floor, under)
-        else:
-            border_of[border] = border
+        border_of[border] = border if floor is None else max(floor - rules.below_floor, under)
     return [replace(tile, low=(*tile.low[:2], border_of[tile.low[2]]),
                     high=(*tile.high[:2], border_of[tile.high[2]])) for tile in tiles]
 
