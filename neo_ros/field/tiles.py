@@ -25,9 +25,10 @@ class TileRules:
     """How a floor is cut; metres."""
 
     most: float = 6.0     # that photos of a tile stand apart, where `field.tile` says nothing
-    gap: float = 0.5      # around a border within which the fewest photos stand
+    gap: float = 0.3      # around a border within which the fewest photos stand
+    step: float = 0.05    # from border to border that is tried
     overlap: float = 0.5  # around a tile that its voxels cover: rays through it end there, mostly
-    reach: float = 1.0    # around a tile, from where photos still look into it
+    reach: float = 1.3    # around a tile, from where photos still look into it
     height: float = 3.0   # of a storey, to say how fine voxels are: what is higher has more
     below_floor: float = 0.15  # where a storey begins: within the ceiling of the one below
 
@@ -60,7 +61,7 @@ def cut_floor(positions: np.ndarray, most: float, rules: TileRules = TileRules()
     """
     Cut the world so that photos of a tile, at positions (N, 3), stand at most so far apart.
 
-    It is cut between storeys, and where the fewest photos stand: in doors and narrow places.
+    It is cut between storeys, and where the fewest photos stand: in walls, mostly.
     Storeys less than two tiles wide are one. A tile of photos that are all held out would have
     nothing to be fitted to: its neighbour has its part of the world.
     """
@@ -100,18 +101,21 @@ def _cut(tile: Tile, positions: np.ndarray, kept: np.ndarray, most: float, rules
 
 def _narrow_place(positions: np.ndarray, most: float, rules: TileRules
                   ) -> tuple[int, float] | None:
-    extent = np.ptp(positions[:, :2], axis=0)
-    if extent.max() <= most:
-        return None
-    axis = int(extent.argmax())
-    along = positions[:, axis]
-    parts = math.ceil(extent[axis] / most)
-    middle = along.min() + extent[axis] * (parts // 2) / parts
-    places = middle + np.arange(-0.25, 0.251, 0.02) * extent[axis] / parts
-    near = (np.abs(along[:, None] - places) < rules.gap).sum(0)
-    # Of those with the fewest photos the one nearest to the middle.
-    best = min(range(len(places)), key=lambda i: (near[i], abs(places[i] - middle)))
-    return axis, float(places[best])
+    """
+    Return where to cut, along x (0) or y (1); None where it is small enough.
+
+    In a wall, mostly: there stand the fewest photos for each metre of the border.
+    """
+    extent, found = np.ptp(positions[:, :2], axis=0), list[tuple[float, float, int, float]]()
+    for axis in np.flatnonzero(extent > most).tolist():
+        along = positions[:, axis]
+        places = np.arange(along.min() + most / 2, along.max() - most / 2, rules.step)
+        near = (np.abs(along[:, None] - places) < rules.gap).sum(0)
+        off = np.abs(places - (along.min() + along.max()) / 2)
+        best = min(range(len(places)), key=lambda i: (near[i], off[i]))
+        found.append((near[best] / max(extent[1 - axis], most), -extent[axis], axis,
+                      float(places[best])))
+    return min(found)[2:] if found else None
 
 
 def tile_edge(config: FieldConfig, most: float, rules: TileRules = TileRules()) -> float:

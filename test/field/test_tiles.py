@@ -45,6 +45,17 @@ def test_a_floor_is_cut_in_its_doors() -> None:
     np.testing.assert_allclose(borders, doors, atol=0.5)
 
 
+def test_borders_lie_in_the_walls_between_rooms_on_both_sides_of_a_corridor() -> None:
+    rooms = [(4.2 * number + 0.35, y, 3.6, 3.4, 1.5) for number in range(6) for y in (0.3, 6.2)]
+    places = positions(*rooms, (0.35, 4.8, 24.6, 0.3, 1.5), apart=0.45)
+    tiles = cut_floor(places, 6.0)
+    assert len(tiles) == 12
+    borders = np.array(sorted({tile.low[0] for tile in tiles if math.isfinite(tile.low[0])}))
+    np.testing.assert_allclose(borders / 4.2, np.round(borders / 4.2), atol=0.08)
+    for x, y, width, depth, z in rooms:  # Each room is in one tile.
+        assert sum(tile.holds(positions((x, y, width, depth, z))).any() for tile in tiles) == 1
+
+
 def test_a_tile_whose_photos_are_all_held_out_is_its_neighbours() -> None:
     rooms = positions((0, 0, 4, 4, 1.5), (9, 0, 4, 4, 1.5))
     places = np.concatenate([rooms, [[20.0, 2.0, 1.5]]])
