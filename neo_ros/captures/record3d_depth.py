@@ -21,7 +21,7 @@ OpenFiles = Callable[[], AbstractContextManager[ReadFile]]
 def advice_where_unread(package: str) -> str:
     """Return what to install for depth that needs this package; empty where it is there."""
     return '' if find_spec(package) is not None else (
-        "depth maps are not read; they need: pip install 'neo_ros[record3d]'")
+        "depth maps are not read; they need: pip install '.[record3d]' in a checkout")
 
 
 def depth_name(image: str) -> str:

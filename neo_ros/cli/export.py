@@ -9,7 +9,8 @@ def export(
     scene: Annotated[Path, typer.Argument(help='Scene folder that the model was trained on.')],
     out: Annotated[Path, typer.Option(help='Folder of the finished neo train.')],
     config: Annotated[Optional[Path], typer.Option(
-        help='Experiment file (YAML) of that training; default: the default settings.')] = None,
+        help='Experiment file (YAML) of that training, if it was with one and without '
+             '--minutes.')] = None,
     threads: Annotated[int, typer.Option(min=0, help='Threads to time on; 0 = all.')] = 0,
 ) -> None:
     """

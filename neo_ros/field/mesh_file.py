@@ -7,7 +7,7 @@ from neo_ros.errors import ConfigError, SceneError
 import numpy as np
 
 ENDINGS = ('.ply', '.obj', '.glb', '.gltf')
-NEEDS = 'the extra `mesh`: pip install "neo_ros[mesh]"'
+NEEDS = "the extra `mesh`: pip install '.[mesh]' in a checkout"
 
 
 @dataclass(frozen=True, eq=False)

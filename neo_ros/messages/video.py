@@ -39,8 +39,8 @@ class VideoDecoder:
             import av
         except ImportError:
             raise ImageRejected(
-                'encoding', f"format: {codec} is video, which needs pip install 'neo_ros[video]'"
-            ) from None
+                'encoding', f"format: {codec} is video, which needs pip install '.[video]' in a "
+                            'checkout') from None
         self._av = av
         self.codec = codec
         self._begun = False

@@ -74,7 +74,7 @@ def test_depth_whose_package_is_missing_says_what_to_install(
     source = write(tmp_path / 'source', demo_photos())
     monkeypatch.setattr(record3d_depth, 'find_spec', lambda name: None)
     notes = write_capture(read_record3d(source), tmp_path / 'scene')
-    assert "depth maps are not read; they need: pip install 'neo_ros[record3d]'" in notes
+    assert "depth maps are not read; they need: pip install '.[record3d]' in a checkout" in notes
     assert read_scene(tmp_path / 'scene').train.read_depths() is None
 
 
