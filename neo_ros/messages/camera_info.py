@@ -189,7 +189,7 @@ def _fold_window(message: Any, matrix: np.ndarray, columns: int,
     fx, fy = matrix[0], matrix[row + 1]
     if fx == 0:
         raise _rejected(f'{name}: the camera is uncalibrated ({name}[0] = 0); calibrate it, or '
-                        'stop publishing camera_info')
+                        'give no camera_info')
     roi = message.roi
     bin_x, bin_y = max(message.binning_x, 1), max(message.binning_y, 1)
     width, height = roi.width or message.width, roi.height or message.height

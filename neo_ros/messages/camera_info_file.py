@@ -1,4 +1,5 @@
 """A camera's calibration from a file, as camera_calibration writes it (YAML)."""
+import math
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -37,23 +38,37 @@ def as_camera_info(content: Any, path: Path, other: str = '') -> Any:
             f'{_keys(content)}')
     roi = SimpleNamespace(x_offset=0, y_offset=0, width=0, height=0, do_rectify=False)
     try:
-        k, r, p = (_values(content, name, count) for name, count in _SHAPE.items())
+        k, r, p = (_values(content, name, count) if name in content else [0.0] * count
+                   for name, count in _SHAPE.items())
+        width, height = (_size(content, name) for name in ('image_width', 'image_height'))
         return SimpleNamespace(
-            width=int(content['image_width']), height=int(content['image_height']), k=k, p=p,
-            r=r, d=[float(value) for value in content['distortion_coefficients']['data']],
+            width=width, height=height, k=k, p=p, r=r,
+            d=_values(content, 'distortion_coefficients'),
             distortion_model=str(content['distortion_model']), binning_x=0, binning_y=0, roi=roi)
     except KeyError as error:
         raise ConfigError(f'{path}: expected the key {error.args[0]}, got {_keys(content)}'
                           ) from error
-    except (TypeError, ValueError) as error:
+    except ValueError as error:
         raise ConfigError(f'{path}: {error}') from error
 
 
-def _values(content: dict[str, Any], name: str, count: int) -> list[float]:
-    if name != 'camera_matrix' and name not in content:
-        return [0.0] * count
-    values = [float(value) for value in content[name]['data']]
-    if len(values) != count:
+def _size(content: dict[str, Any], name: str) -> int:
+    size = content[name]
+    if type(size) is not int or size <= 0:
+        raise ValueError(f'{name}: expected a number of pixels, got {size!r:.40}')
+    return size
+
+
+def _values(content: dict[str, Any], name: str, count: int | None = None) -> list[float]:
+    """Return so many numbers, any if None; raises ValueError and, without the key, KeyError."""
+    part = content[name]
+    try:  # YAML 1.1 takes 5e-05, which has no point, for a word.
+        values = [float(value) for value in part['data']]
+    except (KeyError, TypeError, ValueError):
+        values = [math.nan]
+    if not all(map(math.isfinite, values)):
+        raise ValueError(f'{name}: expected finite numbers under the key data, got {part!r:.80}')
+    if count is not None and len(values) != count:
         raise ValueError(f'{name}: expected {count} numbers, got {len(values)}')
     return values
 

@@ -61,8 +61,11 @@ class CameraInputs:
     @property
     def conflict(self) -> str:
         """Which publisher does not fit, in words; '' = none."""
-        return '; '.join(filter(None, [self._qos_conflict(), self._pairing.mismatch, *(
-            self._topics.describe_crowd(topic, endpoint) for topic, endpoint in self._wanted())]))
+        return '; '.join(filter(None, [
+            self._qos_conflict(), self._pairing.mismatch,
+            '' if self._now_ns() else 'use_sim_time is true, and nobody publishes /clock', *(
+                self._topics.describe_crowd(topic, endpoint)
+                for topic, endpoint in self._wanted())]))
 
     @property
     def remedy(self) -> str:
@@ -147,6 +150,11 @@ class CameraInputs:
             return [image]
         return [image, (self._topics.camera_info(), CAMERA_INFO)]
 
+    def _now_ns(self) -> int:
+        """Return the time; 0 while the clock is simulated and nobody has told it."""
+        now_ns: int = self._node.get_clock().now().nanoseconds
+        return now_ns
+
     def _is_reliable(self) -> bool:
         """Say what holds for the images: the parameter, unless a QoS override says otherwise."""
         if not self._subscriptions:
@@ -163,7 +171,8 @@ class CameraInputs:
 
     def _on_image(self, image: Any) -> None:
         stamp_ns = stamp_of(image.header)
-        age_ms = (self._node.get_clock().now().nanoseconds - stamp_ns) / 1e6
+        now_ns = self._now_ns()
+        age_ms = (now_ns - stamp_ns) / 1e6 if now_ns else None
         self.stamps.add_image(stamp_ns, age_ms, len(image.data))
         self._pairing.add_image(image)
 
@@ -179,16 +188,24 @@ class CameraInputs:
     def _qos_conflict(self) -> str:
         # Asked of the graph, not kept from events: those do not tell when the publisher has gone.
         for (topic, endpoint), subscription in zip(self._wanted(), self._subscriptions):
-            if subscription.qos_profile.reliability == ReliabilityPolicy.RELIABLE and any(
-                    publisher.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
-                    for publisher in self._topics.publishers(topic, endpoint)):
-                return (f'the publisher of {topic} is best effort, this node asks for reliable; '
-                        'set the parameter reliable to false')
+            asked = subscription.qos_profile
+            for offered in (one.qos_profile for one in self._topics.publishers(topic, endpoint)):
+                if (asked.reliability == ReliabilityPolicy.RELIABLE
+                        and offered.reliability == ReliabilityPolicy.BEST_EFFORT):
+                    return (f'the publisher of {topic} is best effort, this node asks for '
+                            'reliable; set the parameter reliable to false')
+                if (asked.durability == DurabilityPolicy.TRANSIENT_LOCAL
+                        and offered.durability == DurabilityPolicy.VOLATILE):
+                    return (f'the publisher of {topic} is volatile, this node asks for transient '
+                            f'local; take back qos_overrides.{topic}.subscription.durability')
         return ''
 
     def _on_qos_conflict(self, topic: str, event: Any) -> None:
         policy = qos_policy_name_from_kind(event.last_policy_kind)
-        self._node.get_logger().warning(
-            f'the publisher of {topic} offers another {policy} than this node asks for '
-            f'({"reliable" if self._is_reliable() else "best effort"}): change its QoS or the '
-            'parameter reliable')
+        words = f'the publisher of {topic} offers another {policy} than this node asks for'
+        if event.last_policy_kind == QoSPolicyKind.RELIABILITY:
+            words += (f' ({"reliable" if self._is_reliable() else "best effort"}): change its QoS '
+                      'or the parameter reliable')
+        else:
+            words += ": change its QoS, or this node's with qos_overrides"
+        self._node.get_logger().warning(words)

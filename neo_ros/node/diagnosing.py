@@ -30,6 +30,7 @@ class NodeState:
     subscribed: bool
     model: LoadedModel | None
     transform: str
+    warning: str
 
 
 class Diagnosing:
@@ -67,8 +68,9 @@ class Diagnosing:
             state=now.state, fault=now.fault, loading=now.loading, enabled=now.enabled,
             topic=self._inputs.topic, publishers=self._inputs.publishers,
             missing=self._inputs.missing, conflict=self._inputs.conflict, transform=now.transform,
-            twin=twin if self._twin_seen >= TWIN_SEEN else '', camera=self._inputs.frame_id,
-            subscribed=now.subscribed, memory=now.model is not None and now.model.memory,
+            warning=now.warning, twin=twin if self._twin_seen >= TWIN_SEEN else '',
+            camera=self._inputs.frame_id, subscribed=now.subscribed,
+            memory=now.model is not None and now.model.memory,
             unlike_scene=self._scene_watch.update(counts.out_of_scene), counts=counts)
         name = self._node.get_fully_qualified_name()
         message = DiagnosticArray(status=[

@@ -35,6 +35,7 @@ KEYS = {
     'last rejection': 'what was expected and what came',
     'camera': 'what is done to its images for the model: nothing, cropped, resampled, rectified',
     'guided by the scene memory': 'share of the frames that the memory knew',
+    'last warning of the memory': 'of learning, its journal or its lights',
     'out of the scene': '0 as trained, 1 nothing like it',
     'in the trained scene': 'false while the mean score was above 0.5, until it is below 0.35',
     'latency STAGE median/p95/max [ms]': 'queue, decode, infer, check, publish, total',
@@ -58,7 +59,8 @@ class Health:
     state: lifecycle state. fault: why the last transition failed, or empty. topic: the image
     topic's full name, publishers: how many it has. missing: what keeps images away, in
     words. conflict: which publisher does not fit, transform: which one tf has not, twin: who
-    publishes what this node does; in words, or empty. camera: the images' frame_id, or empty.
+    publishes what this node does, warning: of the memory; in words, or empty. camera: the images'
+    frame_id, or empty.
     subscribed: whether anybody reads an output. unlike_scene: the verdict of the SceneWatch.
     memory: the model has a scene memory. loading: a model is being loaded; the old one goes on.
     """
@@ -73,6 +75,7 @@ class Health:
     conflict: str
     transform: str
     twin: str
+    warning: str
     camera: str
     subscribed: bool
     unlike_scene: bool
@@ -85,7 +88,8 @@ def judge(health: Health) -> tuple[bytes, str]:
     level, message = _judge_frames(health)
     transform = health.transform if health.subscribed else ''
     assumed = assumed_camera(health.counts.camera_note) if health.subscribed else ''
-    notes = [note for note in (health.conflict, transform, health.twin, assumed) if note]
+    notes = [note for note in (health.conflict, transform, health.twin, assumed, health.warning)
+             if note]
     if notes:
         return max(level, DiagnosticStatus.WARN), '; '.join([message, *notes])
     return level, message
@@ -145,6 +149,7 @@ def build_status(name: str, health: Health, model: Mapping[str, str]) -> Diagnos
         'guided by the scene memory': (f'{counts.guided:.0%}'
                                        if health.memory and counts.guided is not None
                                        else 'unknown'),
+        'last warning of the memory': health.warning,
         'out of the scene': ('unknown' if counts.out_of_scene is None
                              else f'{counts.out_of_scene:.2f}'),
         'in the trained scene': ('unknown' if counts.out_of_scene is None

@@ -11,6 +11,7 @@ from neo_ros.node.interface import ENABLE, NODE_NAME, RELOAD_MODEL, RELOCALIZE
 from neo_ros.node.loaded_model import Load, LoadedModel
 from neo_ros.node.loading import ModelLoader, take_waiting
 from neo_ros.node.manager_bond import form_bond
+from neo_ros.node.memory_warnings import MemoryWarnings
 from neo_ros.node.parameters import (
     declare_parameters,
     INPUT_PARAMETERS,
@@ -62,6 +63,7 @@ class ExtrapolatorNode(LifecycleNode):
         self._worker: FrameWorker | None = None
         self._bond: Any | None = None
         self._lingering: list[FrameWorker] = []  # stopped, but in the middle of a frame
+        self._warnings = MemoryWarnings(self._report_memory)
         self._inputs = CameraInputs(self, self._on_image)
         answer_every_request(self)
         declare_parameters(self)
@@ -156,6 +158,11 @@ class ExtrapolatorNode(LifecycleNode):
             self._model.stop_learning()
         return idle
 
+    def destroy_node(self) -> None:
+        """Take it out of the graph."""
+        self._warnings.close()
+        super().destroy_node()
+
     def _break_bond(self) -> None:
         if self._bond is not None:
             self._bond.shutdown()
@@ -169,6 +176,7 @@ class ExtrapolatorNode(LifecycleNode):
         if self._model is not None:
             self._model.stop_learning()
         self._scene = self._model = self._candidate = None
+        self._warnings.forget()
 
     def _attend(self) -> None:
         """Be subscribed to the camera exactly while the node is active and somebody listens."""
@@ -204,10 +212,14 @@ class ExtrapolatorNode(LifecycleNode):
 
     def _on_relocalize(self, request: Trigger.Request, response: Trigger.Response
                        ) -> Trigger.Response:
-        response.success = self._worker is not None
-        response.message = f'{self.state_label}: no image is taken'
-        if self._worker is not None:
+        response.success = False
+        if self._worker is None:
+            response.message = f'{self.state_label}: no image is taken'
+        elif self._model is not None and not self._model.memory:
+            response.message = 'the model has no scene memory to search in'
+        else:
             self._worker.forget()
+            response.success = True
             response.message = 'the next image is searched for in the whole scene'
         return response
 
@@ -270,6 +282,7 @@ class ExtrapolatorNode(LifecycleNode):
             model.forget_light()  # It was read before the other model wrote it.
         self._model = model
         self._statistics.forget_model()
+        self._warnings.forget()
         self._diagnosing.begin()
         if self._scene is not None:
             self._scene.take_over(read_parameters(self), model)
@@ -286,7 +299,12 @@ class ExtrapolatorNode(LifecycleNode):
         if self.context.ok():
             self.get_logger().warning(message, throttle_duration_sec=REPORT_PERIOD_S)
 
+    def _report_memory(self, message: str) -> None:
+        if self.context.ok():
+            self.get_logger().warning(message)
+
     def _look(self) -> NodeState:
         return NodeState(self.state_label, self.fault, self._loader.busy, self._enabled,
                          self._has_audience(), self._model,
-                         self._scene.frames.missing if self._scene and self._scene.frames else '')
+                         self._scene.frames.missing if self._scene and self._scene.frames else '',
+                         self._warnings.last)

@@ -5,7 +5,7 @@ import threading
 import time
 from typing import Any, NamedTuple, Protocol
 
-from neo_ros.errors import ImageRejected
+from neo_ros.errors import ImageRejected, ModelError
 from neo_ros.messages.frame_processor import FrameProcessor, WideFrame
 from neo_ros.node.frame_statistics import Statistics
 from neo_ros.node.one_slot import Mailbox
@@ -139,6 +139,9 @@ class FrameWorker:
                 self._outputs.publish(frame.image.header, wide, wanted)
         except ImageRejected as rejection:
             self._reject(rejection.reason, str(rejection))
+            return
+        except ModelError as error:  # Somebody has changed its memory, which is read as needed.
+            self._reject('model', str(error))
             return
         except Exception as error:  # One bad frame must not end the thread and with it the node.
             if not self._stopped.is_set():

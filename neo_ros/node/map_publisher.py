@@ -61,9 +61,12 @@ class MapPublisher:
         except NeoError as error:
             self._report(f'no map: {error}')
             return
+        if drawn is None:
+            self._report('no map: the model has no scene memory')
+            return
         with self._busy:
             # Another model may have been loaded meanwhile, or the node cleaned up.
-            if drawn is not None and (model, frame_id) == (self._model, self._frame_id):
+            if (model, frame_id) == (self._model, self._frame_id):
                 stamp = self._node.get_clock().now().to_msg()
                 self._publisher.publish(
                     grid_message(drawn, Header(stamp=stamp, frame_id=frame_id)))

@@ -5,7 +5,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from neo_ros.errors import ConfigError
+from neo_ros.errors import ConfigError, ImageRejected
+from neo_ros.messages.camera_info import read_lens
 from neo_ros.messages.camera_info_file import read_camera_info_file
 from neo_ros.node.file_place import find_file, find_model
 from neo_ros.runtime.providers import PROVIDERS
@@ -118,10 +119,15 @@ def read_parameters(node: Node, changed: Sequence[Parameter] = ()) -> NodeParame
 
     Raises ConfigError for values that a range cannot exclude.
     """
-    values: dict[str, Any] = {field.name: node.get_parameter(field.name).value
+    # An empty list in a file of parameters leaves one without a value.
+    values: dict[str, Any] = {field.name: node.get_parameter_or(field.name).value
                               for field in fields(NodeParameters)}
     values |= {parameter.name: parameter.value for parameter in changed
                if parameter.name in values}
+    values['providers'] = values['providers'] or ()
+    # As in messages, where frames of ROS 1 have a slash.
+    values |= {name: values[name].lstrip('/') for name in
+               ('scene_frame', 'base_frame', 'odom_frame')}
     if values['image_transport'] not in TRANSPORTS:
         raise ConfigError(f'image_transport: expected {" or ".join(TRANSPORTS)}, got '
                           f'{values["image_transport"]!r}')
@@ -130,6 +136,9 @@ def read_parameters(node: Node, changed: Sequence[Parameter] = ()) -> NodeParame
                           f'{", ".join(unknown)}')
     if values['publish_tf'] and not values['base_frame']:
         raise ConfigError('publish_tf: expected a base_frame, such as base_link, got none')
+    if values['publish_tf'] and values['odom_frame'] in ('', values['scene_frame']):
+        raise ConfigError('odom_frame: expected another frame than scene_frame, such as odom, got '
+                          f'{values["odom_frame"] or "none"}')
     if values['base_frame'] and find_spec('tf2_ros') is None:
         raise ConfigError(
             f'base_frame: {values["base_frame"]!r} needs tf2_ros, which is missing here (it is '
@@ -145,9 +154,11 @@ def read_calibration(values: NodeParameters) -> Any | None:
     if not values.camera_info_url:
         return None
     try:
-        return read_camera_info_file(Path(values.camera_info_url))
-    except ConfigError as error:
+        calibration = read_camera_info_file(Path(values.camera_info_url))
+        read_lens(calibration)
+    except (ConfigError, ImageRejected) as error:
         raise ConfigError(f'camera_info_url: {error}') from error
+    return calibration
 
 
 def refuse_late(node: Node, changed: Sequence[Parameter], state: str) -> None:

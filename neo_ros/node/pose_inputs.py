@@ -22,7 +22,7 @@ class PoseInputs:
     """
     Subscribes to PRIOR and ODOMETRY and turns them into `hints` of the camera's optical frame.
 
-    scene_frame: what priors are in; camera_frame: of the images, '' before the first; both may
+    scene_frame: what priors are in; camera_frame: of the images, None before the first; both may
     change. base_frame: what the messages are of, where `frames` tells how the camera sits on it. A
     prior waits until that is known.
     """
@@ -30,7 +30,8 @@ class PoseInputs:
     def __init__(self, node: Node, scene_frame: str, base_frame: str,
                  frames: RobotFrames | None) -> None:
         self.hints, self.metric = PoseHints(), True
-        self.scene_frame, self.camera_frame = scene_frame, ''
+        self.scene_frame = scene_frame
+        self.camera_frame: str | None = None
         self._node, self._frames, self._base_frame = node, frames, base_frame
         self._told: dict[str, float] = {}
         self._waiting: tuple[PoseWithCovarianceStamped, float] | None = None  # And when it came.
@@ -81,7 +82,11 @@ class PoseInputs:
             self.hints.set_prior(pose, came)
 
     def _on_odometry(self, message: Odometry) -> None:
-        if not self.camera_frame or not self.metric:  # Its metres say nothing of the scene.
+        if self.camera_frame is None or not self.metric:  # Its metres say nothing of the scene.
+            return
+        if not self.camera_frame:
+            self._tell('odometry', f'{ODOMETRY.name}: expected images with a frame_id, to know '
+                       'how the camera sits on the robot, got none: dropped')
             return
         child = message.child_frame_id.lstrip('/')
         T_camera: np.ndarray | None = np.eye(4)
@@ -98,6 +103,7 @@ class PoseInputs:
             self.hints.add_odometry(message.header, pose)
 
     def _camera_in_base(self) -> np.ndarray | None:
+        assert self.camera_frame
         T = None if self._frames is None else self._frames.camera_in_base(self.camera_frame)
         if T is None:
             self._tell('transform', f'no transform from {self._base_frame} to '

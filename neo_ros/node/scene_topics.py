@@ -26,8 +26,7 @@ class SceneTopics:
             self.frames = RobotFrames(node, values) if values.base_frame else None
             if self.frames is not None:
                 made.callback(self.frames.destroy)
-            self.outputs = WidePublishers(node, values, model.arbitrary_scale, self.frames,
-                                          audience_changed)
+            self.outputs = WidePublishers(node, values, model, self.frames, audience_changed)
             made.callback(self.outputs.destroy)
             self.inputs = PoseInputs(node, self.outputs.scene_frame, values.base_frame,
                                      self.frames)
@@ -35,7 +34,7 @@ class SceneTopics:
             self._map = MapPublisher(node, report)
             made.callback(self._map.destroy)
             self._map.use(model, self.outputs.scene_frame)
-            self._tie(model)
+            self._tie(values, model)
             self._made = made.pop_all()
 
     def destroy(self) -> None:
@@ -44,7 +43,7 @@ class SceneTopics:
 
     def use(self, values: NodeParameters, model: LoadedModel) -> None:
         """Go by these parameters; map and priors are in the frame of the poses."""
-        self.outputs.use(values, model.arbitrary_scale)
+        self.outputs.use(values, model)
         self._map.use(model, self.outputs.scene_frame)
         self.inputs.scene_frame = self.outputs.scene_frame
 
@@ -52,12 +51,16 @@ class SceneTopics:
         """Be of another model from now on."""
         self.inputs.forget_prior()  # It was meant for the other model's scene.
         self.use(values, model)
-        self._tie(model)
+        self._tie(values, model)
 
-    def _tie(self, model: LoadedModel) -> None:
+    def _tie(self, values: NodeParameters, model: LoadedModel) -> None:
         """Let the model's memory hear priors and odometry, where they are in its unit."""
         model.processor.hints = self.inputs.hints
         self.inputs.metric = not model.arbitrary_scale
+        if not model.memory and (values.learn or values.publish_tf):
+            self._node.get_logger().warning(
+                'the model has no scene memory: learn and publish_tf do nothing; train one with '
+                'its memory, and leave both files in one folder')
         if model.arbitrary_scale:
             self._node.get_logger().warning(
                 'nobody knows the scale of this scene: poses, depth and points are not in metres; '

@@ -31,9 +31,10 @@ class StampReport(NamedTuple):
     The last WINDOW_S seconds.
 
     images: how many came. infos: how many camera_infos of different stamps. bytes: of the largest
-    image. age_ms: median since the stamp, at arrival. unstamped: all stamps are 0. same: images
-    that share the newest stamp. rate: of the camera, per second, None where it cannot be told.
-    sent, lost: frames of the camera that should have come, and those that did not.
+    image. age_ms: median since the stamp, at arrival; None where nobody tells the time. unstamped:
+    all stamps are 0. same: images that share the newest stamp. rate: of the camera, per second,
+    None where it cannot be told. sent, lost: frames of the camera that should have come, and those
+    that did not; by_infos: most of these are known from camera_infos alone.
     """
 
     images: int = 0
@@ -45,6 +46,7 @@ class StampReport(NamedTuple):
     rate: float | None = None
     sent: int = 0
     lost: int = 0
+    by_infos: bool = False
 
 
 class StampWatch:
@@ -57,11 +59,11 @@ class StampWatch:
 
     def forget(self) -> None:
         """Drop everything: another camera, or a pause."""
-        self._images: deque[tuple[float, int, float, int]] = deque()
+        self._images: deque[tuple[float, int, float | None, int]] = deque()
         self._infos: deque[tuple[float, int]] = deque()
 
-    def add_image(self, stamp_ns: int, age_ms: float, size: int) -> None:
-        """Note an image: its stamp, its age at arrival, its bytes."""
+    def add_image(self, stamp_ns: int, age_ms: float | None, size: int) -> None:
+        """Note an image: its stamp, its age at arrival if it is known, its bytes."""
         self._images.append((self._now(), stamp_ns, age_ms, size))
         self._clean()
 
@@ -79,27 +81,29 @@ class StampWatch:
         stamps = [stamp for _, stamp, _, _ in self._images]
         # camera_infos of other stamps than the images' are no sign of images.
         per_image = 2 * len(infos & set(stamps)) >= len(set(stamps))
-        rate, sent, lost = self._losses(set(stamps), infos if per_image else set())
+        rate, sent, lost, by_infos = self._losses(set(stamps), infos if per_image else set())
+        ages = [age for _, _, age, _ in self._images if age is not None]
         return StampReport(
             images=len(stamps), infos=len(infos),
             bytes=max(size for _, _, _, size in self._images),
-            age_ms=float(np.median([age for _, _, age, _ in self._images])),
+            age_ms=float(np.median(ages)) if ages else None,
             unstamped=not any(stamps), same=Counter(stamps)[stamps[-1]],
-            rate=rate, sent=sent, lost=lost)
+            rate=rate, sent=sent, lost=lost, by_infos=by_infos)
 
-    def _losses(self, images: set[int], infos: set[int]) -> tuple[float | None, int, int]:
+    def _losses(self, images: set[int], infos: set[int]
+                ) -> tuple[float | None, int, int, bool]:
         frames = np.array(sorted(images | infos))
         frames = frames[frames <= frames[-1] - SETTLE_NS]
         gaps = np.diff(frames)
         gaps = gaps[gaps < self._limits.longest_gap_s * 1e9]
         if len(gaps) < self._limits.least_frames:
-            return None, 0, 0
+            return None, 0, 0, False
         period = float(np.quantile(gaps, self._limits.shortest))
         for _ in range(2):  # From a short gap to the middle of those that are one period long.
             period = float(np.median(gaps[gaps < 1.5 * period]))
         skipped = int((np.rint(gaps / period) - 1).sum())
-        return 1e9 / period, len(frames) + skipped, skipped + sum(
-            int(stamp) not in images for stamp in frames)
+        without = sum(int(stamp) not in images for stamp in frames)
+        return 1e9 / period, len(frames) + skipped, skipped + without, without > skipped
 
     def _clean(self) -> None:
         begin = self._now() - WINDOW_S
@@ -129,6 +133,9 @@ def judge_stamps(report: StampReport, remedy: str) -> str:
         wrongs.append(f'the stamps are {-age_s:.1f} s ahead of the clock: the clocks of two '
                       'computers differ')
     if report.sent and report.lost > limits.most_lost * report.sent:
-        wrongs.append(f'{report.lost} of {report.sent} images got lost before this node ({size}): '
-                      f'{remedy}')
+        words = (f'{report.lost} of {report.sent} images got lost before this node ({size}): '
+                 f'{remedy}')
+        if report.by_infos:
+            words += (', unless somebody throttles the images and not camera_info: throttle both')
+        wrongs.append(words)
     return '; '.join(wrongs)

@@ -11,6 +11,7 @@ from neo_ros.messages.scene_outputs import default_scene_frame, pose_message
 from neo_ros.messages.stamps import stamp_of
 from neo_ros.node.frame_worker import Wanted
 from neo_ros.node.interface import OUTPUTS
+from neo_ros.node.loaded_model import LoadedModel
 from neo_ros.node.message_types import as_array, make_message
 from neo_ros.node.parameters import NodeParameters
 from neo_ros.node.robot_frames import RobotFrames
@@ -34,11 +35,11 @@ class WidePublishers:
     to listen.
     """
 
-    def __init__(self, node: LifecycleNode, values: NodeParameters, arbitrary_scale: bool,
+    def __init__(self, node: LifecycleNode, values: NodeParameters, model: LoadedModel,
                  frames: RobotFrames | None = None,
                  audience_changed: Callable[[], None] = lambda: None) -> None:
         self._node, self._frames = node, frames
-        self.use(values, arbitrary_scale)
+        self.use(values, model)
         self._publishers = {
             name: node.create_lifecycle_publisher(
                 output.kind, output.name, QoSProfile(depth=DEPTH),
@@ -49,18 +50,19 @@ class WidePublishers:
             for name, output in OUTPUTS.items()}
         self._messages: dict[str, Image] = {}
 
-    def use(self, values: NodeParameters, arbitrary_scale: bool) -> None:
-        """Go by these parameters, and by the scale of the model's scene, from now on."""
-        self._jpeg_quality, self._learn = values.jpeg_quality, values.learn
-        self._metric = not arbitrary_scale
-        self.scene_frame = values.scene_frame or default_scene_frame(arbitrary_scale)
+    def use(self, values: NodeParameters, model: LoadedModel) -> None:
+        """Go by these parameters, and by what the model knows of its scene, from now on."""
+        self._jpeg_quality, self._learn = values.jpeg_quality, values.learn and model.memory
+        self._metric, self._places = not model.arbitrary_scale, model.memory
+        self.scene_frame = values.scene_frame or default_scene_frame(model.arbitrary_scale)
         self._memory = MemoryMessages(make_message, MemorySettings(
             self.scene_frame, self._node.get_fully_qualified_name(), values.points_every,
             values.panorama_width, values.panorama_fps), monotonic)
 
     def wanted(self) -> Wanted:
         """Say which topics have subscribers, and what else images are widened for."""
-        sends = self._frames is not None and self._frames.sends and self._metric
+        sends = (self._frames is not None and self._frames.sends and self._metric
+                 and self._places)
         return Wanted(transform=sends, learn=self._learn, **{
             name: publisher.get_subscription_count() > 0
             for name, publisher in self._publishers.items()})

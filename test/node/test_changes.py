@@ -1,5 +1,6 @@
 """What may change under a running node: model, transport, camera, files, clock, neighbours."""
 from array import array
+import logging
 import math
 import os
 import signal
@@ -315,6 +316,33 @@ def test_a_wrong_word_leaves_it_unconfigured_with_the_reason(graph, model, param
     camera.wait_for_diagnosis(DiagnosticStatus.ERROR, words)
 
 
+def test_no_provider_at_all_is_the_cpu(graph, model, tmp_path):
+    file = tmp_path / 'params.yaml'
+    file.write_text('/**:\n  ros__parameters:\n    providers: []\n')
+    with node_beside(graph, model, '--params-file', str(file)) as node:
+        assert node.state_label == 'active'
+        assert node._model.description['runs on'] == 'CPUExecutionProvider'
+        assert set_parameter(graph, 'max_fps', 5.0).successful
+        assert set_parameter(graph, 'providers', ['cpu']).successful
+
+
+def test_what_needs_a_memory_does_nothing_without_one(graph, model):
+    with node_beside(graph, model, '-p', 'learn:=true') as node:
+        assert node.state_label == 'active' and not node._inputs.subscribed
+        answer = graph.call(Trigger, f'{NODE}/relocalize', Trigger.Request())
+        assert not answer.success and 'no scene memory' in answer.message
+
+
+def test_what_the_memory_warns_of_is_in_the_diagnosis(graph, model):
+    with node_beside(graph, model) as node:
+        camera = Camera(graph)
+        logging.getLogger('neo_ros.memory.learning').warning('learning: %s', 'no space left')
+        lines = camera.wait_for_diagnosis(DiagnosticStatus.WARN, '; learning: no space left')
+        assert lines['last warning of the memory'] == 'learning: no space left'
+        assert set_parameter(graph, 'model', str(model)).successful  # It is loaded anew.
+        assert node._warnings.last == ''
+
+
 def test_integers_do_for_doubles_and_nothing_else_does(graph, model):
     with node_beside(graph, model, '-p', 'max_fps:=20') as node:
         assert node.get_parameter('max_fps').value == 20.0
@@ -327,7 +355,8 @@ def test_integers_do_for_doubles_and_nothing_else_does(graph, model):
 
 
 def test_frames_are_set_before_it_is_configured(graph, model):
-    with node_beside(graph, model) as node:
+    with node_beside(graph, model, '-p', 'scene_frame:=/flat') as node:
+        assert node._scene.outputs.scene_frame == 'flat'  # As in messages.
         refused = set_parameter(graph, 'odom_frame', 'world')
         assert not refused.successful and 'clean it up, set it and configure' in refused.reason
         assert set_parameter(graph, 'odom_frame', 'odom').successful  # As it is.

@@ -30,6 +30,7 @@ def health(counts=None, **changes):
     fields: dict[str, Any] = {'state': 'active', 'fault': '', 'loading': False, 'enabled': True,
                               'topic': '/camera/image', 'publishers': 1, 'conflict': '',
                               'missing': 'waiting for image', 'twin': '', 'transform': '',
+                              'warning': '',
                               'camera': 'eye', 'subscribed': True,
                               'unlike_scene': False, 'memory': False}
     return Health(**(fields | changes), counts=counts or snapshot())
@@ -57,6 +58,7 @@ REJECTING = snapshot(recent_rejected=3, last_rejection='size: too big')
             conflict='/x is best effort'), ERROR, 'rejected: size; /x is best effort'),
     (health(transform='no odom'), WARN, 'widening 29.8 images per second; no odom'),
     (health(transform='no odom', subscribed=False), OK, 'nobody subscribes'),
+    (health(warning='journal: is full'), WARN, 'images per second; journal: is full'),
     (health(twin='another node'), WARN, 'widening 29.8 images per second; another node'),
     (health(snapshot(recent_received=0), subscribed=False), OK, 'nobody subscribes'),
     (health(REJECTING), WARN, 'some images are rejected: size: too big'),

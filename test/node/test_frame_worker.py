@@ -4,6 +4,7 @@ import time
 from types import SimpleNamespace
 
 from camera_messages import header_without_a_clock, image_message, noise_image
+from neo_ros.errors import ModelError
 from neo_ros.messages.frame_processor import FrameProcessor
 from neo_ros.node.frame_statistics import Statistics
 from neo_ros.node.frame_worker import Frame, FrameWorker, Wanted
@@ -36,6 +37,8 @@ class GatedExtrapolator:
         assert self.gate.acquire(timeout=WAIT_S)
         if image[0, 0, 0] == 13:
             raise RuntimeError('the network broke')
+        if image[0, 0, 0] == 14:
+            raise ModelError('the memory was changed')
         return WideView(np.zeros((TARGET.height, TARGET.width, 3), np.uint8),
                         np.zeros((TARGET.height, TARGET.width), np.uint8), self.guided)
 
@@ -104,10 +107,10 @@ def test_only_frames_that_are_widened_tell_of_the_memory(bench):
 
 
 def test_bad_frames_are_counted_and_good_ones_pass_after_them(bench):
-    for _ in range(4):
+    for _ in range(5):
         bench.extrapolator.gate.release()
     bad = [frame('bad', encoding='yuv'), frame('bad', data=b''), frame('bad', width=5),
-           frame('bad', first_value=13)]
+           frame('bad', first_value=14), frame('bad', first_value=13)]
     for number, wrong in enumerate(bad, start=1):
         bench.worker.submit(wrong)
         deadline = time.monotonic() + WAIT_S
@@ -117,7 +120,7 @@ def test_bad_frames_are_counted_and_good_ones_pass_after_them(bench):
     assert bench.outputs.published.acquire(timeout=WAIT_S)
     assert bench.outputs.headers == ['good']
     assert bench.statistics.snapshot().rejected == {
-        'encoding': 1, 'empty': 1, 'size': 1, 'internal': 1}
+        'encoding': 1, 'empty': 1, 'size': 1, 'model': 1, 'internal': 1}
     assert 'the network broke' in bench.reports[-1]
 
 

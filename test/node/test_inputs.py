@@ -195,6 +195,14 @@ def test_inputs_follow_the_qos_overrides(graph, model):
             (ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL)}
 
 
+def test_a_publisher_that_keeps_nothing_for_a_node_that_asks_for_it_is_told(graph, model):
+    graph.collect(Image, '/robot/wide/image')
+    with node_beside(graph, model, '-p', f'{IMAGE_QOS}.durability:=transient_local'):
+        camera = Camera(graph)
+        camera.wait_for_diagnosis(WARN, '/robot/image is volatile, this node asks for transient '
+                                        f'local; take back {IMAGE_QOS}.durability')
+
+
 def test_a_typo_in_a_qos_override_is_told_and_ends_nothing(graph, model):
     with node_beside(graph, model, '-p', f'{IMAGE_QOS}.reliability:=besteffort') as node:
         camera = Camera(graph)  # Nobody has subscribed to the node before.
@@ -244,7 +252,7 @@ def test_a_driver_that_loses_large_images_is_recognised_and_the_remedy_helps(
     camera.start_node(model)
     lines = camera.wait_for_diagnosis(
         WARN, '(got lost before this node|the images do not).*: set the parameter reliable to '
-        'true$', 'camera')
+        'true(, unless somebody throttles .*)?$', 'camera')
     assert int(lines['images']) < int(lines['camera_infos'])
     assert set_parameter(graph, 'reliable', True).successful
     camera.diagnostics.clear()
@@ -267,3 +275,12 @@ def test_images_of_another_time_are_told(graph, model):
         camera.publish(noise_image(SOURCE, 0), 1)
         camera.wait_for_diagnosis(
             WARN, r'the images are \d+\.\d s old when they come', 'camera')
+
+
+def test_simulated_time_that_nobody_tells_is_told(graph, model):
+    camera = Camera(graph)
+    with node_beside(graph, model, '-p', 'use_sim_time:=true'):
+        camera.wait_for_node()
+        camera.publish(noise_image(SOURCE, 0), 1)
+        camera.wait_for_diagnosis(WARN, 'use_sim_time is true, and nobody publishes /clock')
+        assert not camera.diagnosis(WARN, 'ahead of the clock', 'camera')

@@ -61,7 +61,7 @@ def test_lost_images_are_counted_by_the_gaps(bench, share):
 def test_nearly_all_are_lost_where_camera_infos_tell(bench):
     report = bench.send(at_30_hz(), lambda number: number % 40 == 0, infos=True)
     assert (report.images, report.infos) == (4, 150)
-    assert 125 < report.lost < report.sent < 140
+    assert 125 < report.lost < report.sent < 140 and report.by_infos
 
 
 def test_camera_infos_alone_tell_that_images_are_missing(bench):
@@ -74,6 +74,12 @@ def test_camera_infos_of_other_stamps_are_no_images(bench):
     for number in range(20):
         bench.watch.add_info(BEGIN + number * 77 * MS)
     assert bench.send(at_30_hz()).lost == 0
+
+
+def test_where_nobody_tells_the_time_no_age_is_known(bench):
+    for number in range(20):
+        bench.watch.add_image(BEGIN + number * 33 * MS, None, 100)
+    assert bench.watch.report().age_ms is None
 
 
 def test_a_pause_and_a_bag_that_begins_anew_are_no_losses(bench):
@@ -102,6 +108,8 @@ def test_what_is_older_than_the_window_is_forgotten(bench):
     ({'unstamped': True, 'age_ms': 1e12}, 'no stamps'),
     ({'sent': 100, 'lost': 20}, ''),
     ({'sent': 100, 'lost': 21, 'age_ms': 1500.0}, 'old when they come: .*; 21 of 100 images got'),
+    ({'sent': 100, 'lost': 21, 'by_infos': True}, 'got lost .*: x, unless somebody throttles'),
+    ({'age_ms': None}, ''),
 ], ids=str)
 def test_verdict(changes, words):
     report = StampReport(images=50, bytes=1000, age_ms=20.0, same=1)._replace(**changes)
