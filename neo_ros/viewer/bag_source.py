@@ -16,7 +16,7 @@ from neo_ros.viewer.bag_moments import Companion, picture_at, picture_before
 from neo_ros.viewer.bag_pictures import BagPictures
 from neo_ros.viewer.hub import Hub
 from neo_ros.viewer.pictures import CAMERAS, SourcePicture, SourceState, TRUTH
-from neo_ros.viewer.playback import Jump, Playback
+from neo_ros.viewer.playback import FASTEST, Jump, Playback, SLOWEST
 from neo_ros.viewer.tiles import draw_tiles
 from neo_ros.viewer.timeline import read_timeline
 from neo_ros.viewer.wide_topics import WideTopics
@@ -24,6 +24,8 @@ from neo_ros.viewer.wide_topics import WideTopics
 WIDE = '/wide/image'
 # A picture that would come later than this after its time is left out for a newer one.
 LATE_S = 0.2
+# But not for longer than this: where a bag is read slower than it is played all come late.
+LEAST_OFTEN_S = 0.5
 # What is said before a picture that is jumped to: diagnostics come once a second.
 LEAD_NS = 3 * NS_PER_S // 2
 # What is said of a picture may be recorded after it.
@@ -44,8 +46,8 @@ class BagSource:
 
     def __init__(self, bag: Path, model: Path, rate: float = 1.0,
                  choice: CameraChoice = CameraChoice()) -> None:
-        if not rate > 0:
-            raise ConfigError(f'rate: expected a number > 0, got {rate}')
+        if not SLOWEST <= rate <= FASTEST:
+            raise ConfigError(f'rate: expected {SLOWEST:g} to {FASTEST:g}, got {rate:g}')
         self._bag, self._choice = bag, choice
         # The model that its camera is widened with; None where it has wide images.
         self.model: Path | None = None
@@ -119,6 +121,7 @@ class _Run:
         self._pictures = source._pictures
         self._shown: SourcePicture | None = None
         self._shown_ns = self._player.span_ns[0]
+        self._taken = 0.0  # The time of the clock when it was.
         # A time of the clock, the log time then, and how fast it goes.
         self._anchor: tuple[float, int, float] | None = None
         self._owed = False
@@ -152,7 +155,8 @@ class _Run:
             due = self._hub.clock.now() if early else self._hold(message)
             if due is None:
                 return
-            late = self._hub.clock.now() - due > LATE_S
+            now = self._hub.clock.now()
+            late = now - due > LATE_S and now - self._taken < LEAST_OFTEN_S
             if not (late and message.topic.name in pictures.skipped):
                 self._take(message, due)
 
@@ -212,6 +216,7 @@ class _Run:
             if not self._owed:
                 self._player.count_step()
             self._shown_ns, self._owed, self._viewers = message.stamp_ns, False, self._hub.changes
+            self._taken = self._hub.clock.now()
             self._anchor = self._anchor or (due, message.stamp_ns, self._player.rate)
             self._publish(picture)
         self._report()

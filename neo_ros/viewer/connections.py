@@ -2,6 +2,7 @@
 import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass
+import errno
 from http import HTTPStatus
 import logging
 import socket
@@ -167,16 +168,28 @@ def limit_logs(clock: Clock) -> Callable[[], None]:
 def listen(host: str, port: int) -> list[socket.socket]:
     """Open a port at every address of a host; port 0: any free one. Raises OSError."""
     opened: list[socket.socket] = []
-    found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+    try:
+        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+    except UnicodeError as error:
+        raise OSError(errno.EINVAL, 'that is no name of a host') from error
+    absent: OSError | None = None
     try:
         for family, address in dict.fromkeys((entry[0], entry[4]) for entry in found):
             if opened:
                 address = (address[0], opened[0].getsockname()[1], *address[2:])
-            listener = socket.create_server(address, family=family, backlog=MAX_IDLE)
+            try:
+                listener = socket.create_server(address, family=family, backlog=MAX_IDLE)
+            except OSError as error:
+                if error.errno not in (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT):
+                    raise
+                absent = error  # Such as ::1 of a localhost without IPv6.
+                continue
             listener.setblocking(False)
             opened.append(listener)
     except OSError:
         for listener in opened:
             listener.close()
         raise
+    if not opened and absent is not None:
+        raise absent
     return opened

@@ -1,7 +1,7 @@
 """The web server: a fixed set of files, the log-in, and the stream."""
 import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from importlib.resources import files
 from pathlib import Path
 import signal
@@ -13,6 +13,7 @@ from neo_ros.errors import ConfigError
 from neo_ros.viewer.access import Access, add_headers
 from neo_ros.viewer.around_link import AroundLink
 from neo_ros.viewer.connections import Connections, limit_logs, listen, PoliteHandler
+from neo_ros.viewer.hearing import hang_up
 from neo_ros.viewer.hub import Hub, Source
 from neo_ros.viewer.settings import ViewerSettings
 from neo_ros.viewer.surroundings import PlanPicture, Surroundings
@@ -43,6 +44,7 @@ class Server:
         self._hub = hub
         self.connections = Connections(hub.clock)
         self._surroundings = surroundings
+        self._plan: asyncio.Future[PlanPicture | None] | None = None
         self._access = Access(settings, hub.clock)
         self._viewers: set[web.WebSocketResponse] = set()
         folder = files('neo_ros.viewer') / 'page'
@@ -107,18 +109,28 @@ class Server:
     async def _touch(self, request: web.Request, response: web.StreamResponse) -> None:
         self.connections.touch(request)
 
-    async def _plan(self, request: web.Request) -> PlanPicture | None:
+    async def _get_plan(self, request: web.Request) -> PlanPicture | None:
         # It may be drawn still: who waits for it is not idle until the answer.
         self.connections.touch(request, watching=True)
-        return await asyncio.to_thread(self._surroundings.plan)
+        if self._plan is None:
+            self._plan = asyncio.get_running_loop().create_future()
+            # No worker of the pool: looks and the end of the server would wait for it.
+            threading.Thread(target=self._draw_plan, args=(self._plan,), name='viewer plan',
+                             daemon=True).start()
+        return await asyncio.shield(self._plan)
+
+    def _draw_plan(self, drawn: 'asyncio.Future[PlanPicture | None]') -> None:
+        plan = self._surroundings.plan()
+        with suppress(RuntimeError):  # The loop may have ended meanwhile.
+            drawn.get_loop().call_soon_threadsafe(drawn.set_result, plan)
 
     async def _get_map(self, request: web.Request) -> web.Response:
-        plan = await self._plan(request)
+        plan = await self._get_plan(request)
         return web.json_response(
             {'why': self._surroundings.why} if plan is None else plan.about)
 
     async def _get_map_picture(self, request: web.Request) -> web.Response:
-        plan = await self._plan(request)
+        plan = await self._get_plan(request)
         if plan is None:
             raise web.HTTPNotFound(text=self._surroundings.why)
         return web.Response(body=plan.picture, content_type='image/webp')
@@ -144,7 +156,7 @@ class Server:
             max_msg_size=MAX_VIEWER_MESSAGE_BYTES, heartbeat=HEARTBEAT_S, compress=False)
         await viewer.prepare(request)
         if taken() >= self._settings.max_viewers:
-            await viewer.close(code=FULL, message=b'too many viewers')
+            await hang_up(viewer, FULL, b'too many viewers')
             return viewer
         self._viewers.add(viewer)
         self.connections.touch(request, watching=True)
@@ -158,8 +170,8 @@ class Server:
         return viewer
 
     async def _close_sockets(self, app: web.Application) -> None:
-        for viewer in list(self._viewers):
-            await viewer.close(code=WSCloseCode.GOING_AWAY)
+        await asyncio.gather(*(hang_up(viewer, WSCloseCode.GOING_AWAY)
+                               for viewer in self._viewers))
 
 
 def serve(source: Source, settings: ViewerSettings, report: Callable[[str], None] = print) -> None:

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 from aiohttp import web
 from neo_ros.viewer.clock import Clock
-from neo_ros.viewer.hearing import hear
+from neo_ros.viewer.hearing import hang_up, hear
 from neo_ros.viewer.pace import Pace
 from neo_ros.viewer.pictures import EncodedPicture
 
@@ -90,7 +90,7 @@ class ViewerLink:
             await self._work.wait()
             self._work.clear()
             if self._asleep:
-                await self._socket.close(code=ASLEEP, message=b'hidden for long')
+                await hang_up(self._socket, ASLEEP, b'hidden for long')
                 return
             if self._status is not None:
                 status, self._status = self._status, None

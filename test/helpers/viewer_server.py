@@ -14,6 +14,7 @@ from neo_ros.viewer.hub import Hub
 from neo_ros.viewer.pictures import SourcePicture
 from neo_ros.viewer.server import Server
 from neo_ros.viewer.settings import ViewerSettings
+from neo_ros.viewer.surroundings import Surroundings
 import numpy as np
 
 # How long a test waits for what never comes; a stall of the machine is shorter.
@@ -28,12 +29,13 @@ def picture(image: np.ndarray | bytes = IMAGE) -> SourcePicture:
 
 
 @asynccontextmanager
-async def running(**settings: Any) -> AsyncIterator[tuple[TestClient, Hub]]:
+async def running(surroundings: Surroundings = Surroundings(None), **settings: Any
+                  ) -> AsyncIterator[tuple[TestClient, Hub]]:
     """Serve a hub of its own on a free port; its clock stands unless the test turns it."""
     # Without a limit: by a clock that stands, its time would never come.
     values = ViewerSettings(**{'max_mbit': 0.0} | settings)
     hub = Hub(values.quality, HandClock())
-    async with TestClient(TestServer(Server(values, hub).app)) as client:
+    async with TestClient(TestServer(Server(values, hub, surroundings).app)) as client:
         yield client, hub
 
 

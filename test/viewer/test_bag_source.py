@@ -124,6 +124,21 @@ def test_pictures_that_would_come_late_are_left_out(wide_bag, model):
             for picture in hub.pictures[:2]] == [0, 2]
 
 
+def test_a_bag_that_is_read_slower_than_it_plays_is_shown_now_and_then(
+        wide_bag, model, monkeypatch):
+    hub: Any = Collector(8, again=True)
+    messages = BagReader.messages
+
+    def slowly(reader, *arguments):
+        for message in messages(reader, *arguments):
+            hub.clock.turn(0.2)
+            yield message
+
+    monkeypatch.setattr(BagReader, 'messages', slowly)
+    BagSource(wide_bag, model).run(hub, hub.stop)
+    assert max(hub.numbers) > 0.25  # Of half a second.
+
+
 def test_nothing_is_widened_while_nobody_watches(walk_bag, model, monkeypatch):
     source = BagSource(walk_bag, model, rate=20.0)
     monkeypatch.setattr(FovExtrapolator, 'expand', lambda *_: pytest.fail('was widened'))
@@ -160,6 +175,12 @@ def test_a_bag_waits_for_its_first_viewer(wide_bag, model):
     hub.clock.at(7.0, lambda: setattr(hub, 'wanted', Wanted(True)))
     BagSource(wide_bag, model).run(hub, hub.stop)
     assert hub.numbers == [0.0] and hub.times[0] - 1000 == pytest.approx(7.0, abs=0.1)
+
+
+@pytest.mark.parametrize('rate', [0.0, math.inf, math.nan, 1000.0])
+def test_a_rate_that_no_viewer_could_ask_for_is_refused(wide_bag, model, rate):
+    with pytest.raises(ConfigError, match='rate: expected 0.001 to 100, got'):
+        BagSource(wide_bag, model, rate)
 
 
 def test_what_cannot_be_shown_is_named(walk_bag, model, tmp_path):

@@ -10,7 +10,7 @@ import aiohttp
 from hand_clock import HandClock
 from neo_ros.viewer.access import HEADERS
 from neo_ros.viewer.connections import (
-    _Connection, Connections, IDLE_S, LineLimit, LINES_S, MAX_IDLE, MAX_LINES)
+    _Connection, Connections, IDLE_S, LineLimit, LINES_S, listen, MAX_IDLE, MAX_LINES)
 from neo_ros.viewer.hub import Hub
 from neo_ros.viewer.server import opened
 from neo_ros.viewer.settings import ViewerSettings
@@ -136,6 +136,21 @@ def test_a_log_has_few_lines_and_says_how_many_are_missing():
     clock.turn(LINES_S)
     logger.warning('later')
     assert lines[MAX_LINES:] == [f'({1000 - MAX_LINES} lines left out) later']
+
+
+def test_a_name_that_leads_nowhere_here_is_no_obstacle_and_none_at_all_is_told(monkeypatch):
+    there = socket.getaddrinfo('127.0.0.1', 0, type=socket.SOCK_STREAM)
+    gone = [(socket.AF_INET, socket.SOCK_STREAM, 6, '', ('192.0.2.1', 0))]  # Nobody's: RFC 5737.
+    monkeypatch.setattr(socket, 'getaddrinfo', lambda *_, **__: gone + there)
+    one, = listen('localhost', 0)
+    assert one.getsockname()[0] == '127.0.0.1'
+    one.close()
+    monkeypatch.setattr(socket, 'getaddrinfo', lambda *_, **__: gone)
+    with pytest.raises(OSError, match='assign requested address'):
+        listen('localhost', 0)
+    monkeypatch.undo()
+    with pytest.raises(OSError, match='no name of a host'):
+        listen(64 * 'x', 0)
 
 
 def test_the_server_leaves_no_connection_behind():

@@ -6,6 +6,7 @@ import shutil
 import ssl
 import subprocess
 import sys
+import threading
 from unittest import mock
 import urllib.request
 
@@ -13,7 +14,7 @@ from aiohttp import WSServerHandshakeError
 import cv2
 from hand_clock import HandClock
 from neo_ros.errors import ConfigError
-from neo_ros.viewer import access
+from neo_ros.viewer import access, hearing
 from neo_ros.viewer.access import HEADERS, MAX_WRONG_TOKENS, WRONG_TOKENS_S
 from neo_ros.viewer.server import PAGE
 from neo_ros.viewer.settings import read_token, TOKEN_VARIABLE, ViewerSettings
@@ -262,6 +263,30 @@ def test_no_more_viewers_than_allowed():
             await until(lambda: len(hub) == 0)
             async with watching(client):
                 assert len(hub) == 1
+    run(test)
+
+
+def test_a_link_that_stands_still_keeps_nobody_waiting(monkeypatch):
+    async def never(**_):
+        await asyncio.Event().wait()
+
+    monkeypatch.setattr(hearing, 'HANG_UP_S', 0.05)
+    run(lambda: hearing.hang_up(mock.Mock(close=never), 1001))
+
+
+def test_who_waits_for_the_map_takes_no_worker_from_others():
+    drawn = threading.Event()
+    surroundings = mock.Mock(plan=lambda: drawn.wait(WAIT_S) and None, why='none', looks=None)
+
+    async def test():
+        async with running(surroundings) as (client, _):
+            waiting = [asyncio.create_task(client.get('/map')) for _ in range(40)]
+            await asyncio.sleep(0.2)
+            assert await asyncio.wait_for(asyncio.to_thread(lambda: 7), WAIT_S) == 7
+            assert not any(task.done() for task in waiting)
+            drawn.set()
+            for answer in await asyncio.gather(*waiting):
+                assert await answer.json() == {'why': 'none'}
     run(test)
 
 

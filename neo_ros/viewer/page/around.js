@@ -23,7 +23,7 @@ export class Around {
     this.place = this.direction = this.look = this.map = null;
     this.pictured = 0;
     this.about = { why: 'The map is being drawn.' };
-    this.asked = 0;
+    this.asked = this.loads = 0;
     this.link = new AroundLink({
       onOpen: () => { this.changed = this.direction !== null; },
       onPlace: (place) => this.move(place),
@@ -42,19 +42,23 @@ export class Around {
     });
     new ResizeObserver(() => { this.changed = true; this.paint(); }).observe(find('stage'));
     setInterval(() => this.sendLook(), SEND_MS);
-    this.loadMap();
   }
 
+  // With each connection: the server may have been started anew, with another model.
   async loadMap() {
+    this.loads += 1;
+    const load = this.loads;
     try {
       const about = await (await fetch('/map')).json();
-      if (!about.why) {
-        const picture = await createImageBitmap(await (await fetch('/map.webp')).blob());
-        this.map = new Map(find('map'), about, picture);
-      }
+      const picture = about.why ? null
+        : await createImageBitmap(await (await fetch('/map.webp')).blob());
+      if (load !== this.loads) return;
+      if (JSON.stringify(about) === JSON.stringify(this.about)) return;
       this.about = about;
+      this.place = null;
+      this.map = picture && new Map(find('map'), about, picture);
     } catch {
-      setTimeout(() => this.loadMap(), RETRY_MS);
+      if (load === this.loads) setTimeout(() => this.loadMap(), RETRY_MS);
       return;
     }
     this.showAbout();
@@ -73,7 +77,10 @@ export class Around {
   }
 
   // The main connection is there, or lost.
-  open() { this.link.open(); }
+  open() {
+    this.link.open();
+    this.loadMap();
+  }
 
   close() { this.link.close(); }
 

@@ -9,13 +9,16 @@ const SKIP_S = 5;
 const MOST_STEPS = 1000;
 // A position that was asked for stands until the picture comes, so long at most.
 const ASKED_MS = 1500;
+// The slider moves with every frame of the screen: it is sent this often at most.
+const SEEK_MS = 50;
 
 export class Player {
   // `ask(wanted)`: says it to the server; `redraw()`: the picture has another place.
   constructor({ ask, redraw, say }) {
     Object.assign(this, { ask, redraw, say });
     this.status = null;
-    this.followed = false;
+    this.followed = this.stood = false;
+    this.sought = this.sending = null;
     this.asked = { at: 0, until: 0 };
     this.beside = 'none';
     this.camera = null;
@@ -64,8 +67,18 @@ export class Player {
   seek(seconds) {
     const at = Math.max(0, Math.min(this.length, seconds));
     this.asked = { at, until: performance.now() + ASKED_MS };
-    this.command({ seek: at });
+    this.sought = at;
+    if (!this.sending) this.sendSeek();
     this.showMoment();
+  }
+
+  sendSeek() {
+    this.command({ seek: this.sought });
+    this.sought = null;
+    this.sending = setTimeout(() => {
+      this.sending = null;
+      if (this.sought !== null) this.sendSeek();
+    }, SEEK_MS);
   }
 
   faster(by) {
@@ -107,6 +120,9 @@ export class Player {
     document.body.classList.toggle('recorded', this.able);
     if (!this.able) return;
     const { playing, ended, rate, camera, cameras, beside } = status.playback;
+    // It plays on: to load the page again must not lead back to where it stood.
+    if (this.stood && playing) history.replaceState(null, '', location.pathname);
+    this.stood = this.standing;
     write('play', playing ? 'Pause' : ended ? 'Again' : 'Play');
     const speed = find('speed');
     if (![...speed.options].some((option) => +option.value === rate)) {

@@ -70,6 +70,7 @@ export function seconds(ms) {
 }
 
 export function clockTime(s) {
-  const minutes = Math.floor(s / 60);
-  return `${minutes}:${(s - 60 * minutes).toFixed(1).padStart(4, '0')}`;
+  const tenths = Math.round(10 * s);  // First, or 59.97 s were 0:60.0.
+  const minutes = Math.floor(tenths / 600);
+  return `${minutes}:${((tenths - 600 * minutes) / 10).toFixed(1).padStart(4, '0')}`;
 }
