@@ -1,4 +1,5 @@
 """Which files a bag consists of, and what its metadata.yaml says about them."""
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 import os
@@ -13,6 +14,8 @@ import yaml
 import zstandard
 
 MCAP, SQLITE, PACKED = '.mcap', '.db3', '.zstd'
+# Packed ones first: where a file is there in both ways, the later one counts.
+STORAGE_SUFFIXES = (MCAP + PACKED, MCAP, SQLITE + PACKED, SQLITE)
 # Unpacked files may fill the disk up to this.
 _KEEP_FREE_BYTES = 1 << 30
 _BLOCK = 1 << 20
@@ -25,6 +28,7 @@ class BagFolder:
 
     counts          messages by file name, as metadata.yaml says
     missing         files that metadata.yaml lists and that are not there, with their messages
+    foreign         names of storage files that metadata.yaml does not list: they are not read
     topics          the entries of metadata.yaml by topic: QoS, hash of the type
     custom_data     the words that its recorder put into metadata.yaml
     """
@@ -32,6 +36,7 @@ class BagFolder:
     files: tuple[Path, ...]
     counts: dict[str, int]
     missing: dict[str, int | None]
+    foreign: tuple[str, ...]
     topics: dict[str, dict[str, Any]]
     custom_data: dict[str, str]
 
@@ -46,9 +51,9 @@ def read_bag_folder(path: Path) -> BagFolder:
     if not path.exists():
         raise BagError(f'{path}: no such bag')
     metadata = _read_metadata(path / 'metadata.yaml')
-    files = _storage_files(path)
     listed = metadata.get('relative_file_paths')
     names = [plain_name(name) for name in listed] if isinstance(listed, list) else []
+    files, foreign = _storage_files(path, names)
     present = {plain_name(file.name) for file in files}
     counts = {plain_name(entry.get('path')): count for entry in _dicts(metadata.get('files'))
               if isinstance(count := entry.get('message_count'), int)}
@@ -62,7 +67,13 @@ def read_bag_folder(path: Path) -> BagFolder:
     custom = metadata.get('custom_data')
     words = {str(key): str(value) for key, value in custom.items()} if isinstance(
         custom, dict) else {}
-    return BagFolder(tuple(files), counts, missing, topics, words)
+    return BagFolder(tuple(files), counts, missing, tuple(foreign), topics, words)
+
+
+def find_storage_files(folder: Path) -> list[Path]:
+    """Return the storage files of a folder; macOS adds a hidden ._drive.mcap to drive.mcap."""
+    return [file for suffix in STORAGE_SUFFIXES for file in folder.glob(f'*{suffix}')
+            if not file.name.startswith('.')]
 
 
 def _read_metadata(path: Path) -> dict[str, Any]:
@@ -91,23 +102,31 @@ def _dicts(value: Any) -> list[dict[str, Any]]:
         value, list) else []
 
 
-def _storage_files(path: Path) -> list[Path]:
-    suffixes = (MCAP, SQLITE, MCAP + PACKED, SQLITE + PACKED)
+def _storage_files(path: Path, listed: Sequence[str]) -> tuple[list[Path], list[str]]:
+    """
+    Return the files of a bag in their order, and the names of those that are not of it.
+
+    listed: the names in metadata.yaml. Where none of them is there, all files are of the bag: a
+    recovered copy beside the file that it was made of would double all messages.
+    """
     if path.is_file():
-        if not path.name.endswith(suffixes):
+        if not path.name.endswith(STORAGE_SUFFIXES):
             advice = ('; a ROS 1 bag is read after rosbags-convert' if path.suffix == '.bag'
                       else '')
             raise BagError(
                 f'{path}: expected a bag folder, a {MCAP} or a {SQLITE} file{advice}')
-        return [path]
+        return [path], []
+    found = find_storage_files(path)
+    own = [file for file in found if plain_name(file.name) in listed]
+    foreign = sorted({file.name for file in found} - {file.name for file in own}) if own else []
     for kind in (MCAP, SQLITE):
         # A recorder that was killed leaves packed files, and one that is not packed yet, or
         # only in part.
-        files = {plain_name(file.name): file for suffix in (kind + PACKED, kind)
-                 for file in path.glob(f'*{suffix}')}
+        files = {name: file for file in own or found
+                 if (name := plain_name(file.name)).endswith(kind)}
         if files:
             # bag_2.mcap comes before bag_10.mcap.
-            return [files[name] for name in sorted(files, key=natural_key)]
+            return [files[name] for name in sorted(files, key=natural_key)], foreign
     raise BagError(f'{path}: expected a rosbag2 folder, there is no {MCAP} or {SQLITE} in it')
 
 

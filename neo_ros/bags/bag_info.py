@@ -7,7 +7,7 @@ import shlex
 from neo_ros.bags.bag_folder import bag_name
 from neo_ros.bags.bag_scan import BagCamera, BagScan, TopicInfo
 from neo_ros.bags.camera_topics import (
-    find_truth_topic, IMAGE, info_topics, read_lens, same_frame)
+    calibrated_topics, find_info_topic, find_truth_topic, IMAGE, read_lens, same_frame)
 from neo_ros.bags.depth_topics import find_depth
 from neo_ros.bags.reading import BagReader
 from neo_ros.bags.recorded_poses import (
@@ -104,16 +104,21 @@ class _Choices:
         return ranked[0]
 
     def _tell_lack_of_info(self, image: BagCamera) -> None:
-        infos = info_topics(self._reader)
+        beside = find_info_topic(self._reader, image.topic)
+        infos = calibrated_topics(self._reader, image.topic)
         near = same_frame(self._reader, image.topic, infos)
         if len(near) == 1:
             image.info_option = near[0].name
             image.distorted = self._is_distorted(near[0], image.topic)
         others = (f', as {describe_topics(infos)} with --info-topic, or a file with --camera-info'
                   if infos else '; give a file with --camera-info')
+        estimated = 'an import without poses estimates the camera'
+        if beside is not None and beside not in infos:
+            self.notes.append(f'{beside.name} is not calibrated: an import with poses and a '
+                              f'replay need a calibration{others}; {estimated}')
+            return
         self.notes.append(f'{image.topic.name} has no camera_info beside it: an import with poses '
-                          f'needs it{others}; an import without poses estimates the camera, a '
-                          'replay trusts the size of the images')
+                          f'needs it{others}; {estimated}, a replay trusts the size of the images')
 
     def _is_distorted(self, info: BagTopic, image: BagTopic) -> bool:
         first = self._reader.first(info)

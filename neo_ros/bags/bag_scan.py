@@ -4,8 +4,8 @@ import math
 from typing import Any
 
 from neo_ros.bags.camera_topics import (
-    base_name, CAMERA_INFO, COMPRESSED, find_info_topic, IMAGE, image_topics, made_topics,
-    read_lens)
+    base_name, CAMERA_INFO, COMPRESSED, find_info_topic, IMAGE, image_topics, is_calibrated,
+    made_topics, read_lens)
 from neo_ros.bags.reading import BagMessage, BagReader
 from neo_ros.bags.recorded_poses import (
     find_pose_topics, POSE_TYPES, RecordedPoses, SPARE_TYPES, TF_TYPE)
@@ -121,7 +121,10 @@ class BagScan:
                     f'{frame_name(content.header.frame_id)}')
         if topic.msgtype == CAMERA_INFO:
             camera = self._calibrations.get(topic)
-            lens = read_lens(message.read(), camera.topic if camera else topic, topic.name)
+            content, of = message.read(), camera.topic if camera else topic
+            if not is_calibrated(content, of):
+                return 'not calibrated'
+            lens = read_lens(content, of, topic.name)
             view = lens.intrinsics
             if camera is not None:
                 camera.calibrated, camera.distorted = True, not lens.is_pinhole

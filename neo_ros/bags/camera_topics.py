@@ -193,6 +193,18 @@ def same_frame(reader: BagReader, image: BagTopic, infos: list[BagTopic]) -> lis
     return [topic for topic in infos if wanted and first_frame(reader, topic) == wanted]
 
 
+def is_calibrated(message: Any, image: BagTopic) -> bool:
+    """Tell whether a CameraInfo says a camera at all: usb_cam publishes one of zeros."""
+    info = camera_info_of(message, image.name)
+    return bool(info.width and info.height and any(info.k[:1]))
+
+
+def calibrated_topics(reader: BagReader, image: BagTopic) -> list[BagTopic]:
+    """Return the calibrations of a bag that say a camera."""
+    return [topic for topic in info_topics(reader)
+            if (first := reader.first(topic)) is None or is_calibrated(first, image)]
+
+
 def read_lens(message: Any, image: BagTopic, where: str) -> Lens:
     """
     Return the lens of a CameraInfo for these images, ROI and binning folded in.

@@ -219,6 +219,9 @@ class BagReader:
         self.custom_data = folder.custom_data
         self._lost = [Damage(f'{name} (missing)', 0, count, '')
                       for name, count in folder.missing.items()]
+        self._lost += [Damage(name, 0, 0, '', 'not of this bag, as metadata.yaml does not list '
+                              'it, and is not read; to read it, give this file as the bag')
+                       for name in folder.foreign]
         for path in folder.files:
             try:
                 self._open_file(path, folder)

@@ -4,7 +4,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from neo_ros.bags.camera_choice import CameraSource
-from neo_ros.bags.camera_topics import find_image_topic, find_info_topic, info_topics, read_lens
+from neo_ros.bags.camera_topics import (
+    calibrated_topics, find_image_topic, find_info_topic, is_calibrated, read_lens)
 from neo_ros.bags.depth_topics import find_depth
 from neo_ros.bags.reading import BagReader
 from neo_ros.bags.recorded_poses import find_pose_source, find_pose_topics, NO_POSES
@@ -83,7 +84,7 @@ def read_bag_capture(path: Path, options: BagOptions = BagOptions(),
         image = find_image_topic(reader, options.image_topic)
         info = None if options.camera_info else find_info_topic(reader, image, options.info_topic)
         pose_topics = find_pose_topics(reader, options.pose_topic)
-        infos = info_topics(reader)
+        infos = calibrated_topics(reader, image)
         unread = describe_unread(reader.topics)
         scan = scan_bag(reader, image, info, pose_topics, progress)
         notes = [reader.recovered] if reader.recovered else []
@@ -113,11 +114,9 @@ def read_bag_capture(path: Path, options: BagOptions = BagOptions(),
     _check_posed(path, image, frames, lost, notes,
                  '' if source is None else _gaps(source, lost, pose_topics.poses))
     if source is not None and lens is None:
-        raise BagError(f'{path}: expected a camera_info beside {image.name}, the poses need the '
-                       'calibration that belongs to them; the bag has '
-                       f'{describe_topics(infos) if infos else "no CameraInfo topic"}; '
-                       f'{"choose one with --info-topic, or " if infos else ""}give a file with '
-                       f'--camera-info, or estimate both with --pose-topic {NO_POSES}')
+        lack = _lack_of_lens(image, None if scan.info is None else info, infos)
+        raise BagError(f'{path}: {lack}give a file with --camera-info FILE, or '
+                       f'estimate both with --pose-topic {NO_POSES}')
     depth_as_grey = options.image_topic is not None
     stream = _stream(path, image, places, depth_as_grey)
     if scan.video:
@@ -139,7 +138,19 @@ def _lens(path: Path, scan: Scan, image: BagTopic, info: BagTopic | None,
     if scan.info is None or info is None:
         notes.append(f'{image.name} has no camera_info beside it: the camera is estimated')
         return None
+    if not is_calibrated(scan.info, image):
+        notes.append(f'{info.name} is not calibrated: the camera is estimated')
+        return None
     return read_lens(scan.info, image, f'{path}: {info.name}')
+
+
+def _lack_of_lens(image: BagTopic, info: BagTopic | None, infos: Sequence[BagTopic]) -> str:
+    """Say what poses need and do not have, and which topics may help."""
+    need = (f'expected a camera_info beside {image.name}' if info is None else
+            f'{info.name} is not calibrated')
+    found = describe_topics(infos) if infos else 'no CameraInfo topic that is calibrated'
+    return (f'{need}, the poses need the calibration that belongs to them; the bag has {found}; '
+            f'{"choose one with --info-topic, or " if infos else ""}')
 
 
 def _posed(stamps: Sequence[tuple[int, int]], source: PoseSource | None, lens: Lens | None

@@ -4,6 +4,7 @@ from enum import Enum
 from itertools import islice
 from pathlib import Path
 
+from neo_ros.bags.bag_folder import find_storage_files, STORAGE_SUFFIXES
 from neo_ros.captures.capture import Capture
 from neo_ros.captures.colmap import find_model, read_colmap
 from neo_ros.captures.euroc import find_euroc, read_euroc
@@ -19,7 +20,7 @@ from neo_ros.captures.unread import find_unread
 from neo_ros.captures.video import VIDEO_SUFFIXES
 from neo_ros.errors import SceneError
 from neo_ros.machine.names import listed
-from neo_ros.pictures.photo import PHOTO_SUFFIXES
+from neo_ros.pictures.photo import list_photos, PHOTO_SUFFIXES
 
 
 class CaptureFormat(str, Enum):
@@ -63,7 +64,6 @@ FOLDER_OPTIONS = {
 }
 # Folders below one without a capture that are looked at.
 SEARCHED = 500
-_BAG_SUFFIXES = ('.mcap', '.db3', '.mcap.zstd', '.db3.zstd')
 
 
 def detect_format(source: Path) -> CaptureFormat:
@@ -77,7 +77,7 @@ def detect_format(source: Path) -> CaptureFormat:
     if source.is_file():
         if source.suffix == '.json':
             return CaptureFormat.TRANSFORMS
-        if source.name.endswith(_BAG_SUFFIXES):
+        if source.name.endswith(STORAGE_SUFFIXES):
             return CaptureFormat.BAG
         if source.suffix.lower() in VIDEO_SUFFIXES:
             return CaptureFormat.VIDEO
@@ -104,8 +104,7 @@ def detect_format(source: Path) -> CaptureFormat:
         return CaptureFormat.PHOTOS
     if not any(source.iterdir()):
         raise SceneError(f'{source}: the folder is empty')
-    below = [f'{folder} ({format_.value})' for folder in islice(_folders_below(source), SEARCHED)
-             if (format_ := _recognised(folder))]
+    below = _captures_below(source)
     if below:
         raise SceneError(f'{source}: no capture here, but below; expected one of these as '
                          f'SOURCE: {listed(below)}')
@@ -117,10 +116,32 @@ def detect_format(source: Path) -> CaptureFormat:
         f'{", ".join(PHOTO_SUFFIXES)})')
 
 
+def _captures_below(source: Path) -> list[str]:
+    """Name what one may have meant: folders with poses, else photos, videos and .r3d files."""
+    folders = list(islice(_folders_below(source), SEARCHED))
+    posed = [f'{folder} ({format_.value})' for folder in folders
+             if (format_ := _recognised(folder))]
+    return posed or [words for folder in (source, *folders) for words in _without_poses(folder)]
+
+
+def _without_poses(folder: Path) -> Iterator[str]:
+    """Name a folder with photos, and the videos and .r3d files in it."""
+    if list_photos(folder):
+        yield f'{folder} ({CaptureFormat.PHOTOS.value})'
+    for path in sorted(folder.iterdir()):
+        suffix = path.suffix.lower()
+        if path.is_file() and not path.name.startswith('.') and suffix in (
+                *VIDEO_SUFFIXES, RECORD3D_SUFFIX):
+            format_ = (CaptureFormat.RECORD3D if suffix == RECORD3D_SUFFIX
+                       else CaptureFormat.VIDEO)
+            yield f'{path} ({format_.value})'
+
+
 def _folders_below(source: Path) -> Iterator[Path]:
     """Yield the folders that one may have meant: an archive often holds one more."""
     for depth in range(1, 4):
-        yield from (path for path in sorted(source.glob('/'.join('*' * depth))) if path.is_dir())
+        yield from (path for path in sorted(source.glob('/'.join('*' * depth))) if path.is_dir()
+                    and not any(part.startswith('.') for part in path.relative_to(source).parts))
 
 
 def _recognised(source: Path) -> CaptureFormat | None:
@@ -136,5 +157,4 @@ def _recognised(source: Path) -> CaptureFormat | None:
             (find_record3d(source) is not None, CaptureFormat.RECORD3D),
             (find_keyframes(source) is not None, CaptureFormat.POLYCAM),
             ((source / TRAJECTORY_FILE).is_file(), CaptureFormat.TRAJECTORY),
-            (any(next(source.glob(f'*{suffix}'), None) for suffix in _BAG_SUFFIXES),
-             CaptureFormat.BAG)) if found), None)
+            (bool(find_storage_files(source)), CaptureFormat.BAG)) if found), None)

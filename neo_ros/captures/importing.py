@@ -13,11 +13,11 @@ from neo_ros.captures.frame_selection import select_frames
 from neo_ros.captures.held_out_runs import hold_out_runs
 from neo_ros.captures.levelling import CLEARLY_TILTED, held_poses, level_world, scaled
 from neo_ros.captures.masks import find_masks
-from neo_ros.captures.photos import read_photos
+from neo_ros.captures.photos import find_photos, read_photos
 from neo_ros.captures.picture_steps import select_by_picture
 from neo_ros.captures.report import write_capture_report
 from neo_ros.captures.scene_copying import import_transforms
-from neo_ros.captures.scene_writing import write_capture
+from neo_ros.captures.scene_writing import check_apart, write_capture
 from neo_ros.captures.sfm_stages import EXHAUSTIVE_UP_TO
 from neo_ros.captures.structure_from_motion import reconstruct
 from neo_ros.captures.video import read_video
@@ -77,10 +77,14 @@ def import_capture(source: Path, scene: Path, format_: CaptureFormat, options: I
     """
     if source.resolve() == scene.resolve():
         raise SceneError(f'{scene}: expected another folder than the source')
+    # Of photos that are shown upright no frame names the file.
+    check_apart(scene, [source, *(
+        find_photos(source) if format_ == CaptureFormat.PHOTOS else [])])
     if format_ == CaptureFormat.SCENE:
         import_transforms(source, scene, of_stage(progress, 'images'))
         return []
     capture, notes = _read(source, format_, options, progress), []
+    check_apart(scene, [frame.file for frame in capture.frames if frame.file is not None])
     if options.depth_unit is not None:
         capture = _with_depth_unit(capture, options.depth_unit)
     if options.fisheye_view is not None:

@@ -5,7 +5,10 @@ from pathlib import Path
 
 from neo_ros.captures.camera_file import read_camera_file
 from neo_ros.captures.capture import Capture, CapturedFrame, origin_of
+from neo_ros.captures.turned_lens import (
+    REMEDY, shown_lens, shown_pixels, shown_size, TURNS, UPRIGHT)
 from neo_ros.errors import SceneError
+from neo_ros.geometry.lens import Lens
 from neo_ros.machine.names import listed
 from neo_ros.machine.progress import no_progress, Progress
 from neo_ros.pictures.header import jpeg_orientation, JPEG_START
@@ -39,35 +42,48 @@ def read_photos(source: Path, camera_info: Path | None = None,
     Files that cannot be read are named in the notes and left out. Where a camera noted that it was
     turned (EXIF), the photos are shown upright: their up becomes the world's; but not where only
     some were, and would be of another size then. Raises SceneError for a folder without a readable
-    image, and for photos of several sizes.
+    image, for photos of several sizes, and for a calibration that does not turn with them.
     """
     files = find_photos(source)
     if not files:
         raise SceneError(f'{source}: expected photos, there are none')
     listing = _list_readable(source, files, progress)
-    readable, turned = list(listing.stored), listing.turned
+    readable = list(listing.stored)
     notes = [*_aside_notes(source, files), *_notes(files, listing)]
     lens = None if camera_info is None else read_camera_file(camera_info)
-    if listing.mixed or not turned:
+    if listing.mixed or not listing.turned:
         return Capture(tuple(CapturedFrame(f'images/{file.name}', None, lens, file=file)
                              for file in readable), tuple(notes))
 
     def read(indices: Sequence[int]) -> Iterator[tuple[int, np.ndarray | None]]:
         return ((index, read_photo(readable[index], upright=True)) for index in indices)
 
+    lenses = {file: None if lens is None or camera_info is None else
+              _upright_lens(lens, file, listing, camera_info) for file in readable}
     return Capture(
-        tuple(CapturedFrame(f'images/{file.name}', None, lens) for file in readable),
-        (*notes, f'{turned} photos are stored turned (EXIF); all are written upright, as PNG'),
+        tuple(CapturedFrame(f'images/{file.name}', None, lenses[file]) for file in readable),
+        (*notes, f'{listing.turned} photos are stored turned (EXIF); all are written upright, as '
+                 'PNG'),
         read, origin_of(readable[0].parent))
 
 
 @dataclass(frozen=True)
 class _Listing:
-    """The photos that can be read: how large they are as stored and upright, (width, height)."""
+    """
+    The photos that can be read.
+
+    stored, shown  how large they are as stored and upright, (width, height)
+    orientations   how they are stored, as EXIF counts; 1 is upright
+    """
 
     stored: dict[Path, tuple[int, int]]
     shown: dict[Path, tuple[int, int]]
-    turned: int
+    orientations: dict[Path, int]
+
+    @property
+    def turned(self) -> int:
+        """How many are stored otherwise than they are shown."""
+        return sum(orientation != UPRIGHT for orientation in self.orientations.values())
 
     @property
     def mixed(self) -> bool:
@@ -79,19 +95,19 @@ def _list_readable(source: Path, files: Sequence[Path], progress: Progress) -> _
     """Read all photos once; raises SceneError where none can be, and for several sizes."""
     stored: dict[Path, tuple[int, int]] = {}
     shown: dict[Path, tuple[int, int]] = {}
-    turned = 0
+    orientations: dict[Path, int] = {}
     for done, file in enumerate(files, start=1):
         photo = read_photo(file)
         progress(done, len(files))
         if photo is None:
             continue
         stored[file] = (photo.shape[1], photo.shape[0])
-        shown[file], was_turned = _as_shown(file, photo)
-        turned += was_turned
+        orientations[file] = _orientation(file, photo)
+        shown[file] = shown_size(stored[file], orientations[file])
     if not stored:
         raise SceneError(f'{source}: none of the {len(files)} images can be read'
                          f'{heic_advice(files)}')
-    listing = _Listing(stored, shown, turned)
+    listing = _Listing(stored, shown, orientations)
     by_size: dict[tuple[int, int], list[str]] = {}
     for file, size in (stored if listing.mixed else shown).items():
         by_size.setdefault(size, []).append(file.name)
@@ -103,18 +119,30 @@ def _list_readable(source: Path, files: Sequence[Path], progress: Progress) -> _
     return listing
 
 
-def _as_shown(file: Path, photo: np.ndarray) -> tuple[tuple[int, int], bool]:
-    """Return (width, height) of a photo upright, and whether it is stored otherwise."""
-    size = (photo.shape[1], photo.shape[0])
+def _orientation(file: Path, photo: np.ndarray) -> int:
+    """Return how a photo is stored, as EXIF counts."""
     if file.suffix.lower() not in EXIF_SUFFIXES:
-        return size, False
+        return UPRIGHT
     data = file.read_bytes()
     if data.startswith(JPEG_START):  # To decode large photos twice takes minutes.
-        orientation = jpeg_orientation(data)
-        return (size[::-1] if orientation >= 5 else size), orientation != 1
+        return jpeg_orientation(data)
     upright = decode_photo(data, upright=True)
     assert upright is not None, 'it could be read just now'
-    return (upright.shape[1], upright.shape[0]), not np.array_equal(photo, upright)
+    return next((orientation for orientation in TURNS
+                 if np.array_equal(shown_pixels(photo, orientation), upright)), UPRIGHT)
+
+
+def _upright_lens(lens: Lens, file: Path, listing: _Listing, camera_info: Path) -> Lens:
+    """Return the lens of a photo that is written upright."""
+    size = (lens.intrinsics.width, lens.intrinsics.height)
+    if size == listing.stored[file]:
+        return shown_lens(lens, listing.orientations[file], camera_info)
+    if size == listing.shown[file] and len({*listing.orientations.values()} - {UPRIGHT}) == 1:
+        return lens  # Of photos that were shown upright, too.
+    stored = listing.stored[file]
+    raise SceneError(
+        f'--camera-info {camera_info}: expected the camera of {stored[0]}x{stored[1]} pixels, as '
+        f'{file.name} is stored before it is turned (EXIF), got {size[0]}x{size[1]}; {REMEDY}')
 
 
 def _aside_notes(source: Path, files: Sequence[Path]) -> list[str]:
@@ -132,7 +160,7 @@ def _notes(files: Sequence[Path], listing: _Listing) -> list[str]:
         notes.append(f'{len(unreadable)} images cannot be read and are left out: '
                      f'{listed([file.name for file in unreadable])}{heic_advice(unreadable)}')
     others = sorted(path.name for path in files[0].parent.iterdir()
-                    if path.suffix.lower() in UNREAD_SUFFIXES)
+                    if path.suffix.lower() in UNREAD_SUFFIXES and not path.name.startswith('.'))
     if others:
         notes.append(f'{len(others)} files are of kinds that are not read, and are left out: '
                      f'{listed(others)}; export them as JPEG, PNG or TIFF')

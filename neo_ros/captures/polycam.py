@@ -46,7 +46,8 @@ def read_polycam(source: Path) -> Capture:
     images, cameras = folder / f'{kind}images', folder / f'{kind}cameras'
     rim = _RIM if kind else 0
     photos = list_photos(images)
-    files = {path.stem: path for path in cameras.glob('*.json')}
+    files = {path.stem: path for path in cameras.glob('*.json')
+             if not path.name.startswith('.')}  # macOS adds a ._0.json to 0.json.
     frames, lost, without, unreadable = [], [], [], []
     for photo in photos:
         file = files.pop(photo.stem, None)

@@ -141,6 +141,7 @@ def _with_lenses(capture: Capture) -> Capture:
 
 
 def _check_names(capture: Capture, folder: Path) -> None:
+    written = {(folder / name).resolve() for name in _image_names(capture)}
     seen: set[str] = set()
     for frame in capture.frames:
         if frame.name in seen:
@@ -148,8 +149,11 @@ def _check_names(capture: Capture, folder: Path) -> None:
                              'the second entry')
         if Path(frame.name).is_absolute() or '..' in Path(frame.name).parts:
             raise SceneError(f'{frame.name}: expected a name of an image inside the scene folder')
-        if frame.file is not None and frame.file.resolve() == (folder / frame.name).resolve():
-            raise SceneError(f'{folder}: expected another folder than the source')
+        beside = [source.file for source in (frame.mask, frame.depth) if source is not None]
+        for file in (frame.file, *beside):
+            if file is not None and file.resolve() in written:
+                raise SceneError(f'{folder}: expected another folder than the source: the import '
+                                 f'would replace {file}; choose another scene folder')
         seen.add(frame.name)
 
 
@@ -223,6 +227,17 @@ def _claim(folder: Path, capture: Capture, pinhole: Intrinsics) -> None:
     except OSError as error:
         raise SceneError(f'{folder}: cannot write: {error.strerror}; '
                          + what_to_do(error, 'choose another scene folder')) from error
+
+
+def check_apart(scene: Path, files: Iterable[Path]) -> None:
+    """Raise SceneError for a source among the images of a scene: the import deletes those."""
+    images = (scene / 'images').resolve()
+    for file in files:
+        found = file.resolve()
+        if images == found or images in found.parents:
+            raise SceneError(f'{scene}: expected another folder than the source: the import '
+                             f'writes to {scene / "images"} and would replace {file}; choose '
+                             'another scene folder')
 
 
 def check_own(folder: Path, names: Iterable[str]) -> None:

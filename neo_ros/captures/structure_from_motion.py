@@ -15,6 +15,7 @@ from neo_ros.captures.masks import aligned_masks
 from neo_ros.captures.scene_writing import unreadable_note, write_images
 from neo_ros.captures.sfm_stages import (
     extract_features, focal_length_held, is_plausible, match_photos, place_photos)
+from neo_ros.errors import SceneError
 from neo_ros.geometry import Intrinsics
 from neo_ros.geometry.lens import Lens
 from neo_ros.machine.colmap import load_pycolmap
@@ -27,6 +28,9 @@ import numpy as np
 WELL_PLACED = 0.8
 # Nobody knows the scale: the median point is put as far away as walls of a room often are.
 MEDIAN_DISTANCE = 3.0
+# What the database takes: 4096 features of 152 bytes a photo, and its matches with a score of
+# others; and what it needs beside that, for its journal.
+PHOTO_BYTES, SPARE_BYTES = 1_000_000, 30_000_000
 # Below the working folder, as COLMAP looks for them: a photo's name with .png behind it.
 MASKS = 'masks'
 
@@ -75,6 +79,7 @@ def reconstruct(capture: Capture, work: Path,
         database = work / 'database.db'
         if masked:
             _write_masks(capture, names, pinhole, work / MASKS)
+        _check_room(work, database, len(chosen))
         extract_features(database, work, chosen, pinhole if calibrated else None, progress,
                          work / MASKS if masked else None)
         match_photos(database, work, chosen, progress)
@@ -98,6 +103,18 @@ def reconstruct(capture: Capture, work: Path,
         notes=(*capture.notes, *unreadable_note(capture, names), *_notes(reconstruction, lost)))
     scale = MEDIAN_DISTANCE / _median_depth(reconstruction)
     return replace(scaled(level_world(registered), scale), arbitrary_scale=True), verdict
+
+
+def _check_room(work: Path, database: Path, count: int) -> None:
+    """Raise SceneError where the database will not fit: COLMAP aborts the process then."""
+    there = database.stat().st_size if database.is_file() else 0
+    needed = max(count * PHOTO_BYTES - there, 0) + SPARE_BYTES
+    free = shutil.disk_usage(work).free
+    if free < needed:
+        raise SceneError(
+            f'{work}: expected {needed / 1e6:.0f} MB free on its disk, for the features of '
+            f'{count} photos and their matches, got {free / 1e6:.0f} MB; make room, and '
+            'give the same command again')
 
 
 def _without_blanks(capture: Capture) -> Capture:

@@ -64,7 +64,7 @@ def heic_advice(paths: Iterable[Path]) -> str:
     if not any(path.suffix.lower() in HEIC_SUFFIXES for path in paths) or (
             importlib.util.find_spec('pillow_heif') is not None):
         return ''
-    return "; HEIC photos need: pip install 'neo_ros[heic]'"
+    return "; HEIC photos need: pip install '.[heic]' in a checkout"
 
 
 def photo_size(path: Path) -> tuple[int, int] | None:
@@ -83,10 +83,14 @@ def first_photo_size(paths: Sequence[Path], source: Path) -> tuple[int, int]:
 
 
 def list_photos(folder: Path) -> list[Path]:
-    """Return the photos of a folder in natural order: img2 comes before img10."""
+    """
+    Return the photos of a folder in natural order: img2 comes before img10.
+
+    Hidden files are none: macOS adds a ._img2.jpg to img2.jpg.
+    """
     if not folder.is_dir():
         return []
     return sorted((path for path in folder.iterdir()
                    if path.suffix.lower() in PHOTO_SUFFIXES and path.is_file()
-                   and not path.name.startswith(DYNAMIC_MASK)),
+                   and not path.name.startswith(('.', DYNAMIC_MASK))),
                   key=lambda path: natural_key(path.name))

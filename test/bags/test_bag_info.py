@@ -75,6 +75,26 @@ def test_a_gap_and_a_lack_of_poses_are_told(tmp_path: Path) -> None:
     assert ['no camera_info' in note or 'no poses' in note for note in info.notes] == [True] * 2
 
 
+@pytest.mark.parametrize('zeros', [
+    {'k': np.zeros(9), 'p': np.zeros(12)}, {'width': 0, 'height': 0}], ids=['matrix', 'size'])
+def test_a_camera_info_of_zeros_is_told_and_not_proposed(
+        tmp_path: Path, zeros: dict[str, object]) -> None:
+    with CameraBag(tmp_path / 'bag') as bag:
+        for stamp in range(3):
+            bag.info('/eye/camera_info', stamp, EXPANSION.source, **zeros)
+            bag.image('/eye/image', stamp, np.zeros((24, 32, 3), np.uint8))
+            bag.pose('/slam/pose', stamp, np.eye(4))
+    info = read_bag_info(tmp_path / 'bag')
+    assert _topic(info, '/eye/camera_info').content == 'not calibrated'
+    assert info.notes == ['/eye/camera_info is not calibrated: an import with poses and a replay '
+                          'need a calibration; give a file with --camera-info; an import without '
+                          'poses estimates the camera']
+    assert info.next.endswith('out/scenes/bag --pose-topic none')
+    words = shlex.split(info.next)
+    read = read_bag_capture(Path(words[2]), BagOptions(pose_topic=words[-1]))
+    assert not read.posed and read.frames[0].lens is None
+
+
 def test_transforms_that_do_not_reach_the_camera_are_told(tmp_path: Path) -> None:
     with CameraBag(tmp_path / 'bag') as bag:
         for stamp in range(3):

@@ -272,11 +272,39 @@ def test_a_missing_part_of_a_split_bag_is_a_loss(tmp_path: Path) -> None:
             'bag_1.mcap (missing): 0 messages recovered, an unknown number lost')
 
 
+@pytest.mark.parametrize('write', [write_text_bag, write_sqlite_bag])
+def test_a_file_that_metadata_does_not_list_is_named_and_not_read(tmp_path: Path, write) -> None:
+    bag = write(tmp_path / 'bag', COUNT)
+    file = next(path for path in bag.iterdir() if path.suffix in ('.mcap', '.db3'))
+    copies = [f'{file.stem}_recovered{file.suffix}', 'converted.mcap']
+    for copy in copies:
+        shutil.copy(file, bag / copy)
+    with BagReader(bag) as reader:
+        assert len(list(reader.messages())) == reader.message_count == COUNT
+        assert reader.recovered.splitlines() == [
+            f'{copy}: not of this bag, as metadata.yaml does not list it, and is not read; to '
+            'read it, give this file as the bag' for copy in sorted(copies)]
+        assert sum(damage.lost or 0 for damage in reader.damages) == 0
+    shutil.copy(file, bag / 'renamed_0.mcap')
+    file.unlink()  # None of the list is there: the files were renamed.
+    assert not read_bag_folder(bag).foreign and read_bag_folder(bag).missing
+
+
+def test_hidden_files_are_no_part_of_a_bag(tmp_path: Path) -> None:
+    bag = write_text_bag(tmp_path / 'bag', COUNT)
+    (bag / 'metadata.yaml').unlink()
+    for name in ('._bag.mcap', '._bag.db3', '._bag.mcap.zstd'):
+        (bag / name).write_bytes(b'\0\5\x16\7' + bytes(4092))  # As macOS adds them.
+    with BagReader(bag) as reader:
+        assert len(list(reader.messages())) == COUNT and not reader.damages
+
+
 @pytest.mark.parametrize('content', [b'', b'no bag at all' * 100], ids=['empty', 'other'])
 @pytest.mark.parametrize('suffix, write', [('.mcap', write_text_bag), ('.db3', write_sqlite_bag)])
 def test_an_unreadable_part_of_a_split_bag_does_not_keep_the_others(
         tmp_path: Path, suffix: str, write, content: bytes) -> None:
     bag = write(tmp_path / 'bag', COUNT)
+    (bag / 'metadata.yaml').unlink()  # It lists one part.
     (bag / f'bag_1{suffix}').write_bytes(content)
     with BagReader(bag) as reader:
         assert len(list(reader.messages())) == COUNT
@@ -288,6 +316,7 @@ def test_an_unreadable_part_of_a_split_bag_does_not_keep_the_others(
 def test_a_part_that_the_disk_does_not_give_does_not_keep_the_others(
         tmp_path: Path, suffix: str, write) -> None:
     bag = write(tmp_path / 'bag', COUNT)
+    (bag / 'metadata.yaml').unlink()  # It lists one part.
     (bag / f'bag_1{suffix}').mkdir()  # It can be found, but not read: as a file of another user.
     with BagReader(bag) as reader:
         assert len(list(reader.messages())) == COUNT

@@ -3,6 +3,7 @@ from collections.abc import Callable
 from dataclasses import replace
 import math
 from pathlib import Path
+from typing import Any
 
 from camera_bags import as_sqlite, CameraBag
 from camera_on_base import (
@@ -201,6 +202,17 @@ def test_a_bag_without_poses_is_unposed(tmp_path: Path) -> None:
     capture = read_bag_capture(tmp_path / 'bag')
     assert not capture.posed and len(capture) == 4
     assert 'the bag has no poses: structure from motion' in capture.notes
+
+
+@pytest.mark.parametrize('zeros', [
+    {'k': np.zeros(9), 'p': np.zeros(12)}, {'width': 0, 'height': 0}], ids=['matrix', 'size'])
+def test_a_camera_that_is_not_calibrated_is_estimated_where_there_are_no_poses(
+        tmp_path: Path, zeros: dict[str, Any]) -> None:
+    with CameraBag(tmp_path / 'bag') as bag:
+        add_camera(bag, **zeros)
+    capture = read_bag_capture(tmp_path / 'bag')
+    assert not capture.posed and {frame.lens for frame in capture.frames} == {None}
+    assert '/cam/camera_info is not calibrated: the camera is estimated' in capture.notes
 
 
 def test_poses_are_left_aside_where_none_are_wanted(tmp_path: Path) -> None:

@@ -85,6 +85,19 @@ def no_info_at_all(bag: CameraBag) -> None:
     add_tf(bag)
 
 
+def not_calibrated(bag: CameraBag) -> None:
+    add_camera(bag, k=np.zeros(9), p=np.zeros(12))
+    add_mount(bag)
+    add_tf(bag)
+
+
+def no_size(bag: CameraBag) -> None:
+    add_camera(bag, width=0, height=0)
+    bag.info('/other/camera_info', START, CAMERA)
+    add_mount(bag)
+    add_tf(bag)
+
+
 def strange_lens(bag: CameraBag) -> None:
     add_camera(bag, distortion_model='mystery', d=np.full(3, 0.1))
 
@@ -124,6 +137,10 @@ def no_image(bag: CameraBag) -> None:
     (other_clock, {}, 'no image of /cam/image_raw has a pose.*same clock'),
     (no_info, {}, 'expected a camera_info beside /cam/image_raw.*/other/camera_info'),
     (no_info_at_all, {}, 'the bag has no CameraInfo topic.* with --pose-topic none'),
+    (not_calibrated, {}, '/cam/camera_info is not calibrated.* the bag has no CameraInfo topic '
+     'that is calibrated; give a file with --camera-info FILE, or .*--pose-topic none'),
+    (no_size, {}, '/cam/camera_info is not calibrated.* the bag has /other/camera_info [^,]*; '
+     'choose one with --info-topic, or give a file with --camera-info FILE'),
     (strange_lens, {}, "/cam/camera_info: .*coefficients.* of plumb_bob.*'mystery'.*image_rect"),
     (only_depth, {}, 'expected a topic of type .*the bag has only depth: /cam/image_raw'),
     (only_depth, {'image_topic': RAW}, '/cam/image_raw: .*32FC1.*record another topic'),

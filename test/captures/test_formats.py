@@ -233,7 +233,7 @@ def test_heic_photos_without_the_extra_are_named_with_it(
     monkeypatch.setattr(importlib.util, 'find_spec', lambda name: None)
     (tmp_path / 'b.heic').write_bytes(b'heic')
     assert detect_format(tmp_path) == CaptureFormat.PHOTOS
-    with pytest.raises(SceneError, match=r"pip install 'neo_ros\[heic\]'"):
+    with pytest.raises(SceneError, match=r"pip install '\.\[heic\]' in a checkout"):
         read_photos(tmp_path)
     write_image(tmp_path / 'a.png', demo_photos().images[0])
     note, = read_photos(tmp_path).notes

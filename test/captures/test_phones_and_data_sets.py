@@ -174,6 +174,14 @@ def test_a_metadata_file_of_something_else_is_no_record3d(tmp_path: Path) -> Non
         read_record3d(tmp_path / 'walk.r3d')
 
 
+def test_hidden_files_are_no_polycam_frames(tmp_path: Path) -> None:
+    source = write_polycam(tmp_path / 's', demo_photos())
+    for name in ('images/._0.jpg', 'cameras/._0.json'):
+        (source / 'keyframes' / name).write_bytes(b'\0\5\x16\7' + bytes(4092))
+    capture = read_polycam(source)
+    assert len(capture) == len(demo_photos().poses) and not capture.notes
+
+
 def test_polycam_images_and_cameras_without_the_other_are_counted(tmp_path: Path) -> None:
     source = write_polycam(tmp_path / 's', demo_photos(), 'corrected_')
     (source / 'keyframes/corrected_cameras/100.json').unlink()

@@ -9,7 +9,7 @@ from capture_files import (
     write_trajectory, write_transforms_capture)
 from neo_ros.captures.capture import Capture
 from neo_ros.captures.colmap import read_colmap
-from neo_ros.captures.formats import detect_format
+from neo_ros.captures.formats import CaptureFormat, detect_format
 from neo_ros.captures.nerfstudio import read_transforms_capture
 from neo_ros.captures.photos import read_photos
 from neo_ros.captures.scannet import read_scannet
@@ -150,6 +150,33 @@ def test_a_capture_in_a_folder_below_is_named(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match=r'expected one of these as SOURCE: .*/walk '
                                          r'\(transforms\), .*/outputs/room/sfm \(colmap\)$'):
         detect_format(tmp_path)
+
+
+@pytest.mark.parametrize('files, named', [
+    (['DCIM/100CANON/1.jpg', 'DCIM/100CANON/2.JPG', 'DCIM/.thumbnails/1.jpg'],
+     ['DCIM/100CANON (photos)']),
+    (['walk.mp4', '._walk.mp4', 'notes.txt'], ['walk.mp4 (video)']),
+    (['tuesday.r3d'], ['tuesday.r3d (record3d)']),
+    (['card/a/walk.MOV', 'card/b/1.png'], ['card/a/walk.MOV (video)', 'card/b (photos)']),
+], ids=['photos', 'video', 'record3d', 'below'])
+def test_photos_and_videos_that_lie_elsewhere_are_named(
+        tmp_path: Path, files: list[str], named: list[str]) -> None:
+    for name in files:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_bytes(b'')
+    with pytest.raises(SceneError) as refused:
+        detect_format(tmp_path)
+    assert str(refused.value).endswith('expected one of these as SOURCE: ' + ', '.join(
+        f'{tmp_path}/{name}' for name in named))
+
+
+def test_hidden_files_make_no_bag_of_a_folder(tmp_path: Path) -> None:
+    write_image(tmp_path / '1.png', demo_photos().images[0])
+    for name in ('._drive.mcap', '._1.png'):
+        (tmp_path / name).write_bytes(bytes(4096))
+    assert detect_format(tmp_path) == CaptureFormat.PHOTOS
+    capture = read_photos(tmp_path)
+    assert [frame.name for frame in capture.frames] == ['images/1.png'] and not capture.notes
 
 
 def test_a_bag_of_ros_1_is_told_how_to_convert_it(tmp_path: Path) -> None:

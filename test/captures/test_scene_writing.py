@@ -8,7 +8,7 @@ from capture_files import (
     CAMERA, demo_photos, write_bag, write_image, write_transforms_capture, write_turned_jpeg)
 import cv2
 from neo_ros.captures.bag import read_bag_capture
-from neo_ros.captures.capture import Capture
+from neo_ros.captures.capture import Capture, MaskSource
 from neo_ros.captures.nerfstudio import read_transforms_capture
 from neo_ros.captures.scene_writing import write_capture
 from neo_ros.errors import SceneError
@@ -126,6 +126,19 @@ def test_a_scene_is_not_written_over_its_source(source: Path) -> None:
     with pytest.raises(SceneError, match='another folder than the source'):
         write_capture(read_transforms_capture(source), source)
     assert (source / 'images/0.png').read_bytes() == before
+
+
+def test_masks_are_never_replaced_by_those_of_the_scene(tmp_path: Path) -> None:
+    source = write_transforms_capture(tmp_path / 'hall/photos', demo_photos())
+    (tmp_path / 'hall/transforms_train.json').write_text('{}')
+    masks = [write_image(tmp_path / f'hall/masks/{index}.png', np.full((48, 64), 255, np.uint8))
+             for index in range(5)]
+    capture = read_transforms_capture(source)
+    capture = replace(capture, frames=tuple(
+        replace(frame, mask=MaskSource(mask)) for frame, mask in zip(capture.frames, masks)))
+    with pytest.raises(SceneError, match='another folder than the source: .* replace .*masks/0.p'):
+        write_capture(capture, tmp_path / 'hall')
+    assert all(mask.is_file() for mask in masks)
 
 
 def interrupted(capture: Capture, scene: Path, after: int) -> None:

@@ -3,6 +3,7 @@ from collections.abc import Callable
 from dataclasses import replace
 import math
 from pathlib import Path
+import shutil
 from types import SimpleNamespace
 from typing import Any
 
@@ -73,6 +74,25 @@ def test_photos_get_the_poses_they_were_taken_from(tmp_path: Path) -> None:
     np.testing.assert_array_equal(
         [frame.pose.T_world_cam for frame in again.frames if frame.pose is not None],
         [frame.pose.T_world_cam for frame in capture.frames if frame.pose is not None])
+
+
+def test_a_disk_that_is_nearly_full_is_told_before_colmap_aborts(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    needs_pycolmap()
+    photos = walk(tmp_path / 'photos', 6)
+    usage = shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(shutil, 'disk_usage', lambda _: usage._replace(free=35_000_000))
+    with pytest.raises(SceneError, match='sfm: expected 36 MB free on its disk, for the features '
+                       'of 6 photos and their matches, got 35 MB; make room, and give the same'):
+        reconstruct(photos, tmp_path / 'sfm')
+    assert not (tmp_path / 'sfm/database.db').exists()
+    monkeypatch.setattr(shutil, 'disk_usage', lambda _: usage._replace(free=36_000_000))
+    assert reconstruct(photos, tmp_path / 'sfm')[1].photos == 6
+    # What an interrupted run has written needs no room any more.
+    shutil.rmtree(tmp_path / 'sfm/model')
+    there = (tmp_path / 'sfm/database.db').stat().st_size
+    monkeypatch.setattr(shutil, 'disk_usage', lambda _: usage._replace(free=36_000_000 - there))
+    assert reconstruct(photos, tmp_path / 'sfm')[1].photos == 6
 
 
 def test_a_calibration_is_held_fixed(tmp_path: Path) -> None:
