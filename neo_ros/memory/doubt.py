@@ -162,9 +162,11 @@ class Doubt:
                     one = replace(one, sight=sight, motion=best.motion)
             sight, _ = self._rivals.at_twin(image, one.sight, twins)
             moved[index] = one = replace(one, sight=sight)
-            expected = last if motion is None else CameraPose.nearest(last.T_world_cam @ motion)
-            if all(self._is_elsewhere(one.sight, moved[other].sight) for other in kept) and (
-                    not is_elsewhere(one.sight.pose, expected, self._limits)):
+            steps = [motion] if motion is not None else [np.eye(4), before.motion]
+            if all(self._is_elsewhere(one.sight, moved[other].sight) for other in kept) and any(
+                    not is_elsewhere(one.sight.pose,
+                                     CameraPose.nearest(last.T_world_cam @ step), self._limits)
+                    for step in steps):
                 kept.append(index)
         self._open = moved
         least = 1 - max((moved[index].sight.agreement for index in kept), default=1.0)

@@ -1,9 +1,11 @@
 """Where is the camera, and what does the memory show around its image: frame after frame."""
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from functools import partial
 
 from neo_ros.geometry import CameraPose, ViewExpansion
 from neo_ros.machine.compiled import ALL_THREADS
+from neo_ros.memory.changes import Changes
 from neo_ros.memory.colour_kernels import apply_gain
 from neo_ros.memory.doubt import Doubt
 from neo_ros.memory.landmarks import Location
@@ -59,6 +61,10 @@ class SceneGuide:
         self._recent.forget()
         self._doubt.forget()
         self._last: Sight | None = None
+        # Where it was believed last, moved on since, and for how many images nothing was.
+        self._lost: Sight | None = None
+        self._lost_for = 0
+        self._seen_ns: int | None = None  # When the last image was taken that was believed.
         self._motion = np.eye(4)
         self._since_search = self.thresholds.search_every
         self._places.watch.forget()
@@ -92,7 +98,7 @@ class SceneGuide:
     def _guide(self, image: CameraImage, prior: CameraPose | None, motion: np.ndarray | None,
                pace: float, stamp_ns: int | None) -> Guide | None:
         # Whatever goes wrong with this image, the next one starts anew.
-        before, self._last = self._last, None
+        before, self._last, self._lost = self._last or self._lost_since(stamp_ns), None, None
         last = before.pose if before is not None else None
         if motion is not None:
             self._motion = motion
@@ -121,7 +127,9 @@ class SceneGuide:
             best = self._doubt.settle(image, best, *self._places.search(image))
         if self._doubt.is_open or best is None or not best.believed:
             self._led = 0
+            self._lose(before)
             return None
+        self._lost_for, self._seen_ns = 0, stamp_ns
         if best.led and not led:
             self._led = self.thresholds.landmarks_every
         if best is not followed:
@@ -167,8 +175,21 @@ class SceneGuide:
         for camera in (self.aligner.levels[0], self.expansion.target):
             self._memory.decode_ahead(nearest, camera.fx)
 
+    def _lose(self, before: Sight | None) -> None:
+        """Keep where it was for the next images: one that shows nothing is soon over."""
+        self._lost_for += 1
+        if before is not None and not self._doubt.is_open:
+            moved = CameraPose.nearest(before.pose.T_world_cam @ self._motion)
+            self._lost = replace(before, pose=moved, agreement=0.0)  # It was drawn elsewhere.
+
+    def _lost_since(self, stamp_ns: int | None) -> Sight | None:
+        """Return where it would be, if it was lost but now; else it may have been carried off."""
+        long_ago = (stamp_ns is not None and self._seen_ns is not None
+                    and not 0 <= stamp_ns - self._seen_ns <= self.thresholds.lost_ns)
+        return None if long_ago or self._lost_for > self.thresholds.search_every else self._lost
+
     def _search_is_due(self, best: Sight | None) -> bool:
-        if best is None:
+        if best is None or (not best.believed and self._lost_for):
             return self._since_search >= self.thresholds.search_every
         if not best.believed:
             return True  # Just lost.
@@ -193,6 +214,8 @@ class SceneGuide:
             gain = self._expose(wide.image, known, image.pixels)
             self._recent.keep(image.pixels, wide.image, wide.depth, pose, gain)
             seen_before = self._recent.bring(wide.depth, pose, gain)
+            (self._memory.changes or Changes(())).shown_at(
+                wide.depth, self.expansion.target, pose)
             lit = SceneLight(self._memory.positions, self.expansion, self.thresholds.light)
             lit.other = True
             lit.see(image.pixels, wide.image, wide.depth, pose)

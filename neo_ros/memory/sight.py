@@ -112,6 +112,9 @@ class GuideThresholds:
     # one whose pose is believed, but not sure, now and then.
     search_every: int = 5
     doubt_every: int = 30
+    # For so many images, and no longer than this, a lost camera is followed from where it would
+    # be: somebody passed by. In a longer time a lift takes it to another floor.
+    lost_ns: int = 1_000_000_000
     # Looking for landmarks takes as long as a frame: now and then, while image and memory agree,
     # and beside the next images; what they say counts so many images later. Where they
     # contradict, they lead for as many images as they are looked for once.

@@ -138,6 +138,25 @@ def test_odometry_moves_the_places_that_could_be_it(with_picture: SceneGuide) ->
     assert found is not None and apart(found.pose, turned)[0] < 0.05
 
 
+def test_a_camera_that_turns_fast_is_followed_at_all_places(twins: SceneGuide) -> None:
+    twins.reset()
+    yaw = 20
+    for step in (0, 4, 8, 12, 16, 19, 22, 23, 23, 23):
+        yaw += step
+        assert twins.guide(photo_at(planar(1.9, 1.7, yaw))) is None
+        assert twins.ambiguous
+
+
+def test_a_camera_that_was_known_is_not_in_doubt_after_one_bad_image(twins: SceneGuide) -> None:
+    twins.reset()
+    for step in range(9):
+        pose = planar(1.6 + 0.02 * step, 1.5, 20)
+        image = np.zeros((64, 64, 3), np.uint8) if step == 6 else photo_at(pose)
+        found = twins.guide(image, prior=None if step else pose)
+        assert not twins.ambiguous and (found is None) == (step == 6)
+        assert found is None or apart(found.pose, pose)[0] < 0.03
+
+
 def test_a_place_that_the_image_does_not_fit_any_more_is_dropped(twins: SceneGuide) -> None:
     twins.reset()
     assert twins.guide(photo_at(ASIDE)) is None and twins.ambiguous

@@ -115,6 +115,21 @@ def test_a_camera_is_followed_for_a_long_time() -> None:
         assert found is not None and apart(found.pose, pose)[0] < 0.03, step
 
 
+@pytest.mark.parametrize('pause_s, found', [(0.1, 'tracked'), (2.0, None)])
+def test_an_image_that_shows_nothing_costs_one_image_and_a_long_pause_the_place(
+        pause_s: float, found: str | None) -> None:
+    guide, stamp_ns = SceneGuide(MEMORY, EXPANSION), 0
+    for step in range(9):
+        stamp_ns += int(1e9 * (pause_s if step == 7 else 0.1))
+        pose = planar(1.6 + 0.02 * step, 1.5 + 0.01 * step, 20 + 2 * step)
+        image = np.zeros((64, 64, 3), np.uint8) if step == 6 else photo_at(pose)
+        seen = guide.guide(image, stamp_ns=stamp_ns)
+        assert (seen is None) == (step == 6 or (step > 6 and found is None)), step
+        if seen is not None:
+            assert apart(seen.pose, pose)[0] < 0.03
+    assert (seen and seen.found) == found
+
+
 def test_a_kidnapped_camera_is_found_again() -> None:
     guide = SceneGuide(MEMORY, EXPANSION)
     assert guide.guide(photo_at(planar(1.4, 1.5, 20))) is not None
