@@ -82,11 +82,11 @@ def bound_blocks(rays, depth, blocks):
 
 
 @njit(**FAST)
-def _in_view(ball, seen, camera):
-    """Tell whether a ball (x, y, z, radius) may be in the view of a patch."""
+def _in_view(ball, seen, camera, farthest):
+    """Tell whether a ball (x, y, z, radius) may be in the view of a patch, and no farther."""
     R, t, radius = seen.R, seen.t, ball[3]
     z = R[2, 0] * ball[0] + R[2, 1] * ball[1] + R[2, 2] * ball[2] + t[2]
-    if radius < 0 or z + radius < NEAREST:
+    if radius < 0 or z + radius < NEAREST or z - radius > farthest:
         return False
     for axis in range(2):
         at = R[axis, 0] * ball[0] + R[axis, 1] * ball[1] + R[axis, 2] * ball[2] + t[axis]
@@ -130,9 +130,10 @@ def carve(rays, depth, blocks, seen, camera):
     `bound_blocks` makes them; camera a Pinhole. Returns how many vertices were taken out.
     """
     count = 0
+    farthest = seen.depth.max()  # It sees through nothing behind that: other rooms cost no time.
     for row in range(blocks.shape[0]):
         for column in range(blocks.shape[1]):
-            if not _in_view(blocks[row, column], seen, camera):
+            if not _in_view(blocks[row, column], seen, camera, farthest):
                 continue
             for i in range(row * BLOCK, min((row + 1) * BLOCK, depth.shape[0])):
                 for j in range(column * BLOCK, min((column + 1) * BLOCK, depth.shape[1])):
@@ -165,7 +166,12 @@ def shows_any(points, sphere):
     sphere.surface: the depths of the mesh, not of the texture.
     """
     rows, columns = sphere.surface.shape
+    # No surface hides what is unknown. Most patches of a building are farther off than all walls.
+    known = sphere.surface.min() > 0
+    farthest = sphere.surface.max() * (1 + SAME) * np.float32(1.001)
     for n in range(len(points)):
+        if known and (points[n, 0] ** 2 + points[n, 1] ** 2 + points[n, 2] ** 2) > farthest ** 2:
+            continue
         column, row, distance = _on_sphere(sphere, points[n, 0], points[n, 1], points[n, 2])
         # What lies between points may be beside a vertex.
         for a in range(int(row) - 1, int(row) + 2):

@@ -1,8 +1,9 @@
 """What has changed since the memory was made, put into its keyframes as they are decoded."""
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property, lru_cache
 from itertools import groupby, product
+import math
 
 import cv2
 from neo_ros.geometry import Band, CameraPose, Intrinsics
@@ -144,27 +145,22 @@ def without_replaced(records: Sequence[Record]) -> list[Record]:
     """
     Leave out patches of which later visits have seen nearly all: they show what is there now.
 
-    What is left keeps its order, and turns where it was turned: it is shown as before.
+    What one turn has hidden is compared alike, as it is shown again together. What is left keeps
+    its order, and turns where it was turned: it is shown as before.
     """
     changes = Changes(records)
-    newest = {patch: place for place, (_, patch, _) in enumerate(changes.layers)}
-    kept = np.zeros(len(changes.patches), bool)
-    for index, (patch, parts) in enumerate(zip(
-            changes.patches, changes.hidden.reshape(-1, PARTS))):
-        _, depth, part = patch.pictures
-        rows, columns = np.nonzero((depth > 0) & (parts < 0)[part])
-        rows, columns = rows[::SAMPLED], columns[::SAMPLED]
-        camera = patch.camera
-        local = np.stack([(columns + 0.5 - camera.cx) / camera.fx,
-                          (rows + 0.5 - camera.cy) / camera.fy, np.ones(len(rows))], -1)
-        local *= depth[rows, columns][:, None]
-        points = local @ patch.pose.T_world_cam[:3, :3].T + patch.pose.position
-        open_points = np.ones(len(points), bool)
-        for _, later, shown in changes.layers[newest.get(patch, 0) + 1:]:
-            if later.batch != patch.batch and open_points.any():
-                open_points[open_points] = ~_reaches(later, shown, points[open_points])
-        kept[index] = (parts >= 0).any() or (
-            len(points) > 0 and open_points.mean() > 1 - REPLACED)
+    states = changes.hidden.reshape(-1, PARTS)
+    # The newest last: of what is shown, and of what each turn hid.
+    order = {-1: [layer[1:] for layer in changes.layers]} | {
+        turn: [(patch, parts == turn) for patch, parts in zip(changes.patches, states)
+               if (parts == turn).any()] for turn in np.unique(states[states >= 0]).tolist()}
+    places = {(state, patch): place for state, seen in order.items()
+              for place, (patch, _) in enumerate(seen)}
+    balls = {patch: _ball(patch) for patch in changes.patches}
+    kept = np.array([any(
+        _is_open(patch, parts == state, order[state][places[state, patch] + 1:], balls)
+        for state in np.unique(parts).tolist())
+        for patch, parts in zip(changes.patches, states)], bool)
     left = np.repeat(kept, PARTS)
     hidden, again = changes.hidden[left], changes.again[left]
     found, patches = list[Record](), iter(kept)
@@ -177,6 +173,37 @@ def without_replaced(records: Sequence[Record]) -> list[Record]:
         found += [replace(record, parts=np.flatnonzero(turned).astype(np.uint32))
                   for turned in (shown | (hidden == number), shown) if turned.any()]
     return found
+
+
+def _is_open(patch: Patch, parts: np.ndarray, newer: Sequence[tuple[Patch, np.ndarray]],
+             balls: Mapping[Patch, tuple[list[float], float]]) -> bool:
+    """Tell whether a patch, bool (PARTS,) of its parts, shows what newer ones have not seen."""
+    _, depth, part = patch.pictures
+    rows, columns = np.nonzero((depth > 0) & parts[part])
+    rows, columns = rows[::SAMPLED], columns[::SAMPLED]
+    camera = patch.camera
+    local = np.stack([(columns + 0.5 - camera.cx) / camera.fx,
+                      (rows + 0.5 - camera.cy) / camera.fy, np.ones(len(rows))], -1)
+    local *= depth[rows, columns][:, None]
+    points = local @ patch.pose.T_world_cam[:3, :3].T + patch.pose.position
+    count, (middle, radius) = len(points), balls[patch]
+    for later, shown in newer:
+        there, reach = balls[later]
+        if later.batch != patch.batch and math.dist(middle, there) < radius + reach \
+                and len(points):
+            points = points[~_reaches(later, shown, points)]
+    return len(points) > count * (1 - REPLACED)
+
+
+def _ball(patch: Patch) -> tuple[list[float], float]:
+    """Return middle and radius, metres, of a ball around what a patch sees, or sees through."""
+    camera, farthest = patch.camera, patch.pictures.depth.max() * (1 + SAME)
+    corners = np.array([((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, 1)
+                        for u in (0, camera.width) for v in (0, camera.height)])
+    seen = np.concatenate([np.zeros((1, 3)), farthest * corners])
+    middle = (seen.min(0) + seen.max(0)) / 2
+    return ((patch.pose.T_world_cam[:3, :3] @ middle + patch.pose.position).tolist(),
+            float(np.linalg.norm(seen - middle, axis=1).max()))
 
 
 def _reaches(patch: Patch, shown: np.ndarray, points: np.ndarray) -> np.ndarray:

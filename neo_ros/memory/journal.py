@@ -1,5 +1,5 @@
 """The journal beside a scene memory: what has changed since it was made, record by record."""
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import ExitStack, suppress
 import errno
 import fcntl
@@ -26,6 +26,9 @@ PATCH, TURN = b'P', b'T'
 _RECORD = struct.Struct('<2I')
 # A journal grows no larger than this share of its memory, or so many bytes if that is more.
 SHARE, LEAST_BYTES, MOST_BYTES = 0.2, 1 << 20, 64 << 20
+# It is full for good where more than this share of it is left when all was taken out that was
+# replaced: else that would be tried again and again, for hardly anything.
+STILL_FULL = 0.8
 # Turns may go on for so many bytes when it is full: a door is still shown as it was seen last.
 TURN_BYTES = 1 << 16
 # Of all its pictures together: a few kilobytes can hold very large ones.
@@ -66,13 +69,7 @@ def read_journal(path: Path, memory_sha256: str) -> list[Record]:
 
 def write_journal(path: Path, memory_sha256: str, records: Iterable[Record]) -> None:
     """Write a journal anew, whole or not at all; raises ModelError."""
-    try:
-        with whole_file(path) as partial:
-            partial.write_bytes(_framed(MAGIC + bytes.fromhex(memory_sha256), records)[0])
-            see_to_disk(partial)  # Else a power cut could leave the name without the content.
-        see_to_disk(path.parent)
-    except OSError as error:
-        raise _cannot_write(path, error) from error
+    os.close(_write_alone(path, _framed(MAGIC + bytes.fromhex(memory_sha256), records)[0]))
 
 
 def compact_journal(path: Path, memory_sha256: str, most: int) -> tuple[list[Record], int]:
@@ -81,12 +78,9 @@ def compact_journal(path: Path, memory_sha256: str, most: int) -> tuple[list[Rec
 
     Raises ModelError as `JournalWriter`: nobody may learn meanwhile.
     """
-    from neo_ros.memory.changes import without_replaced  # Its loops take a second to load.
     writer = JournalWriter(path, memory_sha256, most)
     try:
-        kept = without_replaced(writer.records)
-        write_journal(path, memory_sha256, kept)
-        return kept, len(writer.records)
+        return list(writer.make_room(writer.records)), len(writer.records)
     finally:
         writer.close()
 
@@ -101,9 +95,7 @@ def delete_learnt(path: Path) -> None:
     try:
         with ExitStack() as held:
             with suppress(FileNotFoundError, PermissionError):  # Nobody here learns into it.
-                file = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
-                held.callback(os.close, file)
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                held.callback(os.close, _open_alone(path, os.O_RDONLY))
             path.unlink(missing_ok=True)
         path.with_name(f'{path.name}.partial').unlink(missing_ok=True)
     except BlockingIOError:
@@ -117,11 +109,13 @@ class JournalWriter:
     Appends to the journal of one memory; what was cut off at its end is taken away first.
 
     Raises ModelError where it cannot be written, is no journal of this memory, or another process
-    writes it. `full` tells that it has reached its size.
+    writes it. records: what it held when it was opened; full: it takes no more, and there is
+    nothing to take out.
     """
 
     def __init__(self, path: Path, memory_sha256: str, most: int) -> None:
         self.path, self._most, self._largest = path, most, most
+        self._header, self.full = MAGIC + bytes.fromhex(memory_sha256), False
         try:
             self._file = _open_alone(path)
         except BlockingIOError:
@@ -129,15 +123,14 @@ class JournalWriter:
         except OSError as error:
             raise _cannot_write(path, error) from error
         try:
-            header = MAGIC + bytes.fromhex(memory_sha256)
             self.records: list[Record] = []
             if _just_begun(path, memory_sha256):
                 os.ftruncate(self._file, 0)
-                os.pwrite(self._file, header, 0)
-                self._end, self._check = HEADER_BYTES, zlib.crc32(header)
+                os.pwrite(self._file, self._header, 0)
+                self._end, self._check = HEADER_BYTES, zlib.crc32(self._header)
             else:
                 self.records, self._end, _ = _read(path, memory_sha256)
-                self._check = _framed(header, self.records)[1]
+                self._check = _framed(self._header, self.records)[1]
                 os.ftruncate(self._file, self._end)
         except OSError as error:
             os.close(self._file)
@@ -146,17 +139,6 @@ class JournalWriter:
             os.close(self._file)
             raise ModelError(f'{error}; neo memory forget deletes it') from None
         self._pixels = sum(map(_pixels, self.records))
-        if self.full:
-            self._say_full()
-
-    def _say_full(self) -> None:
-        logger.warning('%s: the journal is full (%d kB), nothing more is learnt; neo memory '
-                       'compact makes room', self.path, self._end >> 10)
-
-    @property
-    def full(self) -> bool:
-        """Whether nothing more is taken."""
-        return self._end >= self._most
 
     def append(self, records: Iterable[Record]) -> list[Record]:
         """Add records as far as there is room, and see them to the disk; returns those added."""
@@ -166,8 +148,6 @@ class JournalWriter:
             pixels = self._pixels + _pixels(record)
             most = self._largest + TURN_BYTES if isinstance(record, Turn) else self._most
             if self._end + len(content) > most or pixels > MOST_PIXELS:
-                if not self.full:
-                    self._say_full()
                 self._most = self._end
                 break
             if os.pwrite(self._file, content, self._end) != len(content):
@@ -177,6 +157,29 @@ class JournalWriter:
         os.fsync(self._file)
         return added
 
+    def make_room(self, records: Sequence[Record]) -> Sequence[Record]:
+        """
+        Take out what later patches have replaced of records, all that it holds.
+
+        Returns what is left, by whose numbers turns go then; a kill leaves the one or the other.
+        Where that is hardly less it is `full`, and says so.
+        """
+        from neo_ros.memory.changes import without_replaced  # Its loops take a second to load.
+        kept = without_replaced(records)
+        content, check = _framed(self._header, kept)
+        if len(content) < self._end:
+            file, self._file = self._file, _write_alone(self.path, content)
+            os.close(file)
+            self._end, self._check, records = len(content), check, kept
+            self._pixels = sum(map(_pixels, kept))
+        self._most = self._largest
+        self.full = max(self._end / self._largest, self._pixels / MOST_PIXELS) > STILL_FULL
+        if self.full:
+            logger.warning('%s: the journal is full (%d kB), and little of it was replaced: '
+                           'nothing more is learnt; neo memory forget begins anew', self.path,
+                           self._end >> 10)
+        return records
+
     def close(self) -> None:
         """Let others write; it may be called twice."""
         if self._file >= 0:
@@ -184,10 +187,27 @@ class JournalWriter:
         self._file = -1
 
 
-def _open_alone(path: Path) -> int:
-    """Open a file to write, which nobody else does; raises OSError, BlockingIOError where one."""
+def _write_alone(path: Path, content: bytes) -> int:
+    """Write a file anew, whole or not at all; return it open, as `_open_alone` does."""
+    try:
+        with ExitStack() as opened:
+            with whole_file(path) as partial:
+                partial.write_bytes(content)
+                see_to_disk(partial)  # Else a power cut could leave the name without the content.
+                file = os.open(partial, os.O_RDWR)
+                opened.callback(os.close, file)
+                fcntl.flock(file, fcntl.LOCK_EX)  # Who waits for the name finds it taken.
+            see_to_disk(path.parent)
+            opened.pop_all()
+            return file
+    except OSError as error:
+        raise _cannot_write(path, error) from error
+
+
+def _open_alone(path: Path, flags: int = os.O_RDWR | os.O_CREAT) -> int:
+    """Open a file that nobody else writes; raises OSError, BlockingIOError where one does."""
     while True:
-        file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NONBLOCK, 0o644)
+        file = os.open(path, flags | os.O_NONBLOCK, 0o644)
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             # Who had it may have put another in its place meanwhile, or deleted it.

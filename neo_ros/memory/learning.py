@@ -15,6 +15,7 @@ from neo_ros.memory.contradiction import contradicted, contradiction
 from neo_ros.memory.decoded import Key
 from neo_ros.memory.journal import JournalWriter
 from neo_ros.memory.keyframe import Keyframe
+from neo_ros.memory.patch import Patch
 from neo_ros.memory.patch_finding import find_patches, PatchThresholds
 from neo_ros.memory.states import find_turn
 from neo_ros.memory.stereo import Shot
@@ -207,16 +208,18 @@ class Learner:
         if journal is None:
             journal = self._journal = self._open_journal()
             others = not _are_same(journal.records, before.records)
+            # Decoded they are ten times as large, and hold what the changes hold.
+            written, journal.records = journal.records, []
         if others:  # The images were compared with what is shown no more.
-            changes = Changes(journal.records)
+            changes = Changes(written)
         else:
             turn = find_turn(shots[-new:], before, self._camera, batch, self._begun,
                              self.thresholds.patches.states)
             patches = [] if journal.full else find_patches(
                 shots, new, self._camera, self._rays, batch, self._depths,
                 self.thresholds.patches)
-            records = journal.append([*([] if turn is None else [turn]), *patches])
-            changes = before.with_more(records) if records else before
+            changes, records = _write(journal, before, [*([] if turn is None else [turn]),
+                                                        *patches])
         logger.debug(LOOKED, len(records), shots[-1].stamp_ns)
         changes.cells  # Found here: who draws does not wait for it, nor for keyframes.
         drawn = self._memory.drawn_with(changes) if self._beside and changes is not before else {}
@@ -241,6 +244,21 @@ class Learner:
         elif learnt.turned:
             # What waits was compared with what is shown no more.
             self._shots, self._new = self._shots[:max(len(self._shots) - self._new, 0)], 0
+
+
+def _write(journal: JournalWriter, before: Changes, found: Sequence[Record]
+           ) -> tuple[Changes, list[Record]]:
+    """Append what was found; where it does not fit, what was replaced makes room for it."""
+    records = journal.append(found)
+    changes = before.with_more(records) if records else before
+    if len(records) == len(found) or journal.full:
+        return changes, records
+    kept = journal.make_room(changes.records)
+    if kept is not changes.records:
+        changes = Changes(kept)
+    # A turn that did not fit goes by numbers of before: it is found again.
+    more = journal.append([one for one in found[len(records):] if isinstance(one, Patch)])
+    return changes.with_more(more) if more else changes, [*records, *more]
 
 
 def _are_same(some: Sequence[Record], others: Sequence[Record]) -> bool:

@@ -23,6 +23,8 @@ class CovarianceThresholds:
     aligned_rotation: float = 51.0
     # Hardly any of these poses came from landmarks alone: so that the median is right.
     located: float = 40.0
+    # Of grey values, squared: no camera has less noise, but drawn images are free of it.
+    least_variance: float = 1e-8
     # Metres that no image makes up for: the scene's own surfaces are not known better.
     floor: float = 0.0019
 
@@ -36,16 +38,11 @@ def aligned_covariance(photo: PhotoLevel, guide: GuideLevel, camera: Intrinsics,
     """
     H = np.empty((8, 8))
     pinhole = Pinhole(camera.fx, camera.fy, camera.cx, camera.cy)
-    variance = equations_in_place(photo, guide, pinhole, scale, H)
-    spread = np.sqrt(np.maximum(np.diag(H), 1e-30))
-    try:
-        # Refuses what is singular up to rounding, such as an image of stripes.
-        np.linalg.cholesky(H / np.outer(spread, spread) - 1e-9 * np.eye(8))
-        inverse = np.linalg.inv(H)  # An eighth of the time of pinv.
-    except np.linalg.LinAlgError:
-        inverse = np.linalg.pinv(H, hermitian=True)
-    # Gain and bias are free, so they take their part.
-    covariance = variance * inverse[:6, :6]
+    variance = max(equations_in_place(photo, guide, pinhole, scale, H), thresholds.least_variance)
+    # As if all were known to a metre, a radian, or the whole range of grey: of what the image says
+    # nothing, such as the way along stripes, that is left. Gain and bias are free, so they take
+    # their part.
+    covariance = variance * np.linalg.inv(H + variance * np.eye(8))[:6, :6]
     factor = np.sqrt(np.repeat([thresholds.aligned_position, thresholds.aligned_rotation], 3))
     return covariance * np.outer(factor, factor)
 

@@ -110,8 +110,8 @@ class SceneMemory:
         if coded is None or coded.dtype != np.uint16 or coded.ndim != 2:
             raise _damaged(index)
         position = self.positions[index]
-        # Whole only where it must be: most keyframes of a large floor show nothing of a change.
-        if reduced > 1 and changes is not None and not changes.reaches(position, self.band, coded):
+        # Most keyframes of a large floor show nothing of a change: they are as they were made.
+        if changes is not None and not changes.reaches(position, self.band, coded):
             changes = None
         texture = decode_image(self._textures[index], REDUCED[
             reduced if changes is None else 1])
@@ -189,7 +189,12 @@ class SceneMemory:
                     np.concatenate([part.T_world_cam for part in every])), landmarks, self.twins)
 
     def write(self, path: Path) -> str:
-        """Write the memory; returns the file's SHA-256, for the model's card."""
+        """Write the memory, if it can be read; returns its SHA-256, for the model's card."""
+        try:
+            _check_kept(self.glances.pictures.size,
+                        0 if self.landmarks is None else len(self.landmarks.points))
+        except ValueError as error:
+            raise ModelError(f'{path}: {error}') from None
         band = self.band
         more: dict[str, Any] = {}
         if self.landmarks is not None:
@@ -254,17 +259,13 @@ class SceneMemory:
         _check_pictures(textures, depths)
         pictures = fields.read('glances', np.uint8, (ANY, ANY, ANY))
         poses = fields.read('glance_poses', np.float64, (len(pictures), 4, 4))
-        if pictures.size > MOST_GLANCES:
-            raise ValueError(f'glances: expected at most {MOST_GLANCES} pixels, got '
-                             f'{pictures.size}')
+        _check_kept(pictures.size)
         for pose in poses:
             check_transform(pose, 'glance_poses')
         landmarks = None
         if 'landmarks' in fields:
             points = fields.read('landmarks', np.float32, (ANY, 3))
-            if len(points) > MOST_LANDMARKS:
-                raise ValueError(
-                    f'landmarks: expected at most {MOST_LANDMARKS}, got {len(points)}')
+            _check_kept(pictures.size, len(points))
             landmarks = Landmarks(points, fields.read(
                 'landmark_descriptors', np.uint8, (len(points), 128)))
         return cls(positions, Band(top, bottom, low, width), textures, depths,
@@ -280,6 +281,16 @@ def _twins(fields: MemoryFields) -> Twins:
         for T in transforms:
             check_transform(T, name)
     return Twins(ways, fields.read('twin_areas', np.float64, (len(ways), 2, 3)), poses)
+
+
+def _check_kept(pixels: int, landmarks: int = 0) -> None:
+    """Raise ValueError where a robot would have to keep too much beside the keyframes."""
+    if pixels > MOST_GLANCES:
+        raise ValueError(f'glances: expected at most {MOST_GLANCES} pixels, got {pixels}; set '
+                         'memory.distance to more')
+    if landmarks > MOST_LANDMARKS:
+        raise ValueError(f'landmarks: expected at most {MOST_LANDMARKS}, got {landmarks}; train '
+                         'a model for each part of the scene')
 
 
 def _check_pictures(textures: Sequence[bytes], depths: Sequence[bytes]) -> None:

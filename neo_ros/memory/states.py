@@ -96,6 +96,8 @@ class Things:
         order = np.argsort(self.part, kind='stable')
         owner: dict[int, int] = {}
         things = 0
+        if not len(order):
+            return  # Patches of a few pixels, between which the samples lie.
         for some in np.split(order, np.flatnonzero(np.diff(self.part[order])) + 1):
             cells = np.unique(keys[some]).tolist()
             owners = [owner[cell] for cell in cells if cell in owner]

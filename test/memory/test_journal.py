@@ -143,13 +143,12 @@ def test_it_is_bounded(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None
     path = tmp_path / 'a.journal'
     size = len(PATCHES[0].to_bytes()) + 9
     writer = JournalWriter(path, MEMORY, HEADER_BYTES + int(2.5 * size))
-    assert writer.append(PATCHES) == PATCHES[:2] and writer.full
+    assert writer.append(PATCHES) == PATCHES[:2] and not writer.full
     assert writer.append(PATCHES) == []
+    assert writer.make_room(PATCHES[:2]) == PATCHES[:2] and writer.full
+    assert 'the journal is full' in caplog.text
     writer.close()
     assert stamps(path) == [0, 1]
-    caplog.clear()
-    JournalWriter(path, MEMORY, path.stat().st_size).close()
-    assert 'the journal is full' in caplog.text  # A robot that starts again learns nothing, too.
     assert most_bytes(14 << 20) == int(0.2 * (14 << 20)) and most_bytes(1 << 40) == 64 << 20
 
 
@@ -200,6 +199,76 @@ def test_what_is_hidden_stays_in_a_compact_journal(tmp_path: Path) -> None:
     path.unlink()
     written(path, [first, again, turn(0)])
     assert len(compact_journal(path, MEMORY, 1 << 20)[0]) == 3
+    # What one turn has hidden is shown again together: of that once is enough.
+    path.unlink()
+    written(path, [first, again, PATCHES[1], turn(0, PARTS)])
+    kept, _ = compact_journal(path, MEMORY, 1 << 20)
+    assert [one.batch for one in kept] == [1, 0, 9]
+    assert np.flatnonzero(Changes(kept).hidden >= 0).tolist() == [0]
+
+
+def full_of_the_same(path: Path) -> JournalWriter:
+    """Return the writer of a journal whose second patch saw what the first did, and the third."""
+    size = len(PATCHES[0].to_bytes()) + 9
+    writer = JournalWriter(path, MEMORY, HEADER_BYTES + int(3.5 * size))
+    assert writer.append([patch(0), patch(0, 1), patch(0, 2), PATCHES[1]]) and writer.append(
+        PATCHES[1:]) == []
+    return writer
+
+
+def test_a_full_journal_makes_room_and_goes_on(tmp_path: Path) -> None:
+    path = tmp_path / 'a.journal'
+    writer = full_of_the_same(path)
+    kept = writer.make_room(read_journal(path, MEMORY))
+    assert [one.batch for one in kept] == [2] and not writer.full
+    assert len(read_journal(path, MEMORY)) == 1
+    # It is another file by now: of that, too, nobody else may be the writer.
+    for refused in (lambda: JournalWriter(path, MEMORY, 1 << 20), lambda: delete_learnt(path)):
+        with pytest.raises(ModelError, match='another process'):
+            refused()
+    added: list[Record] = [PATCHES[1], turn(0, PARTS)]
+    assert writer.append(added) == added
+    writer.close()
+    found = read_journal(path, MEMORY)
+    assert [one.stamp_ns for one in found] == [0, 1, 50]
+    assert np.flatnonzero(Changes(found).hidden >= 0).tolist() == [0, PARTS]
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_disk_without_room_leaves_a_full_journal_as_it_was(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / 'a.journal'
+    writer = full_of_the_same(path)
+    content = path.read_bytes()
+
+    def full(path: Path) -> None:
+        raise OSError(28, 'no space left')
+
+    monkeypatch.setattr(journal, 'see_to_disk', full)
+    with pytest.raises(ModelError, match='no space left'):
+        writer.make_room(read_journal(path, MEMORY))
+    assert path.read_bytes() == content and list(tmp_path.iterdir()) == [path]
+    with pytest.raises(ModelError, match='another process'):
+        JournalWriter(path, MEMORY, 1 << 20)
+    writer.close()
+    JournalWriter(path, MEMORY, 1 << 20).close()
+
+
+def test_what_makes_room_meanwhile_is_not_deleted(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / 'a.journal'
+    writer, lock = full_of_the_same(path), journal.fcntl.flock
+
+    def late(file: int, how: int) -> None:
+        monkeypatch.setattr(journal.fcntl, 'flock', lock)
+        writer.make_room(read_journal(path, MEMORY))
+        lock(file, how)
+
+    monkeypatch.setattr(journal.fcntl, 'flock', late)
+    with pytest.raises(ModelError, match='another process'):
+        delete_learnt(path)
+    writer.close()
+    assert len(read_journal(path, MEMORY)) == 1
 
 
 def test_one_process_learns_at_a_time(tmp_path: Path) -> None:
@@ -261,7 +330,8 @@ def test_a_journal_that_was_replaced_meanwhile_is_opened_anew(
         lambda: write_journal(path, MEMORY, PATCHES[:1]), path.unlink]
 
     def late(file: int, how: int) -> None:
-        if pending:  # Between open and lock another process compacts, or forgets.
+        # Between open and lock another process compacts, or forgets.
+        if pending and how & journal.fcntl.LOCK_NB:
             pending.pop(0)()
         lock(file, how)
 

@@ -4,26 +4,29 @@ from concurrent.futures import Future
 import os
 from pathlib import Path
 import time
+import weakref
 
 from box_board import board_error, DRIVE, true_patch, with_board
 from box_room import box_memory, EXPANSION, SOURCE
 from neo_ros.geometry import CameraPose
 from neo_ros.memory import learning
 from neo_ros.memory.changes import Changes
-from neo_ros.memory.journal import HEADER_BYTES, JournalWriter, read_journal
+from neo_ros.memory.journal import (
+    HEADER_BYTES, JournalWriter, read_journal, write_journal)
 from neo_ros.memory.learning import Learner, LearningThresholds, Learnt
 from neo_ros.memory.rendering import MemoryRenderer
 from neo_ros.memory.scene_memory import SceneMemory
-from neo_ros.memory.turn import Turn
+from neo_ros.memory.turn import Record, Turn
 import numpy as np
 import pytest
 
 
-def drive_past(learner: Learner, memory: SceneMemory, poses: Sequence[CameraPose] = DRIVE) -> None:
+def drive_past(learner: Learner, memory: SceneMemory, poses: Sequence[CameraPose] = DRIVE,
+               middle: float = 1.8) -> None:
     renderer = MemoryRenderer(memory)
     for pose in poses:
         shown = renderer.render(pose, EXPANSION.target)
-        learner.see(with_board(pose, SOURCE)[0], shown.image, shown.depth, pose,
+        learner.see(with_board(pose, SOURCE, middle)[0], shown.image, shown.depth, pose,
                     np.ones(3, np.float32), 0.9)
 
 
@@ -115,6 +118,44 @@ def test_a_full_journal_costs_no_stereo_and_says_so_once(
     learner.finish()
     assert len(asked) == 1 and memory.changes is None
     assert caplog.text.count('the journal is full') == 1
+
+
+@pytest.mark.slow
+def test_a_journal_full_of_the_same_is_emptied_of_it_and_learns_on(
+        tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    memory, journal, same = box_memory(), tmp_path / 'a.journal', [
+        true_patch(pose, batch) for batch in range(12) for pose in DRIVE[4:16:4]]
+    write_journal(journal, 'ab' * 32, same)
+    memory.change(Changes(read_journal(journal, 'ab' * 32)))
+    before, most = board_error(memory, 0.9)[0], journal.stat().st_size
+    learner = learner_of(memory, journal, most=most)
+    for _ in range(2):
+        drive_past(learner, memory, middle=0.9)
+    learner.finish()
+    assert board_error(memory, 0.9)[0] < 0.7 * before
+    found = read_journal(journal, 'ab' * 32)
+    assert memory.changes is not None
+    assert [one.to_bytes() for one in memory.changes.records] == [
+        one.to_bytes() for one in found]
+    assert 0 < sum(one.batch < 12 for one in found) < len(same) / 2
+    assert journal.stat().st_size <= most and 'the journal is full' not in caplog.text
+
+
+def test_what_was_written_before_is_kept_decoded_once(tmp_path: Path) -> None:
+    memory, journal, opened = box_memory(), tmp_path / 'a.journal', list[weakref.ref[Record]]()
+    write_journal(journal, 'ab' * 32, [true_patch(DRIVE[10])])
+    memory.change(Changes(read_journal(journal, 'ab' * 32)))
+    learner = learner_of(memory, journal)
+
+    def watched() -> JournalWriter:
+        writer = JournalWriter(journal, 'ab' * 32, 1 << 20)
+        opened.extend(map(weakref.ref, writer.records))
+        return writer
+
+    learner._open_journal = watched
+    drive_past(learner, memory, DRIVE[:11], middle=0.9)
+    assert learner._journal is not None and [one() for one in opened] == [None]
+    learner.close()
 
 
 def test_images_that_waited_for_a_turn_are_no_witnesses_even_if_more_came_than_are_kept(

@@ -1,6 +1,7 @@
 """What a camera shows consistently becomes part of the memory; what moves while it is seen not."""
 from collections.abc import Callable
 from dataclasses import replace
+import math
 from pathlib import Path
 import signal
 import subprocess
@@ -152,7 +153,7 @@ def test_what_was_shown_again_lies_under_what_came_later_even_when_compacted() -
     assert np.array_equal(shown[0][0], shown[1][0]) and np.array_equal(shown[0][1], shown[1][1])
 
 
-def test_what_shows_nothing_of_it_is_decoded_no_larger_than_needed(
+def test_what_shows_nothing_of_it_is_decoded_as_it_was_made_and_no_larger_than_needed(
         monkeypatch: pytest.MonkeyPatch) -> None:
     memory, untouched = box_memory(), box_memory()
     patch = true_patch(DRIVE[10])
@@ -166,10 +167,11 @@ def test_what_shows_nothing_of_it_is_decoded_no_larger_than_needed(
             for index, position in enumerate(memory.positions)]
     memory.change(changes)
     monkeypatch.setattr(Changes, 'put_into', None)  # Which takes it in full size.
-    found, wanted = (one.keyframe(1, focal=10.0) for one in (memory, untouched))
     assert not any(seen)
-    np.testing.assert_array_equal(found.texture, wanted.texture)
-    np.testing.assert_array_equal(found.depth, wanted.depth)
+    for focal in (10.0, math.inf):
+        found, wanted = (one.keyframe(1, focal) for one in (memory, untouched))
+        np.testing.assert_array_equal(found.texture, wanted.texture)
+        np.testing.assert_array_equal(found.depth, wanted.depth)
 
 
 def test_what_is_changed_was_reached() -> None:

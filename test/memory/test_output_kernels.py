@@ -9,7 +9,7 @@ from neo_ros.memory.alignment_kernels import (
 from neo_ros.memory.colour_kernels import bend_colours
 from neo_ros.memory.descent_kernels import descend, Descent
 from neo_ros.memory.kernels import Pinhole
-from neo_ros.memory.pose_covariance import aligned_covariance
+from neo_ros.memory.pose_covariance import aligned_covariance, CovarianceThresholds
 from neo_ros.memory.recent_images import SeenBefore
 from neo_ros.memory.sight import Guide, TrustThresholds
 import numpy as np
@@ -18,15 +18,44 @@ import pytest
 OBSERVED = (slice(20, 60), slice(30, 91))
 
 
-@pytest.mark.parametrize('pattern', ['vertical', 'aslant', 'plain'])
-def test_a_covariance_is_one_whatever_is_seen(pattern):
+def patterned(pattern):
+    """Return an image, what the memory shows of it, two metres away, and the camera."""
     camera = Intrinsics(48, 32, 30.0, 30.0, 24.0, 16.0)
     y, x = np.mgrid[:32, :48].astype(np.float32)
     noise = 1e-3 * np.random.default_rng(0).random((32, 48), np.float32)
     grey = {'vertical': 0.5 + 0.4 * np.sin(x), 'aslant': 0.5 + 0.4 * np.sin(0.7 * (x + y)),
-            'plain': 0.5 + noise}[pattern].astype(np.float32)
+            'plain': 0.5 + noise, 'black': 0 * x,
+            'texture': 0.5 + 0.2 * np.sin(x) * np.sin(0.8 * y)}[pattern].astype(np.float32)
     photo = PhotoLevel(grey, *(np.gradient(grey, axis=axis).astype(np.float32) for axis in (1, 0)))
-    guide = GuideLevel(grey + noise, np.full((32, 48), 2, np.float32), camera.pixel_rays())
+    shown = grey if pattern == 'black' else grey + noise
+    return photo, GuideLevel(shown, np.full((32, 48), 2, np.float32), camera.pixel_rays()), camera
+
+
+@pytest.mark.parametrize('pattern, unknown', [
+    ('vertical', [0, 1, 0]), ('aslant', [0.7, -0.7, 0]), ('black', [0, 0, 1])])
+def test_of_what_an_image_says_nothing_a_covariance_says_that_it_is_unknown(pattern, unknown):
+    photo, guide, camera = patterned(pattern)
+    covariance = aligned_covariance(photo, guide, camera, 0.08)
+    assert unknown @ covariance[:3, :3] @ unknown > 1
+    assert np.linalg.eigvalsh((covariance + covariance.T) / 2)[0] > 0
+    if pattern != 'black':  # The ways across the stripes are known.
+        assert covariance[2, 2] < 0.01 ** 2
+
+
+def test_a_covariance_is_that_of_the_equations_where_they_tell_all():
+    photo, guide, camera = patterned('texture')
+    H, limits = np.empty((8, 8)), CovarianceThresholds()
+    variance = equations_in_place(
+        photo, guide, Pinhole(camera.fx, camera.fy, camera.cx, camera.cy), 0.08, H)
+    factor = np.sqrt(np.repeat([limits.aligned_position, limits.aligned_rotation], 3))
+    expected = variance * np.linalg.inv(H)[:6, :6] * np.outer(factor, factor)
+    np.testing.assert_allclose(aligned_covariance(photo, guide, camera, 0.08), expected,
+                               rtol=1e-3, atol=1e-6 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize('pattern', ['vertical', 'aslant', 'plain'])
+def test_a_covariance_is_one_whatever_is_seen(pattern):
+    photo, guide, camera = patterned(pattern)
     covariance = aligned_covariance(photo, guide, camera, 0.08)
     assert np.isfinite(covariance).all()
     least = np.linalg.eigvalsh((covariance + covariance.T) / 2)[0]

@@ -310,6 +310,18 @@ def test_what_could_not_be_read_is_not_written(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize(('limit', 'most', 'message'), [
+    ('MOST_GLANCES', 1000, 'at most 1000 pixels, got .*; set memory.distance to more'),
+    ('MOST_LANDMARKS', 4, 'landmarks: .* 4, got 5; train a model for each part of the scene')])
+def test_more_than_a_robot_keeps_is_not_written(
+        memory: SceneMemory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit: str,
+        most: int, message: str) -> None:
+    monkeypatch.setattr(scene_memory, limit, most)
+    with pytest.raises(ModelError, match=message):
+        memory.write(tmp_path / 'box.memory')
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_memory_that_is_large_for_a_room_is_written_with_a_warning(
         memory: SceneMemory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
         caplog: pytest.LogCaptureFixture) -> None:

@@ -188,6 +188,16 @@ def test_parts_at_one_place_are_one_thing() -> None:
     assert (things[:, 1:] == -1).all()
 
 
+def test_patches_without_a_sample_are_things_that_never_turn() -> None:
+    # Samples are of every third pixel.
+    sliver = learnt(DRIVE[10], slice(31, 33))
+    assert not len(sliver.samples.parts)
+    assert (Things([sliver]).of == -1).all()
+    assert find_turn(shots(NOWHERE, 1.8, LOOKS), Changes([sliver]), SOURCE, 7, 1) is None
+    both = Things([sliver, PATCHES[0]]).of
+    assert both[PARTS] == 0 and np.count_nonzero(both >= 0) == 1
+
+
 @pytest.mark.slow
 def test_what_is_hidden_is_not_drawn() -> None:
     memory, pose = box_memory(), planar(1.8, 1.7, 12)
