@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from neo_ros.baking.keyframes import MemoryConfig
-from neo_ros.errors import ConfigError
+from neo_ros.errors import ConfigError, GeometryError
 from neo_ros.field.config import FieldConfig, FIT_NEAR
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.outpaint.fitting import OutpaintConfig
@@ -34,6 +34,18 @@ class ViewConfig:
     __pydantic_config__ = {'extra': 'forbid'}
     source: tuple[int, int]   # width, height of the image that the robot's camera gives
     target: tuple[int, int]   # width, height of the wide image
+
+    def expansion(self, camera: Intrinsics) -> ViewExpansion:
+        """Return the view in photos of a camera; GeometryError names the size that is wrong."""
+        try:
+            source = camera.middle(*self.source)
+        except GeometryError as error:
+            raise GeometryError(f'view.source: {error}') from error
+        try:
+            return ViewExpansion.to_size(source, *self.target)
+        except GeometryError as error:
+            reason = str(error).partition(': ')[2]  # Without the name that it has there.
+            raise GeometryError(f'view.target: {reason}') from error
 
 
 @dataclass(frozen=True)
@@ -105,8 +117,7 @@ class Experiment:
         camera is that of the photos; stated is what the scene's test frames say of themselves.
         """
         if self.view is not None:
-            wide = ViewExpansion.to_size(camera.middle(*self.view.source), *self.view.target)
-            return wide.scaled(self.scale)
+            return self.view.expansion(camera).scaled(self.scale)
         if stated is not None:
             return fitted_expansion(stated, self.scale, self.network)
         return fitting_expansion(camera.scaled(self.scale), self.network)
@@ -134,10 +145,26 @@ def _digest(settings: dict[str, Any]) -> str:
 def read_experiment(path: Path) -> Experiment:
     """Read an experiment file; raises ConfigError naming unknown keys and wrong values."""
     try:
-        document: Any = yaml.safe_load(path.read_text()) or {}
+        document: Any = yaml.load(path.read_text(), _OnceLoader)
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise ConfigError(f'{path}: expected a YAML file: {error}') from error
-    return experiment_from(document, str(path))
+    except ConfigError as error:
+        raise ConfigError(f'{path}: {error}') from error
+    return experiment_from({} if document is None else document, str(path))
+
+
+class _OnceLoader(yaml.SafeLoader):
+    """Refuses a key that is written twice: YAML takes the last, and drops the first silently."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        seen = set[str]()
+        for key, _ in node.value:
+            name = str(key.value)
+            if name in seen:
+                raise ConfigError(f'{name}: expected once, got it again in line '
+                                  f'{key.start_mark.line + 1}; write all of it in one place')
+            seen.add(name)
+        return super().construct_mapping(node, deep)
 
 
 def experiment_from(document: Any, name: str) -> Experiment:

@@ -33,7 +33,8 @@ from neo_ros.speed.model import count_flops
 from neo_ros.training.checkpoint import (
     begin_as, read_notes, train_with_checkpoints, write_notes)
 from neo_ros.training.checks import check_training
-from neo_ros.training.folder import begin_run, claim, drop_made_of_a_field, take_field
+from neo_ros.training.folder import (
+    begin_run, claim, drop_made_of_a_field, free_where_refused, take_field)
 from neo_ros.training.memory import memory_step, name_memory
 from neo_ros.training.photo_depth import photos_with_depth
 from neo_ros.training.pose_map import COUNTS_FILE
@@ -71,6 +72,8 @@ def train(scene_folder: Path, experiment: Experiment, out: Path,
     where the other field is of other photos or settings, and where the geometry does not show what
     the photos do.
     """
+    if cluster:  # Its workers have another working directory.
+        scene_folder, out = scene_folder.absolute(), out.absolute()
     scene = read_upright_scene(scene_folder)
     with process_group() as rank:
         if rank == 0:
@@ -90,7 +93,8 @@ def train(scene_folder: Path, experiment: Experiment, out: Path,
             make_output_folder(out)
             claim(out, scene, experiment, geometry, scene_folder)
             if field_of is not None:
-                take_field(out, scene, experiment, field_of)
+                with free_where_refused(out):
+                    take_field(out, scene, experiment, field_of)
         wait_for_all()
         field = fit_field_step(run, rank)
         if rank == 0 and plan is not None:  # The network has what field and memory leave.
@@ -176,9 +180,10 @@ def _fit_tiles(run: TrainingRun, tiles: list[Tile], path: Path, writes: bool) ->
 def _take_geometry(run: TrainingRun, geometry: GivenGeometry, path: Path) -> None:
     """Leave the field of a mesh or of splats in `path`, as a fit would."""
     started = time.monotonic()
-    drop_made_of_a_field(run.out)
     run.progress('geometry', 0, 1, str(geometry.path))
-    field = field_of_geometry(geometry, run.scene.turn, run.scene.train, run.field_config)
+    with free_where_refused(run.out):
+        field = field_of_geometry(geometry, run.scene.turn, run.scene.train, run.field_config)
+    drop_made_of_a_field(run.out)
     write_notes(run.out / 'field.json', time.monotonic() - started, [])
     field.save(path)
 

@@ -88,6 +88,16 @@ def test_an_empty_file_is_the_default(tmp_path: Path) -> None:
     assert read(tmp_path, '').config_hash == Experiment().config_hash
 
 
+def test_the_least_width_of_a_network_is_that_of_its_kind(tmp_path: Path) -> None:
+    for text in ('{width: 4, depth: 1}', '{width: 1, depth: 3}', '{name: lama, width: 1}'):
+        assert read(tmp_path, f'network: {text}').network.width < 5
+
+
+def test_anchors_are_read(tmp_path: Path) -> None:
+    found = read(tmp_path, 'field: &own {minutes: 3}\noutpaint: {<<: *own, minutes: 5}\n')
+    assert (found.field.minutes, found.outpaint.minutes) == (3, 5)
+
+
 def test_settings_are_read_at_every_level(tmp_path: Path) -> None:
     found = read(tmp_path, 'seed: 7\nscale: 1\nview: {source: [160, 240], target: [320, 240]}\n'
                  'field: {steps: 20, exposure: true}\nnetwork: {patch: 8}\n')
@@ -135,6 +145,15 @@ def test_the_hash_does_not_ask_how_a_file_is_written(tmp_path: Path) -> None:
     ('seed: -1', 'seed: expected 0 or more, below 2.63, got -1'),
     (f'seed: {2 ** 63}', 'seed: expected 0 or more'),
     ('- 1', r'e.yaml: .*got \[1\]'),
+    ('[]', r'e.yaml: .*got \[\]'),
+    ('0', 'e.yaml: .*got 0'),
+    ('false', 'e.yaml: .*got False'),
+    ('seed: 1\nfield:\n  steps: 9\nseed: 2', 'e.yaml: seed: expected once, .* line 4; write all'),
+    ('field: {steps: 20, steps: 30}', 'e.yaml: steps: expected once, got it again in line 1'),
+    ('network: {width: 1}', 'network.width: expected 2 or more at depth 2, got 1$'),
+    ('network: {width: 3, depth: 1}', 'network.width: expected 4 or more at depth 1, got 3$'),
+    ('outpaint: {photometric: .inf}', 'outpaint.photometric: expected 0 ... 1_000_000, got inf'),
+    ('outpaint: {weight_decay: .inf}', 'outpaint.weight_decay: expected 0 ... 1_000_000, got inf'),
     ('seed: [', 'e.yaml: expected a YAML file'),
 ], ids=lambda value: str(value)[:30])
 def test_wrong_settings_are_named(tmp_path: Path, text: str, message: str) -> None:
@@ -199,9 +218,11 @@ def test_horizontal_case_of_the_paper() -> None:
 @pytest.mark.parametrize('experiment, message', [
     (Experiment(scale=0.3, view=ViewConfig((64, 48), (96, 96))), 'scale: 0.3 does not give'),
     (Experiment(view=ViewConfig((64, 48), (65, 48))), 'an even growth'),
-    (Experiment(view=ViewConfig((64, 48), (32, 48))), 'expected at least 64x48'),
-    (Experiment(view=ViewConfig((0, 48), (64, 48))), 'width: expected a positive integer'),
-], ids=['half pixels', 'odd growth', 'shrinking', 'nothing'])
+    (Experiment(view=ViewConfig((64, 48), (32, 48))), 'view.target: expected at least 64x48'),
+    (Experiment(view=ViewConfig((64, 48), (64, 48))), 'view.target: expected growth at one side'),
+    (Experiment(view=ViewConfig((0, 48), (64, 48))),
+     'view.source: width: expected a positive integer'),
+], ids=['half pixels', 'odd growth', 'shrinking', 'as it is', 'nothing'])
 def test_views_that_cannot_be(experiment: Experiment, message: str) -> None:
     with pytest.raises(GeometryError, match=message):
         experiment.expansion(PHOTO, None)

@@ -1,8 +1,10 @@
 """Features and verified matches as pycolmap reads them, and the points that it makes of them."""
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from neo_ros.errors import NeoError
 from neo_ros.geometry import Intrinsics
 from neo_ros.machine.colmap import load_pycolmap
 from neo_ros.memory.local_features import Features
@@ -23,14 +25,15 @@ def write_database(path: Path, camera: Intrinsics, features: Sequence[Features],
     Write the features of images, and the matches that two views allow; image i has number i + 1.
 
     T_cam_world (K, 4, 4): poses of the first images; verified: pairs of images, and their
-    geometry. Returns a reconstruction of the images with poses.
+    geometry. Returns a reconstruction of the images with poses. Raises NeoError where there is no
+    room.
     """
     pycolmap = load_pycolmap()
     lens = pinhole_lens(camera)
     known, everything = pycolmap.Reconstruction(), pycolmap.Reconstruction()
     for one in (known, everything):
         one.add_camera_with_trivial_rig(lens)
-    with pycolmap.Database.open(path) as database:
+    with _room_for(path), pycolmap.Database.open(path) as database:
         database.write_camera(lens, use_camera_id=True)
         for rig in known.rigs.values():
             database.write_rig(rig, use_rig_id=True)
@@ -52,6 +55,16 @@ def write_database(path: Path, camera: Intrinsics, features: Sequence[Features],
             database.write_matches(i + 1, j + 1, geometry.inlier_matches)
             database.write_two_view_geometry(i + 1, j + 1, geometry)
     return known
+
+
+@contextmanager
+def _room_for(database: Path) -> Iterator[None]:
+    """Raise NeoError where pycolmap cannot write its database: it does not say why."""
+    try:
+        yield
+    except RuntimeError as error:
+        raise NeoError(f'{database}: cannot write features and matches: {error}; make room, and '
+                       'give the same command again') from error
 
 
 def of_known_poses(matches: np.ndarray) -> Any:

@@ -60,7 +60,14 @@ class SparseModel(NamedTuple):
 def read_sparse_model(bank: PhotoBank, folder: Path,
                       progress: Progress = no_progress,
                       rules: MatchRules = MatchRules()) -> SparseModel:
-    """Triangulate the features of a bank, or read the result from `folder`."""
+    """
+    Triangulate the features of a bank, or read the result from `folder`.
+
+    Raises SceneError where that gives no point, NeoError where there is no room.
+    """
+    if len(bank.features) < 2:
+        raise SceneError('photos: expected two or more to triangulate points from, got one; '
+                         'landmarks need photos that overlap')
     cache = folder / 'points.npz'
     counts = [len(one.points) for one in bank.features]
     try:

@@ -22,7 +22,8 @@ def train(
     )] = 0.0,
     field_of: Annotated[Optional[Path], typer.Option(
         help='Output folder of another run of the same photos, with the same settings of field, '
-        'scale and seed: its field is taken instead of fitting one anew.')] = None,
+        'scale and seed: its field is taken instead of fitting one anew; without --minutes.'
+        )] = None,
     geometry: Annotated[Optional[Path], typer.Option(
         help='A mesh with colours (.ply, .obj, .glb) or splats (.ply) of the scene, in the world '
         'of the photos: it is taken instead of fitting a field.')] = None,
@@ -55,6 +56,8 @@ def train(
         refuse('--geometry takes the place of a field', field_of=field_of)
     else:
         refuse('expected only with --geometry', geometry_axes=geometry_axes)
+    if minutes is not None:
+        refuse('--minutes plans a field of its own', field_of=field_of)
     experiment = read_experiment(config) if config is not None else Experiment()
     with stage_progress() as show:
         run = run_pipeline(scene, experiment, out, show, cache_gb, field_of, minutes,

@@ -104,7 +104,8 @@ def share_file(source: Path, target: Path) -> None:
     try:
         target.unlink(missing_ok=True)
         try:
-            os.link(source, target)
+            # A link to a link would be another relative link, which leads nowhere from there.
+            os.link(os.path.realpath(source), target)
         except OSError:
             with whole_file(target) as partial:
                 shutil.copyfile(source, partial)

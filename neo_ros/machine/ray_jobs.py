@@ -28,12 +28,14 @@ _STORE_BYTES = 100 << 20
 
 
 def check_ray() -> None:
-    """Raise ConfigError where Ray is not installed."""
+    """Raise ConfigError where Ray is not installed, or nobody answers at RAY_ADDRESS."""
     try:
-        import ray  # noqa: F401
+        import ray
     except ModuleNotFoundError:
         raise ConfigError('--cluster: ray is not installed; this needs the extra cluster: make '
                           "dev-setup, or pip install '.[cluster]', in a checkout") from None
+    if not ray.is_initialized():
+        _check_answer(_address())
 
 
 def map_on_ray(function: Callable[[Job], Result], jobs: Sequence[Job],
@@ -82,10 +84,13 @@ def make_on_ray(function: Callable[[Making], None], jobs: Sequence[Making], fail
         yield index
 
 
+def _address() -> str:
+    return os.environ.get('RAY_ADDRESS') or 'local'
+
+
 def _join(ray: Any) -> None:
     """Connect to the cluster that the environment names, or start one here."""
-    address = os.environ.get('RAY_ADDRESS') or 'local'
-    _check_answer(address)
+    address = _address()
     own: dict[str, Any] = {}
     if address == 'local':
         # Else it would report its use to its makers.

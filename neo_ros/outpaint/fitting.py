@@ -63,10 +63,10 @@ class OutpaintConfig:
                     f'outpaint.{name}: expected a number > 0, got {getattr(self, name)}')
         for name in ('real_centre', 'occluders', 'photometric', 'perceptual', 'validations',
                      'weight_decay', 'average'):
-            most = 1 if name in ('real_centre', 'occluders', 'average') else math.inf
+            most = 1 if name in ('real_centre', 'occluders', 'average') else 1_000_000
             if not 0 <= getattr(self, name) <= most:
                 raise ConfigError(
-                    f'outpaint.{name}: expected 0 ... {most}, got {getattr(self, name)}')
+                    f'outpaint.{name}: expected 0 ... {most:_}, got {getattr(self, name)}')
         if self.perceptual_window < 32:  # VGG halves it four times.
             raise ConfigError('outpaint.perceptual_window: expected at least 32 pixels, '
                               f'got {self.perceptual_window}')

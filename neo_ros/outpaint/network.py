@@ -45,6 +45,11 @@ class NetworkConfig:
             if getattr(self, name) < least:
                 raise ConfigError(
                     f'network.{name}: expected {least} or more, got {getattr(self, name)}')
+        # The middle of neo_fast sees a quarter of the channels of the coarsest grid.
+        least = 4 >> (self.depth - 1)
+        if self.name == 'neo_fast' and self.width < least:
+            raise ConfigError(f'network.width: expected {least} or more at depth {self.depth}, '
+                              f'got {self.width}')
 
 
 def check_fits(expansion: ViewExpansion, config: NetworkConfig) -> int:

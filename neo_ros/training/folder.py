@@ -1,11 +1,13 @@
 """What an output folder is a run of: none is mixed with another, but a field may be shared."""
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 import json
 from pathlib import Path
 import shutil
 from typing import Any
 
-from neo_ros.errors import ConfigError
+from neo_ros.errors import ConfigError, NeoError
 from neo_ros.experiment import Experiment
 from neo_ros.field.given_geometry import GivenGeometry
 from neo_ros.machine.files import share_file, write_bytes
@@ -55,17 +57,34 @@ def begin_run(out: Path, minutes: float | None) -> None:
     """
     Forget the plan of a run that was refused before it began.
 
-    Raises ConfigError where `out` holds a run of --minutes, and none are given.
+    Raises ConfigError where `out` holds a run of --minutes, and none are given, and where the
+    file of that name is none of ours.
     """
     plan = out / PLAN_FILE
     if not plan.exists():
         return
+    before = read_plan(out).minutes  # Somebody else's file is refused here, and stays.
     if not (out / RUN_FILE).exists():
         plan.unlink()
     elif minutes is None:
-        before = read_plan(out).minutes
         raise ConfigError(f'--minutes: {out} holds a run of {before:g} minutes; give --minutes '
                           f'{before:g} again, or choose another folder')
+
+
+@contextmanager
+def free_where_refused(out: Path) -> Iterator[None]:
+    """
+    Take the claim to `out` back where a NeoError comes before anything was made there.
+
+    The command as the error asks for it may be another run's: it finds the folder free.
+    """
+    try:
+        yield
+    except NeoError:
+        if {path.name for path in out.iterdir()} <= {RUN_FILE, PLAN_FILE}:
+            for name in (RUN_FILE, PLAN_FILE):
+                (out / name).unlink(missing_ok=True)
+        raise
 
 
 def note_update(out: Path, run: Path, scene: Scene) -> None:
@@ -94,12 +113,20 @@ def named_as_trained(scene: Scene, run: Path) -> Scene:
     return replace(scene, name=str(_read_run_note(run / RUN_FILE).get('scene', scene.name)))
 
 
-def check_run(run: Path, scene: Scene, experiment: Experiment) -> None:
-    """Raise ConfigError where a run is of other photos, or of other settings of the field."""
+def check_run(run: Path, scene: Scene, experiment: Experiment, tuned: bool = False) -> None:
+    """
+    Raise ConfigError where a run is of other photos, or of other settings of the field.
+
+    tuned: its network is to be trained on, so that all other settings count, too.
+    """
     found = _read_run_note(run / RUN_FILE)
-    own = {'photos': list_digest(scene.train)[:12], 'field': _field_hash(scene, experiment)}
-    advice = {'photos': 'name its scene with --scene',
-              'field': 'give the experiment that it was trained with, --config'}
+    own = {**_scene_note(scene), 'field': _field_hash(scene, experiment),
+           'settings': _settings_hash(experiment)}
+    found.setdefault('files', own['files'])  # An older neo_ros did not note them.
+    photos = 'name its scene with --scene, with the photos that it was trained on'
+    settings = 'give the experiment that it was trained with, --config'
+    advice = {'photos': photos, 'files': photos, 'field': settings,
+              **({'settings': settings} if tuned else {})}
     for name, what in advice.items():
         if found.get(name) != own[name]:
             raise ConfigError(f'{run}: expected a run of these photos and settings, it is one of '
@@ -108,12 +135,15 @@ def check_run(run: Path, scene: Scene, experiment: Experiment) -> None:
 
 def _run_note(scene: Scene, experiment: Experiment) -> dict[str, Any]:
     view = experiment.expansion(scene.train.intrinsics, scene.expansion)
-    # Another memory leaves field and network as they are.
-    settings = replace(experiment, memory=None).config_hash
-    return {'scene': scene.name, 'settings': settings,
+    return {'scene': scene.name, 'settings': _settings_hash(experiment),
             'field': _field_hash(scene, experiment), **_scene_note(scene),
             'view': f'{view.source.width}x{view.source.height} at {view.left}, {view.top} in '
                     f'{view.target.width}x{view.target.height}'}
+
+
+def _settings_hash(experiment: Experiment) -> str:
+    # Another memory leaves field and network as they are.
+    return replace(experiment, memory=None).config_hash
 
 
 def _field_hash(scene: Scene, experiment: Experiment) -> str:

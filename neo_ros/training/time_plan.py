@@ -114,10 +114,19 @@ def read_plan(out: Path) -> TimePlan:
 
 
 def settings_of(out: Path, given: Experiment | None) -> Experiment:
-    """Return what the run in `out` was trained with: its plan's settings, those given, or none."""
-    if (out / PLAN_FILE).exists():
-        return read_plan(out).experiment
-    return given or Experiment()
+    """
+    Return what the run in `out` was trained with: its plan's settings, those given, or none.
+
+    Raises ConfigError where the plan is made of others than those given.
+    """
+    if not (out / PLAN_FILE).exists():
+        return given or Experiment()
+    plan = read_plan(out)
+    if given is not None and plan.given not in (None, given.config_hash):
+        raise ConfigError(f'--config: {out} holds a run of {plan.minutes:g} minutes, made of '
+                          f'other settings ({plan.given}, not {given.config_hash}); leave it '
+                          'out: the run knows its settings')
+    return plan.experiment
 
 
 def _write_plan(out: Path, plan: TimePlan) -> None:

@@ -3,6 +3,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 import logging
+import math
 from pathlib import Path
 import shutil
 import time
@@ -45,6 +46,8 @@ from neo_ros.updating.what_happened import what_happened
 import numpy as np
 
 logger = logging.getLogger(__name__)
+# Lies in the folder of an update that is not finished: it may be deleted.
+MARK = '.neo_update'
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,6 +62,12 @@ class UpdateOptions:
     minutes: float | None = None
     network_minutes: float | None = None
     cluster: bool = False
+
+    def __post_init__(self) -> None:
+        for name, value in (('minutes', self.minutes), ('network-minutes', self.network_minutes)):
+            if value is not None and not 0 < value < math.inf:
+                raise ConfigError(f'--{name}: expected a number > 0, got {value}; leave it out, '
+                                  'or give minutes')
 
 
 def update(run: Path, bags: Sequence[Path], out: Path, options: UpdateOptions = UpdateOptions(),
@@ -76,11 +85,31 @@ def update(run: Path, bags: Sequence[Path], out: Path, options: UpdateOptions = 
     if options.cluster:
         check_ray()
     work = out.with_name(f'{out.name}.partial')
-    shutil.rmtree(work, ignore_errors=True)  # What was broken off begins anew.
+    _remove_broken_off(work)
     try:
         return _update(run, bags, out, options, scene, experiment, progress, work)
     finally:
-        shutil.rmtree(work, ignore_errors=True)
+        _remove(work)
+
+
+def _remove_broken_off(work: Path) -> None:
+    """Remove what an earlier update left, which begins anew; ConfigError for anything else."""
+    ours = work.is_dir() and not work.is_symlink() and (
+        (work / MARK).exists() or not any(work.iterdir()))
+    if ours:
+        _remove(work)
+    elif work.exists() or work.is_symlink():
+        raise ConfigError(f'{work}: expected nothing there, or what an update left that was '
+                          'broken off; it holds something else: move it away, or choose another '
+                          '--out')
+
+
+def _remove(work: Path) -> None:
+    """Remove the folder of an update, its mark last: killed on the way, the rest is still ours."""
+    for path in work.glob('*'):
+        if path.name != MARK:
+            shutil.rmtree(path, ignore_errors=True)
+    shutil.rmtree(work, ignore_errors=True)
 
 
 def _update(run: Path, bags: Sequence[Path], out: Path, options: UpdateOptions,
@@ -90,6 +119,7 @@ def _update(run: Path, bags: Sequence[Path], out: Path, options: UpdateOptions,
     for index, bag in enumerate(bags):
         current = UpdateRun.find(newest, scene if newest == run else None, experiment,
                                  options.network_minutes is not None)
+        (make_output_folder(work) / MARK).touch()
         folder = make_output_folder(work / str(index))
         try:
             told = update_once(current, bag, folder, options, progress)

@@ -48,7 +48,7 @@ class UpdateRun:
         """
         experiment = settings_of(folder, experiment)
         found = named_as_trained(read_upright_scene(scene or scene_folder(folder)), folder)
-        check_run(folder, found, experiment)
+        check_run(folder, found, experiment, tuned)
         if not (folder / 'field.npz').exists():
             raise SceneError(f'{folder}: expected a finished run with its field.npz, there is '
                              'none; train it to the end, or anew')

@@ -5,9 +5,11 @@ from pathlib import Path
 from box_room import apart
 from corner_photos import CAMERA, EXPANSION, write_corner
 from neo_ros.baking import landmarks as landmarks_module, sparse_model
+from neo_ros.baking.feature_database import write_database
 from neo_ros.baking.landmarks import (
     _photos_for, find_landmarks, LEAST_PHOTOS, photos_for_landmarks)
 from neo_ros.baking.photo_bank import read_photo_bank
+from neo_ros.errors import NeoError
 from neo_ros.evaluation.evaluate import TruthFrames
 from neo_ros.geometry import Intrinsics
 from neo_ros.machine.evenly import evenly
@@ -112,6 +114,20 @@ def test_photos_without_texture_have_no_landmarks(
         PosedImages(CAMERA, paths, photos.poses, photos.path_ids), tmp_path)
     assert landmarks is None
     assert said[-1] == 'without landmarks'
+
+
+def test_of_one_photo_nothing_is_triangulated(
+        corner: tuple[PosedImages, TruthFrames], tmp_path: Path) -> None:
+    pytest.importorskip('pycolmap')
+    landmarks, said = landmarks_of(corner[0].subset([0]), tmp_path)
+    assert landmarks is None and said[-1] == 'without landmarks'
+
+
+def test_no_room_for_the_database_is_one_line(tmp_path: Path) -> None:
+    pytest.importorskip('pycolmap')
+    path = tmp_path / 'none' / 'database.db'  # It cannot be written either.
+    with pytest.raises(NeoError, match='database.db: cannot write .*; make room, and give the '):
+        write_database(path, CAMERA, [], np.zeros((0, 4, 4)), [])
 
 
 def test_without_pycolmap_there_are_no_landmarks(

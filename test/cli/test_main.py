@@ -102,6 +102,8 @@ def test_what_train_cannot_do_is_one_clear_line(
     (['view', '--rectify'], '--rectify: expected only with --bag; leave it out'),
     (['train', 'x', '--out', 'y', '--geometry', 'x.ply', '--field-of', 'z'],
      '--field-of: --geometry takes the place of a field; leave it out'),
+    (['train', 'x', '--out', 'y', '--minutes', '5', '--field-of', 'z'],
+     '--field-of: --minutes plans a field of its own; leave it out'),
     (['train', 'x', '--out', 'y', '--geometry-axes', 'x,y,z'],
      '--geometry-axes: expected only with --geometry; leave it out'),
     (['view', '--bag', 'x', '--sim-time'], '--sim-time: expected only without --bag'),

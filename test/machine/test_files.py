@@ -1,7 +1,7 @@
 """Files appear whole or not at all."""
 from pathlib import Path
 
-from neo_ros.machine.files import whole_file
+from neo_ros.machine.files import share_file, whole_file
 import pytest
 
 
@@ -22,3 +22,13 @@ def test_what_ends_the_writing_leaves_the_old_file(tmp_path: Path, error: BaseEx
         partial.write_text('ha')
         raise error
     assert path.read_text() == 'old' and list(tmp_path.iterdir()) == [path]
+
+
+def test_of_a_relative_link_its_file_is_shared(tmp_path: Path) -> None:
+    for name in ('a', 'b/c'):
+        (tmp_path / name).mkdir(parents=True)
+    (tmp_path / 'photo.png').write_text('photo')
+    (tmp_path / 'a/link.png').symlink_to('../photo.png')
+    share_file(tmp_path / 'a/link.png', tmp_path / 'b/c/0.png')
+    assert (tmp_path / 'b/c/0.png').read_text() == 'photo'
+    assert (tmp_path / 'b/c/0.png').samefile(tmp_path / 'photo.png')

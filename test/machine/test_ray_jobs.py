@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from neo_ros.errors import ConfigError, NeoError
 from neo_ros.machine import ray_jobs
-from neo_ros.machine.ray_jobs import make_on_ray, map_on_ray
+from neo_ros.machine.ray_jobs import check_ray, make_on_ray, map_on_ray
 import pytest
 
 
@@ -18,6 +18,8 @@ def test_a_cluster_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -
         monkeypatch.setenv('RAY_ADDRESS', address)
         with pytest.raises(ConfigError, match=f'RAY_ADDRESS: .* cluster at {address}, got: .*ref'):
             list(map_on_ray(abs, [1]))
+        with pytest.raises(ConfigError, match=f'RAY_ADDRESS: .* cluster at {address}, got: .*ref'):
+            check_ray()  # Before the long work that comes before the first job.
 
 
 class Job(NamedTuple):

@@ -364,11 +364,11 @@ def test_a_device_that_is_not_there_is_an_error() -> None:
     ({'training_view': 'source'}, 'set outpaint.real_centre to 0'),
     ({'real_centre': 1.5}, 'outpaint.real_centre: expected 0 ... 1, got 1.5'),
     ({'occluders': -0.1}, 'outpaint.occluders: expected 0 ... 1'),
-    ({'photometric': -1}, 'outpaint.photometric: expected 0 ... inf'),
+    ({'photometric': -1}, 'outpaint.photometric: expected 0 ... 1_000_000'),
     ({'perceptual': -1}, 'outpaint.perceptual: expected 0'),
     *[({name: value}, f'outpaint.{name}: expected a number > 0, got {value}')
       for name, value in (('learning_rate', -0.002), ('learning_rate', math.nan), ('clip', 0.0))],
-    ({'weight_decay': -1}, 'outpaint.weight_decay: expected 0 ... inf, got -1'),
+    ({'weight_decay': -1}, 'outpaint.weight_decay: expected 0 ... 1_000_000, got -1'),
     ({'average': 1.5}, 'outpaint.average: expected 0 ... 1, got 1.5'),
     ({'perceptual_window': 16}, 'outpaint.perceptual_window: expected at least 32'),
 ], ids=str)

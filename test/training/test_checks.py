@@ -43,6 +43,23 @@ def test_a_machine_that_cannot_train_says_so_at_once(
         training_checks.check_training(run)
 
 
+def test_workers_of_a_cluster_get_absolute_paths(
+        flat_scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = list[TrainingRun]()
+
+    def stop(run: TrainingRun) -> None:
+        seen.append(run)
+        raise KeyboardInterrupt
+
+    monkeypatch.chdir(flat_scene.parent)
+    monkeypatch.setattr('neo_ros.pipeline.check_training', stop)
+    with pytest.raises(KeyboardInterrupt):
+        train(Path(flat_scene.name), TINY, Path('out'), cluster=True)
+    run, = seen
+    assert run.out == flat_scene.parent / 'out'
+    assert all(path.is_absolute() for path in run.scene.train.image_paths)
+
+
 def test_a_scene_that_cannot_be_trained_as_asked_says_so_at_once(tiny_run: TrainingRun) -> None:
     far = ViewExpansion.to_size(Intrinsics(32, 32, 20, 20, 16, 16), 64, 64)
     aside = ViewExpansion.to_size(Intrinsics(24, 24, 16, 16, 20, 20), 48, 48)

@@ -1,15 +1,19 @@
 """What an output folder is a run of, and whose field it may take."""
 from dataclasses import replace
+import json
 from pathlib import Path
 import shutil
 
 from box_room import write_box_model
 from neo_ros.cli.main import app
-from neo_ros.errors import ConfigError
+from neo_ros.errors import ConfigError, NeoError, SceneError
+from neo_ros.field.given_geometry import GivenGeometry
 from neo_ros.geometry import ViewExpansion
 from neo_ros.pipeline import fit_field_step, train
 from neo_ros.scenes.upright import read_upright_scene
-from neo_ros.training.folder import begin_run, claim, take_field
+from neo_ros.training import time_plan
+from neo_ros.training.folder import (
+    begin_run, check_run, claim, free_where_refused, RUN_FILE, take_field)
 from neo_ros.training.run import TrainingRun
 from neo_ros.training.time_plan import plan_training, read_plan
 from neo_ros.updating.update_run import UpdateRun
@@ -38,6 +42,33 @@ def test_a_plan_that_was_refused_is_forgotten(
     assert (out / 'plan.json').exists()
     begin_run(out, None)
     assert not (out / 'plan.json').exists()
+
+
+def test_what_was_refused_before_anything_was_made_leaves_the_folder_free(
+        tiny_run: TrainingRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(time_plan, '_fitting_rate', lambda *of: 100_000.0)
+    scene, out, file = tiny_run.out.parent / 'scene', tmp_path / 'out', tmp_path / 'room.splat'
+    file.touch()
+    with pytest.raises(ConfigError, match='got one of other field'):
+        train(scene, replace(TINY, seed=4), out, field_of=tiny_run.out)
+    assert not list(out.iterdir())
+    for minutes in (None, 1.0):
+        with pytest.raises(SceneError, match='save it as one of them'):
+            train(scene, TINY, out, geometry=GivenGeometry(file), minutes=minutes)
+        assert not list(out.iterdir())
+    # What holds more than the claim stays.
+    with pytest.raises(NeoError, match='no'), free_where_refused(tiny_run.out):
+        raise NeoError('no')
+    assert (tiny_run.out / RUN_FILE).exists()
+
+
+@pytest.mark.parametrize('minutes', [None, 5.0])
+def test_somebody_elses_file_of_the_name_of_a_plan_stays(
+        tmp_path: Path, minutes: float | None) -> None:
+    (tmp_path / 'plan.json').write_text('{"my": "house"}')
+    with pytest.raises(ConfigError, match='plan.json: expected the plan of an earlier run: '):
+        begin_run(tmp_path, minutes)
+    assert (tmp_path / 'plan.json').read_text() == '{"my": "house"}'
 
 
 def test_a_run_of_minutes_goes_on_with_them(tiny_run: TrainingRun, tmp_path: Path) -> None:
@@ -94,6 +125,13 @@ def test_a_scene_that_was_renamed_is_that_of_its_run(
     (out / 'field.npz').touch()
     found = UpdateRun.find(out, renamed, TINY)
     assert found.model == model and found.scene.name == 'flat'
+    # The network's settings count where it is trained on, the memory's do not.
+    other = replace(TINY, network=replace(TINY.network, width=16), memory=None)
+    assert UpdateRun.find(out, renamed, other).model == model
+    with pytest.raises(ConfigError, match='one of other settings .*--config'):
+        UpdateRun.find(out, renamed, other, tuned=True)
+    with pytest.raises(SceneError, match='expected outpainter.ckpt'):
+        UpdateRun.find(out, renamed, replace(TINY, memory=None), tuned=True)
     exported = list[Path]()
 
     def note(run: TrainingRun, threads: int) -> None:
@@ -149,3 +187,9 @@ def test_retouched_photos_are_others(tiny_run: TrainingRun, tmp_path: Path) -> N
         claim(out, read_upright_scene(folder), TINY)
     with pytest.raises(ConfigError, match='got one of other files'):
         take_field(out, read_upright_scene(folder), TINY, tiny_run.out)
+    with pytest.raises(ConfigError, match='it is one of other files .*--scene'):
+        check_run(out, read_upright_scene(folder), TINY)
+    note = json.loads((out / RUN_FILE).read_text())
+    del note['files']  # As an older neo_ros wrote it.
+    (out / RUN_FILE).write_text(json.dumps(note))
+    check_run(out, read_upright_scene(folder), TINY)

@@ -122,7 +122,10 @@ def test_a_plan_is_kept_and_others_are_refused(
     assert len(told) == 1
     with pytest.raises(ConfigError, match='a run of these settings, got one of others'):
         plan_training(tmp_path, scene, Experiment(seed=1), 30, told.append)
-    assert settings_of(tmp_path, Experiment(seed=1)) == first.experiment
+    for given in (None, Experiment()):
+        assert settings_of(tmp_path, given) == first.experiment
+    with pytest.raises(ConfigError, match='--config: .* run of 30 minutes, .*; leave it out'):
+        settings_of(tmp_path, Experiment(seed=1))
     with pytest.raises(ConfigError, match='holds a run of 30 minutes, got 20'):
         plan_training(tmp_path, scene, Experiment(), 20, told.append)
     # What is left for the network is what it was when it came to it.
