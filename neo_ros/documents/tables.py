@@ -58,7 +58,9 @@ NODE = (
     Column('', 'name'), Column('images out, Hz', 'rate_hz', MS),
     Column('median, ms', 'median_ms', MS), Column('p95, ms', 'p95_ms', MS),
     Column('p99, ms', 'p99_ms', MS),
-    Column('of it decode, check, publish, ms', 'details.decode_check_publish_ms', MS))
+    Column('of it decode, check, publish, ms', 'details.decode_check_publish_ms', MS),
+    Column('processor', 'details.cpu_percent', '{:.0f} %'),
+    Column('resident, MB', 'details.rss_mb', '{:.0f}'))
 TIMED = (
     Column('', 'name'), Column('median, ms', 'median_ms', MS), Column('p99, ms', 'p99_ms', MS),
     Column('over the floor', 'measured_over_floor', '{:.1f}'))

@@ -1,5 +1,6 @@
 """Pictures from a bag, with the timing that it was recorded with, as the viewers play it."""
 from dataclasses import replace
+import logging
 from pathlib import Path
 import threading
 from typing import Any
@@ -22,6 +23,7 @@ from neo_ros.viewer.timeline import read_timeline
 from neo_ros.viewer.wide_topics import WideTopics
 
 WIDE = '/wide/image'
+logger = logging.getLogger(__name__)
 # A picture that would come later than this after its time is left out for a newer one.
 LATE_S = 0.2
 # But not for longer than this: where a bag is read slower than it is played all come late.
@@ -52,6 +54,8 @@ class BagSource:
         # The model that its camera is widened with; None where it has wide images.
         self.model: Path | None = None
         with BagReader(bag) as reader:
+            for damage in reader.damages:
+                logger.warning('%s: %s', bag, damage)
             span_ns = reader.span_ns
             wides = _find_wide(reader, choice.image_topic)
             if wides:

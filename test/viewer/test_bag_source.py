@@ -1,6 +1,7 @@
 """A bag as the viewer's source: as it is, or widened on the way; without any ROS."""
 import math
 from pathlib import Path
+import re
 import subprocess
 import sys
 import threading
@@ -137,6 +138,15 @@ def test_a_bag_that_is_read_slower_than_it_plays_is_shown_now_and_then(
     monkeypatch.setattr(BagReader, 'messages', slowly)
     BagSource(wide_bag, model).run(hub, hub.stop)
     assert max(hub.numbers) > 0.25  # Of half a second.
+
+
+def test_what_a_bag_has_lost_is_told(wide_bag, model, tmp_path, caplog):
+    file, = wide_bag.glob('*.mcap')
+    content = file.read_bytes()
+    (tmp_path / 'cut.mcap').write_bytes(content[:len(content) * 2 // 3])
+    BagSource(tmp_path / 'cut.mcap', model)
+    message, = caplog.messages
+    assert re.search(r'cut\.mcap: cut\.mcap: \d+ messages recovered, an unknown number lost', message)
 
 
 def test_nothing_is_widened_while_nobody_watches(walk_bag, model, monkeypatch):
