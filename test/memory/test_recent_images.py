@@ -228,17 +228,19 @@ def test_nothing_is_compiled_while_a_camera_is_followed() -> None:
     assert len(bring_differences.signatures) == compiled > 0
 
 
-def test_a_camera_that_was_lost_begins_anew() -> None:
+@pytest.mark.parametrize('lost_for', [1, GuideThresholds.search_every + 1])
+def test_a_camera_that_was_lost_for_long_begins_anew(lost_for: int) -> None:
     guide = SceneGuide(box_memory(), EXPANSION)
     images = [np.ascontiguousarray(EXPANSION.crop(painted(planar(1.9, 1.7, 20 - 7 * step))))
               for step in range(3)]
     seen = [guide.guide(image) for image in images]
     assert seen[2] is not None and seen[2].seen_before is not None
     noise = np.random.default_rng(0).integers(0, 256, images[0].shape).astype(np.uint8)
-    assert guide.guide(noise) is None
+    for _ in range(lost_for):
+        assert guide.guide(noise) is None
     found = [guide.guide(images[2]) for _ in range(GuideThresholds.search_every)]
     first = next(one for one in found if one is not None)
-    assert first.seen_before is None
+    assert (first.seen_before is None) == (lost_for > 1)
 
 
 @pytest.mark.slow
