@@ -53,7 +53,7 @@ class WidePublishers:
     def use(self, values: NodeParameters, model: LoadedModel) -> None:
         """Go by these parameters, and by what the model knows of its scene, from now on."""
         self._jpeg_quality, self._learn = values.jpeg_quality, values.learn and model.memory
-        self._metric, self._places = not model.arbitrary_scale, model.memory
+        self._metric, self._has_memory = not model.arbitrary_scale, model.memory
         self.scene_frame = values.scene_frame or default_scene_frame(model.arbitrary_scale)
         self._memory = MemoryMessages(make_message, MemorySettings(
             self.scene_frame, self._node.get_fully_qualified_name(), values.points_every,
@@ -62,7 +62,7 @@ class WidePublishers:
     def wanted(self) -> Wanted:
         """Say which topics have subscribers, and what else images are widened for."""
         sends = (self._frames is not None and self._frames.sends and self._metric
-                 and self._places)
+                 and self._has_memory)
         return Wanted(transform=sends, learn=self._learn, **{
             name: publisher.get_subscription_count() > 0
             for name, publisher in self._publishers.items()})
