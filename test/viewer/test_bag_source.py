@@ -146,7 +146,7 @@ def test_what_a_bag_has_lost_is_told(wide_bag, model, tmp_path, caplog):
     (tmp_path / 'cut.mcap').write_bytes(content[:len(content) * 2 // 3])
     BagSource(tmp_path / 'cut.mcap', model)
     message, = caplog.messages
-    assert re.search(r'cut\.mcap: cut\.mcap: \d+ messages recovered, an unknown number lost', message)
+    assert re.search(r'cut\.mcap: \d+ messages recovered, an unknown number lost', message)
 
 
 def test_nothing_is_widened_while_nobody_watches(walk_bag, model, monkeypatch):
