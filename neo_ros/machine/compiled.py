@@ -21,6 +21,10 @@ ALL_THREADS: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
 
 def njit(**options: Any) -> Callable[[Callable], Any]:
     """Compile a kernel when it is first called, and keep the code; a warning where it cannot."""
+    # Else a process that compiles a kernel binds it to the code of what it calls as that was
+    # compiled alone, and one that finds it on disk to the kernel's own copy: other last bits.
+    options.setdefault('forceinline', not options.get('parallel'))
+
     def compiled(kernel: Callable) -> Any:
         dispatcher = numba.njit(**options)(kernel)
         if dispatcher is kernel:  # NUMBA_DISABLE_JIT is set.

@@ -3,6 +3,7 @@ from collections.abc import Collection, Iterator
 from contextlib import suppress
 import errno
 import importlib
+import math
 import os
 from pathlib import Path
 import shutil
@@ -17,6 +18,7 @@ import numba
 from numba import config
 from numba.core import caching
 from numba.core.caching import CacheImpl, IndexDataCacheFile
+import numpy as np
 import pytest
 
 HEAD = 'from neo_ros.machine.compiled import njit\n\n\n@njit()\n'
@@ -67,6 +69,34 @@ def test_compiled_code_that_a_power_cut_broke_is_made_again(
     assert doubled_by_fresh_kernels() == 42
     # The same code may take some bytes more when it is compiled again.
     assert broken.stat().st_size == pytest.approx(whole, rel=0.1)
+
+
+def test_a_kernel_calls_no_other_whose_code_may_differ_where_it_is_compiled_now(
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiled, 'kept_on_disk', lambda *_: None)  # Its code can be looked at.
+
+    @compiled.njit()
+    def called_often(values: Any) -> float:
+        total = 0.0
+        for value in values:  # More than is inlined of itself.
+            for other in values:
+                total += math.exp(value - other) * math.sin(value) / (2 + math.cos(other))
+                total += math.atan(value + other) * math.exp(-other) / (2 + math.sin(value))
+                total -= math.sin(value * other) / (1 + math.exp(other)) * math.cos(value)
+                if value > other:
+                    total += math.tan(value) / (3 + math.cos(value * other)) * math.exp(-value)
+                elif value < -other:
+                    total -= math.atan(value) / (3 + math.sin(value + other)) * math.exp(value)
+        return total
+
+    @compiled.njit()
+    def caller(values: Any) -> Any:
+        return called_often(values) + called_often(values[1:]) + called_often(values[2:])
+
+    assert math.isfinite(caller(np.linspace(-1, 1, 5)))
+    code = caller.inspect_asm(caller.signatures[0]).splitlines()
+    assert code and not [line for line in code
+                         if 'called_often' in line and 'NumbaEnv' not in line]
 
 
 def test_kernels_are_compiled_anew_when_what_they_call_has_changed(tmp_path: Path) -> None:
