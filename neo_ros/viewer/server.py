@@ -7,6 +7,7 @@ from pathlib import Path
 import signal
 import socket
 import threading
+from typing import Any
 
 from aiohttp import web, WSCloseCode
 from neo_ros.errors import ConfigError
@@ -120,9 +121,14 @@ class Server:
         return await asyncio.shield(self._plan)
 
     def _draw_plan(self, drawn: 'asyncio.Future[PlanPicture | None]') -> None:
-        plan = self._surroundings.plan()
+        put: Callable[[Any], None] = drawn.set_result
+        found: Any = None
+        try:
+            found = self._surroundings.plan()
+        except Exception as error:  # Whoever waits has to hear of it.
+            put, found = drawn.set_exception, error
         with suppress(RuntimeError):  # The loop may have ended meanwhile.
-            drawn.get_loop().call_soon_threadsafe(drawn.set_result, plan)
+            drawn.get_loop().call_soon_threadsafe(put, found)
 
     async def _get_map(self, request: web.Request) -> web.Response:
         plan = await self._get_plan(request)

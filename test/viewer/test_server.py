@@ -290,6 +290,15 @@ def test_who_waits_for_the_map_takes_no_worker_from_others():
     run(test)
 
 
+def test_a_map_that_cannot_be_drawn_keeps_nobody_waiting():
+    surroundings = mock.Mock(plan=mock.Mock(side_effect=MemoryError('too large')), looks=None)
+
+    async def test():
+        async with running(surroundings) as (client, _):
+            assert (await client.get('/map')).status == 500
+    run(test)
+
+
 @pytest.mark.parametrize('send, code', [
     (lambda socket: socket.send_str('x' * 600), 1009),
     (lambda socket: socket.send_bytes(b'x'), 1003),
