@@ -104,7 +104,7 @@ def share_file(source: Path, target: Path) -> None:
     try:
         target.unlink(missing_ok=True)
         try:
-            # A link to a link would be another relative link, which leads nowhere from there.
+            # Of a relative symbolic link the file: the link would lead nowhere from there.
             os.link(os.path.realpath(source), target)
         except OSError:
             with whole_file(target) as partial:

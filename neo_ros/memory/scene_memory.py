@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-from neo_ros.errors import ImageRejected, ModelError
+from neo_ros.errors import ModelError
 from neo_ros.geometry import Band
 from neo_ros.geometry.camera_pose import check_transform
 from neo_ros.machine.files import whole_file
@@ -17,18 +17,18 @@ from neo_ros.memory.changes import Changes
 from neo_ros.memory.decoded import DecodedKeyframes, Key
 from neo_ros.memory.keyframe import (
     compress, decode_image, depth_of, FINER, Keyframe, on_own_pages, Packed, REDUCED)
-from neo_ros.memory.landmarks import Landmarks, MOST_LANDMARKS
+from neo_ros.memory.landmarks import Landmarks
+from neo_ros.memory.memory_checks import (
+    check_kept, check_pictures, MOST_TEXTURE, read_twins)
 from neo_ros.memory.memory_file import ANY, MemoryFields, MOST_BYTES, open_memory_file
 from neo_ros.memory.patch import MOST_METRES
 from neo_ros.memory.twins import NO_TWINS, Twins
-from neo_ros.pictures.header import compressed_image_size, PNG_START
+from neo_ros.pictures.header import compressed_image_size
 import numpy as np
 
 logger = logging.getLogger(__name__)
 SCHEMA = 1
 LARGE_BYTES = 64 << 20
-# What a file may ask for, pixels: far above what a camera of 4000x3000 pixels would need.
-MOST_TEXTURE, MOST_MESH, MOST_GLANCES = 1 << 29, 1 << 20, 1 << 26
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,8 +191,8 @@ class SceneMemory:
     def write(self, path: Path) -> str:
         """Write the memory, if it can be read; returns its SHA-256, for the model's card."""
         try:
-            _check_kept(self.glances.pictures.size,
-                        0 if self.landmarks is None else len(self.landmarks.points))
+            check_kept(self.glances.pictures.size,
+                       0 if self.landmarks is None else len(self.landmarks.points))
         except ValueError as error:
             raise ModelError(f'{path}: {error}') from None
         band = self.band
@@ -256,62 +256,20 @@ class SceneMemory:
             raise ValueError('band: expected a part of the sphere, got elevations '
                              f'{bottom} to {top} and a width of {width}')
         textures, depths = (fields.pieces(name, len(positions)) for name in ('texture', 'depth'))
-        _check_pictures(textures, depths)
+        check_pictures(textures, depths)
         pictures = fields.read('glances', np.uint8, (ANY, ANY, ANY))
         poses = fields.read('glance_poses', np.float64, (len(pictures), 4, 4))
-        _check_kept(pictures.size)
+        check_kept(pictures.size)
         for pose in poses:
             check_transform(pose, 'glance_poses')
         landmarks = None
         if 'landmarks' in fields:
             points = fields.read('landmarks', np.float32, (ANY, 3))
-            _check_kept(pictures.size, len(points))
+            check_kept(pictures.size, len(points))
             landmarks = Landmarks(points, fields.read(
                 'landmark_descriptors', np.uint8, (len(points), 128)))
         return cls(positions, Band(top, bottom, low, width), textures, depths,
-                   Glances(pictures, poses), landmarks, _twins(fields))
-
-
-def _twins(fields: MemoryFields) -> Twins:
-    if 'twins' not in fields:
-        return NO_TWINS
-    ways = fields.read('twins', np.float64, (ANY, 4, 4))
-    poses = fields.read('twin_poses', np.float64, (len(ways), 4, 4))
-    for name, transforms in (('twins', ways), ('twin_poses', poses)):
-        for T in transforms:
-            check_transform(T, name)
-    return Twins(ways, fields.read('twin_areas', np.float64, (len(ways), 2, 3)), poses)
-
-
-def _check_kept(pixels: int, landmarks: int = 0) -> None:
-    """Raise ValueError where a robot would have to keep too much beside the keyframes."""
-    if pixels > MOST_GLANCES:
-        raise ValueError(f'glances: expected at most {MOST_GLANCES} pixels, got {pixels}; set '
-                         'memory.distance to more')
-    if landmarks > MOST_LANDMARKS:
-        raise ValueError(f'landmarks: expected at most {MOST_LANDMARKS}, got {landmarks}; train '
-                         'a model for each part of the scene')
-
-
-def _check_pictures(textures: Sequence[bytes], depths: Sequence[bytes]) -> None:
-    """Raise ValueError where what would be decoded is of another kind, or far too large."""
-    # Where a PNG has its width, height, and bits of one grey channel.
-    sizes, kinds = set[bytes](), set[bytes]()
-    for coded in depths:
-        sizes.add(coded[16:26])
-        kinds.add(coded[:len(PNG_START)])
-    if len(sizes) > 1:
-        raise ValueError('depths: expected keyframes of one size, got several')
-    header = sizes.pop()
-    columns, rows = (int.from_bytes(header[at:at + 4], 'big') for at in (0, 4))
-    if kinds != {PNG_START} or header[8:] != b'\x10\0' \
-            or not 0 < columns * rows <= MOST_MESH:
-        raise ValueError(f'depths: expected grey 16-bit PNG of at most {MOST_MESH} pixels')
-    for coded in textures:
-        try:
-            compressed_image_size(coded, MOST_TEXTURE)
-        except ImageRejected as rejection:
-            raise ValueError(f'textures: {rejection}') from None
+                   Glances(pictures, poses), landmarks, read_twins(fields))
 
 
 def _damaged(index: int) -> ModelError:

@@ -125,7 +125,7 @@ class _Run:
         self._pictures = source._pictures
         self._shown: SourcePicture | None = None
         self._shown_ns = self._player.span_ns[0]
-        self._taken = 0.0  # The time of the clock when it was.
+        self._shown_at = 0.0  # By the clock.
         # A time of the clock, the log time then, and how fast it goes.
         self._anchor: tuple[float, int, float] | None = None
         self._owed = False
@@ -160,7 +160,7 @@ class _Run:
             if due is None:
                 return
             now = self._hub.clock.now()
-            late = now - due > LATE_S and now - self._taken < LEAST_OFTEN_S
+            late = now - due > LATE_S and now - self._shown_at < LEAST_OFTEN_S
             if not (late and message.topic.name in pictures.skipped):
                 self._take(message, due)
 
@@ -220,7 +220,7 @@ class _Run:
             if not self._owed:
                 self._player.count_step()
             self._shown_ns, self._owed, self._viewers = message.stamp_ns, False, self._hub.changes
-            self._taken = self._hub.clock.now()
+            self._shown_at = self._hub.clock.now()
             self._anchor = self._anchor or (due, message.stamp_ns, self._player.rate)
             self._publish(picture)
         self._report()

@@ -14,7 +14,8 @@ from neo_ros.errors import ConfigError, NeoError
 from neo_ros.field.rendering import Rendering
 from neo_ros.field.voxel_field import VoxelField
 from neo_ros.geometry import Band, CameraPose, Intrinsics
-from neo_ros.memory.scene_memory import MOST_TEXTURE, SceneMemory
+from neo_ros.memory.memory_checks import MOST_TEXTURE
+from neo_ros.memory.scene_memory import SceneMemory
 from neo_ros.scenes.pose_sampling import PoseSampler
 import numpy as np
 import pytest

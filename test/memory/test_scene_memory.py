@@ -11,7 +11,7 @@ import weakref
 from box_room import BAND, box_memory, keyframe
 import cv2
 from neo_ros.errors import ModelError
-from neo_ros.memory import decoded, memory_file, scene_memory
+from neo_ros.memory import decoded, memory_checks, memory_file, scene_memory
 from neo_ros.memory.keyframe import CLOSEST, Keyframe
 from neo_ros.memory.landmarks import Landmarks
 from neo_ros.memory.memory_file import MOST_BYTES
@@ -261,7 +261,7 @@ def test_what_would_fill_a_robots_memory_is_refused_undecoded(
         message: str) -> None:
     path = tmp_path / 'box.memory'
     sha256 = memory.write(path)
-    monkeypatch.setattr(memory_file if limit == 'MOST_ARRAY' else scene_memory, limit,
+    monkeypatch.setattr(memory_file if limit == 'MOST_ARRAY' else memory_checks, limit,
                         4 if limit == 'MOST_LANDMARKS' else 9)
     with pytest.raises(ModelError, match=message):
         SceneMemory.read(path, sha256)
@@ -316,7 +316,7 @@ def test_what_could_not_be_read_is_not_written(
 def test_more_than_a_robot_keeps_is_not_written(
         memory: SceneMemory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit: str,
         most: int, message: str) -> None:
-    monkeypatch.setattr(scene_memory, limit, most)
+    monkeypatch.setattr(memory_checks, limit, most)
     with pytest.raises(ModelError, match=message):
         memory.write(tmp_path / 'box.memory')
     assert not list(tmp_path.iterdir())
