@@ -74,7 +74,7 @@ class RivalFinder:
         """
         Return the places elsewhere that a small image agrees with, the most agreeing first.
 
-        Starts are aligned with it. Twins are as exact as what was found, and many on a floor.
+        Twins are as exact as what was found. Starts elsewhere than they are aligned with it.
         """
         coarse, limits = self._looker.coarse_aligner, self._limits
         tried = list[tuple[float, CameraPose]]()
@@ -83,7 +83,10 @@ class RivalFinder:
             least = min(limits.least_coarse,
                         coarse.agreement(small, found.pose) - limits.agrees_less)
             tried += [(coarse.agreement(small, twin), twin) for twin in twins]
+            known = np.array([twin.T_world_cam for twin in twins]).reshape(-1, 4, 4)
             for start in starts:
+                if _is_at_any(start, known, limits):
+                    continue
                 pose = coarse.align(small, start, rounds=1)
                 if is_elsewhere(pose, found.pose, limits):
                     tried.append((coarse.agreement(small, pose), pose))
@@ -109,3 +112,10 @@ def is_elsewhere(one: CameraPose, other: CameraPose, limits: AmbiguityThresholds
     """Tell whether two poses are of two places, and not one pose found twice."""
     return bool(np.linalg.norm(one.position - other.position) > limits.elsewhere_metres
                 or one.forward @ other.forward < limits.elsewhere_cosine)
+
+
+def _is_at_any(pose: CameraPose, known: np.ndarray, limits: AmbiguityThresholds) -> bool:
+    """Tell whether a pose is the same place as one of many (K, 4, 4); see `is_elsewhere`."""
+    apart = np.linalg.norm(known[:, :3, 3] - pose.position, axis=1)
+    return bool(((apart <= limits.elsewhere_metres)
+                 & (known[:, :3, 2] @ pose.forward >= limits.elsewhere_cosine)).any())

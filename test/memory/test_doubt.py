@@ -6,6 +6,7 @@ from box_room import (
     view_with_picture)
 from neo_ros.baking.twin_search import find_twins
 from neo_ros.geometry import CameraPose
+from neo_ros.memory.alignment_kernels import PhotoLevel
 from neo_ros.memory.doubt import Doubt, Hypothesis
 from neo_ros.memory.glancing import GlanceFinder
 from neo_ros.memory.local_features import find_features
@@ -255,6 +256,24 @@ def test_a_known_twin_that_is_aligned_badly_stays_where_it_is(
             look(*asked), agreement=agrees, believed=False))
         found = replace(look(image, pose), agreement=0.95)
         assert len(doubt._rivals.find(image, found, [])) == rivals
+
+
+def test_what_leads_to_a_known_twin_is_not_aligned(twins: SceneGuide,
+                                                   monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a floor of many rooms that takes a tenth of a search."""
+    looker, pose = twins._looker, planar(1.9, 1.7, 35)
+    image, aligned = _image(looker), list[CameraPose]()
+    align = looker.coarse_aligner.align
+
+    def align_and_tell(photo: list[PhotoLevel], start: CameraPose, rounds: int) -> CameraPose:
+        aligned.append(start)
+        return align(photo, start, rounds)
+
+    monkeypatch.setattr(looker.coarse_aligner, 'align', align_and_tell)
+    beside, behind = planar(2.4 + AWAY, 1.2, 25), planar(1.9 + AWAY, 1.7, 80)
+    rivals = Doubt(looker, twins._places.glances, KNOWN)._rivals
+    rival, = rivals.find(image, looker.look(image, pose), [beside, behind])
+    assert max(apart(rival.pose, _in_twin(pose))) < 0.1 and aligned == [behind]
 
 
 def test_places_that_are_followed_stay_exact_twins(twins: SceneGuide,
