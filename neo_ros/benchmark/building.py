@@ -40,7 +40,8 @@ LAYOUTS: Mapping[str, BuildingPlan] = {
     'all equal': BuildingPlan(rooms=12, seed=1, alike=1.0),
     'two equal floors': BuildingPlan(floors=2, rooms=6, seed=1, equal_floors=True),
     'two floors': BuildingPlan(floors=2, rooms=6, seed=1),
-    'a floor of 50': BuildingPlan(rooms=50, seed=1)}
+    'a floor of 50': BuildingPlan(rooms=50, seed=1),
+    'two floors of 50': BuildingPlan(floors=2, rooms=50, seed=1)}
 UNMEASURED = ('guided_ring_psnr', 'one_room_ring_psnr', 'guided_share', 'train_minutes')
 
 
@@ -291,7 +292,7 @@ def main(work: Annotated[Path, typer.Option(help='Keeps buildings and memories.'
          out: Annotated[Path, typer.Option(help='JSON file of the rows.')] = Path(
              'results/building.json'),
          searches: Annotated[int, typer.Option(help='In each building.', min=1)] = 100) -> None:
-    """Measure all layouts; a building takes minutes, one of 50 rooms 20, and is made once."""
+    """Measure all layouts; a building takes minutes, one of 100 rooms 40, and is made once."""
     known = json.loads(out.read_text()) if out.exists() else []
     for name in layouts or LAYOUTS:
         if name not in LAYOUTS:

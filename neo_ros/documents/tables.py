@@ -179,9 +179,9 @@ SEARCHED = (
     Column('memory file, MB', 'file_mb', '{:.1f}'),
     Column('resident, MB', 'resident_mb', '{:.0f}'))
 # All rooms of these are different: what grows with the floor is told.
-A_FLOOR = 'a floor of '
+LARGE = ('a floor of ', 'two floors of ')
 FLOORS = (
-    Column('rooms', 'rooms'), Column('m2', 'area_m2'),
+    Column('floors', 'floors'), Column('rooms of each', 'rooms'), Column('m2', 'area_m2'),
     Column('found by landmarks', 'by_landmarks'), *SEARCHED)
 # Floors that were photographed and trained.
 TRAINED = 'trained'
@@ -217,10 +217,10 @@ TABLES: dict[str, Rows] = {
     'predicted_looks': Rows('predicted_looks', LOOKS),
     'imports': Rows('imports', IMPORTS),
     'building': Rows('building', BUILDING,
-                     lambda row: not row['layout'].startswith((A_FLOOR, TRAINED))),
+                     lambda row: not row['layout'].startswith((*LARGE, TRAINED))),
     'lifts': Rows('building', LIFTS, lambda row: row.get('lift_rides', 0) > 0),
     'floors': Rows('building', FLOORS, lambda row: 'by_landmarks' in row and (
-        row['search'] != 'before') and row['layout'].startswith((A_FLOOR, 'all different'))),
+        row['search'] != 'before') and row['layout'].startswith((*LARGE, 'all different'))),
     'trained_floors': Rows('building', TRAINED_FLOORS,
                            lambda row: row['layout'] == TRAINED),
     'real_ablations': Rows('real_ablations', REAL),
