@@ -16,7 +16,8 @@ from neo_ros.memory.local_features import find_features
 from neo_ros.memory.looking import Looker
 from neo_ros.memory.parallel import parallel_loops
 from neo_ros.memory.scene_memory import SceneMemory
-from neo_ros.memory.sight import CameraImage, GuideThresholds
+from neo_ros.memory.sight import CameraImage
+from neo_ros.memory.thresholds import GuideThresholds
 from neo_ros.memory.twins import NO_TWINS, Twins
 import numpy as np
 

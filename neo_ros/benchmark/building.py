@@ -26,7 +26,7 @@ from neo_ros.machine.files import sha256_of, whole_file
 from neo_ros.machine.host import commit, core_count, host
 from neo_ros.memory.scene_guide import SceneGuide
 from neo_ros.memory.scene_memory import SceneMemory
-from neo_ros.memory.sight import AmbiguityThresholds, GuideThresholds
+from neo_ros.memory.thresholds import AmbiguityThresholds, GuideThresholds
 import numpy as np
 import typer
 

@@ -3,7 +3,8 @@ from collections.abc import Sequence
 
 import cv2
 from neo_ros.memory.looking import Looker
-from neo_ros.memory.sight import AmbiguityThresholds, CameraImage, Sight
+from neo_ros.memory.sight import CameraImage, Sight
+from neo_ros.memory.thresholds import AmbiguityThresholds
 import numpy as np
 
 

@@ -5,7 +5,7 @@ import cv2
 from neo_ros.geometry import CameraPose
 from neo_ros.memory.inverted_index import InvertedIndex
 from neo_ros.memory.scene_memory import Glances
-from neo_ros.memory.sight import AmbiguityThresholds, GuideThresholds
+from neo_ros.memory.thresholds import AmbiguityThresholds, GuideThresholds
 import numpy as np
 
 # A picture of mean 0 and norm 1 in bytes; of 256 pixels hardly one is farther from 0 than a half.

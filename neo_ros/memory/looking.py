@@ -14,7 +14,8 @@ from neo_ros.memory.pose_covariance import (
 from neo_ros.memory.rendering import GuideView, MemoryRenderer
 from neo_ros.memory.scene_light import SceneLight
 from neo_ros.memory.scene_memory import SceneMemory
-from neo_ros.memory.sight import CameraImage, Found, GuideThresholds, is_near, Sight
+from neo_ros.memory.sight import CameraImage, Found, is_near, Sight
+from neo_ros.memory.thresholds import GuideThresholds
 import numpy as np
 
 

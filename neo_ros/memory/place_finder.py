@@ -7,7 +7,8 @@ from neo_ros.memory.landmark_watch import LandmarkWatch
 from neo_ros.memory.landmarks import Location, Locator
 from neo_ros.memory.looking import Looker
 from neo_ros.memory.scene_memory import SceneMemory
-from neo_ros.memory.sight import CameraImage, GuideThresholds, is_near, located, Sight
+from neo_ros.memory.sight import CameraImage, is_near, located, Sight
+from neo_ros.memory.thresholds import GuideThresholds
 
 
 class PlaceFinder:

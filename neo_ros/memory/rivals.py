@@ -7,7 +7,8 @@ from neo_ros.memory.alignment_kernels import PhotoLevel
 from neo_ros.memory.glancing import GlanceFinder
 from neo_ros.memory.looking import Looker
 from neo_ros.memory.parallel import on_cores
-from neo_ros.memory.sight import AmbiguityThresholds, CameraImage, is_near, Sight
+from neo_ros.memory.sight import CameraImage, is_near, Sight
+from neo_ros.memory.thresholds import AmbiguityThresholds
 from neo_ros.memory.twins import Twins
 import numpy as np
 

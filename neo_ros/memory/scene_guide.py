@@ -18,8 +18,8 @@ from neo_ros.memory.place_finder import PlaceFinder
 from neo_ros.memory.recent_images import RecentImages
 from neo_ros.memory.scene_light import SceneLight
 from neo_ros.memory.scene_memory import SceneMemory
-from neo_ros.memory.sight import (CameraImage, Found, Guide, GuideThresholds, is_near, located,
-                                  Sight)
+from neo_ros.memory.sight import CameraImage, Found, Guide, is_near, located, Sight
+from neo_ros.memory.thresholds import GuideThresholds
 from neo_ros.pictures.exposure import exposure_gain
 import numpy as np
 

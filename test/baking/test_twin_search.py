@@ -7,7 +7,7 @@ from neo_ros.errors import ModelError
 from neo_ros.geometry import CameraPose
 from neo_ros.memory.looking import Looker
 from neo_ros.memory.scene_memory import SceneMemory
-from neo_ros.memory.sight import GuideThresholds
+from neo_ros.memory.thresholds import GuideThresholds
 from neo_ros.memory.twins import NO_TWINS, Twins
 import numpy as np
 import pytest

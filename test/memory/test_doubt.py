@@ -13,7 +13,8 @@ from neo_ros.memory.local_features import find_features
 from neo_ros.memory.looking import Looker
 from neo_ros.memory.rivals import is_elsewhere
 from neo_ros.memory.scene_guide import SceneGuide
-from neo_ros.memory.sight import AmbiguityThresholds, CameraImage, GuideThresholds, Sight
+from neo_ros.memory.sight import CameraImage, Sight
+from neo_ros.memory.thresholds import AmbiguityThresholds, GuideThresholds
 from neo_ros.memory.twins import Twins
 import numpy as np
 import pytest

@@ -1,6 +1,6 @@
 """What an image says for one place and against another."""
 from neo_ros.memory.evidence import misfit, speaks_against
-from neo_ros.memory.sight import AmbiguityThresholds
+from neo_ros.memory.thresholds import AmbiguityThresholds
 import numpy as np
 import pytest
 

@@ -4,7 +4,8 @@ from dataclasses import replace
 from box_room import apart, box_memory, EXPANSION, planar, SOURCE, view
 from neo_ros.memory.local_features import find_features
 from neo_ros.memory.looking import Looker
-from neo_ros.memory.sight import CameraImage, GuideThresholds
+from neo_ros.memory.sight import CameraImage
+from neo_ros.memory.thresholds import GuideThresholds
 import numpy as np
 
 TRUE = planar(1.9, 1.7, 35)

@@ -11,7 +11,7 @@ from neo_ros.memory.patch import Patch
 from neo_ros.memory.recent_images import RecentImages, RecentThresholds, SeenBefore
 from neo_ros.memory.recent_kernels import bring_differences
 from neo_ros.memory.scene_guide import SceneGuide
-from neo_ros.memory.sight import GuideThresholds
+from neo_ros.memory.thresholds import GuideThresholds
 import numpy as np
 import pytest
 

@@ -13,7 +13,8 @@ from neo_ros.memory.alignment import agreement, Aligner, AlignmentThresholds, Dr
 from neo_ros.memory.alignment_kernels import GuideLevel, Warp
 from neo_ros.memory.rendering import GuideView, MemoryRenderer
 from neo_ros.memory.scene_guide import SceneGuide
-from neo_ros.memory.sight import better, GuideThresholds, Sight
+from neo_ros.memory.sight import better, Sight
+from neo_ros.memory.thresholds import GuideThresholds
 from neo_ros.runtime import FovExtrapolator
 from numba import get_num_threads
 import numpy as np
