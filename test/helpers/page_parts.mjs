@@ -38,6 +38,12 @@ async function connected(ahead) {
 }
 
 const tests = {
+  async clock() {
+    const { clockTime } = await load('words.js');
+    assert.deepEqual([0, 4.5, 59.94, 59.96, 60, 125.25, 3599.97].map(clockTime), [
+      '0:00.0', '0:04.5', '0:59.9', '1:00.0', '1:00.0', '2:05.3', '60:00.0']);
+  },
+
   async shortest() {
     const { pong, error } = await connected(1000);
     pong(5, 5);

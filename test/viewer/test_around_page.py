@@ -96,6 +96,29 @@ def test_the_map_shows_the_camera_where_it_is(page: Any, viewer: ServerProcess) 
     wait_for(page, lambda: float(page.inner_text('#place').split()[-3]) < 2)
 
 
+def test_a_server_that_was_started_anew_tells_another_map(browser: Any, viewer: ServerProcess
+                                                          ) -> None:
+    """With another model, while somebody watches; the page is not loaded again."""
+    with opened_page(browser) as page:
+        page.add_init_script("""const Socket = window.WebSocket;
+            window.sockets = [];
+            window.WebSocket = class extends Socket {
+                constructor(...address) { super(...address); window.sockets.push(this); }
+            };""")
+        viewer.tell(START)
+        page.goto(viewer.url)
+        page.wait_for_selector('#map', state='visible')
+        page.route('**/map', lambda route: route.fulfill(json={'why': 'No memory, no map.'}))
+        page.evaluate('window.sockets.forEach((socket) => socket.close())')
+        page.wait_for_selector('#map', state='hidden')
+        assert page.inner_text('#no-map') == 'No memory, no map.'
+        page.unroute('**/map')
+        page.evaluate('window.sockets.forEach((socket) => socket.close())')
+        page.wait_for_selector('#map', state='visible')
+        assert page.is_hidden('#no-map')
+        wait_for(page, lambda: 'x 1.9' in page.inner_text('#place'))
+
+
 def test_the_map_says_when_the_place_is_not_recognised(page: Any, viewer: ServerProcess) -> None:
     viewer.tell({'lost': True})
     page.wait_for_selector('#where.lost')

@@ -10,7 +10,8 @@ PAGE = Path(neo_ros.__file__).parent / 'viewer' / 'page'
 PARTS = Path(__file__).parents[1] / 'helpers' / 'page_parts.mjs'
 
 
-@pytest.mark.parametrize('name', ['shortest', 'sleep', 'seen', 'loads', 'silence', 'overtaken'])
+@pytest.mark.parametrize('name', [
+    'shortest', 'sleep', 'seen', 'loads', 'silence', 'overtaken', 'clock'])
 def test_a_part_of_the_page_does_what_it_says(tmp_path: Path, name: str) -> None:
     node = shutil.which('node')
     if node is None:

@@ -176,6 +176,40 @@ def test_a_link_that_was_lost_turns_no_time_back(browser: Any, viewer: BagViewer
         assert moment(page) > 6
 
 
+def test_a_page_that_is_loaded_again_does_not_lead_back_to_where_it_stood(page: Any) -> None:
+    pause(page, 4.5)
+    assert page.url.endswith('#t=4.50')
+    page.keyboard.press(' ')
+    page.wait_for_selector('#connection[data-state=recording]')
+    wait_for(page, lambda: '#' not in page.url and moment(page) > 6)
+    page.reload()
+    page.wait_for_selector('#connection[data-state=recording]')
+    wait_for(page, lambda: moment(page) > 0 or page.inner_text('#play') != 'Pause')
+    assert moment(page) > 6
+
+
+def test_the_slider_asks_now_and_then_and_for_its_last_place(page: Any) -> None:
+    """A hand moves it with every frame of the screen, and everybody who watches is led along."""
+    pause(page, 1.0)
+    page.evaluate("""() => {
+        const send = WebSocket.prototype.send;
+        window.sought = [];
+        WebSocket.prototype.send = function (text) {
+            if (text.includes('seek')) window.sought.push(text);
+            return send.call(this, text);
+        };
+        const slider = document.getElementById('seek');
+        for (let step = 0; step <= 100; step += 1) {
+            slider.value = step * slider.max / 125;
+            slider.dispatchEvent(new Event('input'));
+        }
+    }""")
+    wait_for_moment(page, 11.5)
+    page.wait_for_timeout(300)
+    assert page.evaluate('window.sought.length') == 2
+    wait_for_moment(page, 11.5)
+
+
 def test_truth_and_camera_stand_beside_the_picture(page: Any) -> None:
     pause(page, 3.0)
     page.select_option('#beside-choice', 'truth')
