@@ -61,7 +61,10 @@ def located_covariance(location: Location,
     pixels = np.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], 1)
     squared = ((pixels - location.pixels) ** 2).sum(1).mean()
     variance = max(squared, location.thresholds.least_variance) / 2
-    return thresholds.located * variance * np.linalg.pinv(J.T @ J, hermitian=True)
+    # Of what few landmarks say nothing, such as a turn about the line that they lie on, a metre or
+    # a radian is left, as in `aligned_covariance`.
+    values, vectors = np.linalg.eigh(J.T @ J)
+    return thresholds.located * variance * (vectors / np.maximum(values, variance)) @ vectors.T
 
 
 def with_floor(covariance: np.ndarray, thresholds: CovarianceThresholds = CovarianceThresholds()

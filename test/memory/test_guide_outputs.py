@@ -101,6 +101,12 @@ def test_the_covariance_of_landmarks_is_that_of_their_projection() -> None:
     expected = np.linalg.inv(J.T @ J)
     assert np.allclose(one / one[0, 0], expected / expected[0, 0], rtol=1e-4, atol=1e-7)
     assert np.allclose(two, 4 * one)
+    # Landmarks on one line: nothing tells the way around it.
+    on_line = np.column_stack([np.zeros(8), np.linspace(-1, 1, 8), np.full(8, 3.0)])
+    points = on_line @ pose.T_world_cam[:3, :3].T + pose.position
+    covariance = located_covariance(
+        Location(pose, camera, points, project(np.zeros(6)) + 1.0))
+    assert np.linalg.eigvalsh(covariance)[-1] == pytest.approx(40) and covariance[4, 4] > 3
     turned = in_world(np.diag([1.0, 2, 3, 4, 5, 6]), CameraPose.from_planar(0, 0, 0, 0))
     # A level camera that looks along x: its z is the world's x, its y points down.
     assert np.diag(turned) == pytest.approx([3, 1, 2, 6, 4, 5])
