@@ -39,6 +39,16 @@ def test_a_tilted_camera_sees_the_same_room(renderer: MemoryRenderer) -> None:
     assert np.abs(guide.image - truth)[guide.depth > 0].mean() < 3
 
 
+@pytest.mark.parametrize('x, y', [(1.7, 1.7), (2.2, 1.2), (0.0, 9.0)])
+def test_the_nearest_keyframes_come_first(renderer: MemoryRenderer, x: float, y: float) -> None:
+    position = planar(x, y, 0).position
+    away = np.linalg.norm(renderer.memory.positions - position, axis=1).round(9)
+    order = np.argsort(away, kind='stable')
+    for count in range(1, len(order) + 2):
+        found = renderer.nearest(position, count)
+        assert away[found].tolist() == away[order[:count]].tolist()
+
+
 def test_walls_are_not_seen_from_behind(renderer: MemoryRenderer) -> None:
     outside = planar(-1.0, 2.0, 0)
     guide = renderer.render(outside, EXPANSION.source, 6)
