@@ -5,6 +5,7 @@ import cv2
 from neo_ros.geometry import CameraPose
 from neo_ros.memory.inverted_index import InvertedIndex
 from neo_ros.memory.scene_memory import Glances
+from neo_ros.memory.sight import are_near
 from neo_ros.memory.thresholds import AmbiguityThresholds, GuideThresholds
 import numpy as np
 
@@ -34,9 +35,8 @@ class GlanceFinder:
         if around is None:
             places, _ = self._most_alike(image)
         else:
-            near = np.flatnonzero(self._within(slice(None), self.on_storey(around),
-                                               self._limits.prior_metres,
-                                               self._limits.prior_cosine))
+            near = np.flatnonzero(are_near(self.poses, self.on_storey(around),
+                                           self._limits.prior_metres, self._limits.prior_cosine))
             order = np.argsort(-self._likeness(image, near), kind='stable')
             places = near[order[:self._limits.alike]]
         return [CameraPose(self.poses[index]) for index in self._apart(places)]
@@ -44,8 +44,8 @@ class GlanceFinder:
     def find_rivals(self, image: np.ndarray, found: CameraPose, limits: AmbiguityThresholds
                     ) -> list[CameraPose]:
         """Return the places elsewhere that an image is nearly as like as where it was found."""
-        here = np.flatnonzero(self._within(
-            slice(None), found, limits.elsewhere_metres, limits.elsewhere_cosine))
+        here = np.flatnonzero(are_near(
+            self.poses, found, limits.elsewhere_metres, limits.elsewhere_cosine))
         least = max(self._likeness(image, here).max(initial=-1.0) - limits.less_alike, 0.0)
         left, alike = self._most_alike(image)
         left = left[(alike > least) & ~np.isin(left, here)]
@@ -53,16 +53,9 @@ class GlanceFinder:
         while len(chosen) < limits.starts and len(left):
             best = CameraPose(self.poses[left[0]])
             chosen.append(best)
-            left = left[~self._within(left, best, limits.start_metres, limits.start_cosine)]
+            left = left[~are_near(
+                self.poses[left], best, limits.start_metres, limits.start_cosine)]
         return chosen
-
-    def _within(self, places: np.ndarray | slice, pose: CameraPose, metres: float,
-                cosine: float) -> np.ndarray:
-        poses = self.poses[places]
-        near: np.ndarray = (
-            np.linalg.norm(poses[:, :3, 3] - pose.position, axis=1) <= metres) & (
-                poses[:, :3, 2] @ pose.forward >= cosine)
-        return near
 
     def _most_alike(self, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return what an image is most like, and the correlations, the most alike first."""

@@ -7,7 +7,7 @@ from neo_ros.memory.alignment_kernels import PhotoLevel
 from neo_ros.memory.glancing import GlanceFinder
 from neo_ros.memory.looking import Looker
 from neo_ros.memory.parallel import on_cores
-from neo_ros.memory.sight import CameraImage, is_near, Sight
+from neo_ros.memory.sight import are_near, CameraImage, is_near, Sight
 from neo_ros.memory.thresholds import AmbiguityThresholds
 from neo_ros.memory.twins import Twins
 import numpy as np
@@ -86,7 +86,7 @@ class RivalFinder:
             tried += [(coarse.agreement(small, twin), twin) for twin in twins]
             known = np.array([twin.T_world_cam for twin in twins]).reshape(-1, 4, 4)
             for start in starts:
-                if _is_at_any(start, known, limits):
+                if are_near(known, start, limits.elsewhere_metres, limits.elsewhere_cosine).any():
                     continue
                 pose = coarse.align(small, start, rounds=1)
                 if is_elsewhere(pose, found.pose, limits):
@@ -113,10 +113,3 @@ def is_elsewhere(one: CameraPose, other: CameraPose, limits: AmbiguityThresholds
     """Tell whether two poses are of two places, and not one pose found twice."""
     return bool(np.linalg.norm(one.position - other.position) > limits.elsewhere_metres
                 or one.forward @ other.forward < limits.elsewhere_cosine)
-
-
-def _is_at_any(pose: CameraPose, known: np.ndarray, limits: AmbiguityThresholds) -> bool:
-    """Tell whether a pose is the same place as one of many (K, 4, 4); see `is_elsewhere`."""
-    apart = np.linalg.norm(known[:, :3, 3] - pose.position, axis=1)
-    return bool(((apart <= limits.elsewhere_metres)
-                 & (known[:, :3, 2] @ pose.forward >= limits.elsewhere_cosine)).any())

@@ -179,3 +179,12 @@ def is_near(pose: CameraPose, other: CameraPose, metres: float, cosine: float) -
     """Tell whether two poses are so near, and look so much the same way."""
     return bool(np.linalg.norm(pose.position - other.position) < metres
                 and pose.forward @ other.forward > cosine)
+
+
+def are_near(T_world_cam: np.ndarray, pose: CameraPose, metres: float, cosine: float
+             ) -> np.ndarray:
+    """Tell of poses (K, 4, 4) which are so near to one, or at just that, bool (K,)."""
+    near: np.ndarray = (
+        np.linalg.norm(T_world_cam[:, :3, 3] - pose.position, axis=1) <= metres) & (
+            T_world_cam[:, :3, 2] @ pose.forward >= cosine)
+    return near

@@ -261,7 +261,7 @@ def test_a_known_twin_that_is_aligned_badly_stays_where_it_is(
 
 def test_what_leads_to_a_known_twin_is_not_aligned(twins: SceneGuide,
                                                    monkeypatch: pytest.MonkeyPatch) -> None:
-    """On a floor of many rooms that takes a tenth of a search."""
+    """On a floor of 50 rooms that takes a fifth of a search."""
     looker, pose = twins._looker, planar(1.9, 1.7, 35)
     image, aligned = _image(looker), list[CameraPose]()
     align = looker.coarse_aligner.align
