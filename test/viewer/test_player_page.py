@@ -188,6 +188,21 @@ def test_a_page_that_is_loaded_again_does_not_lead_back_to_where_it_stood(page: 
     assert moment(page) > 6
 
 
+def test_a_bag_that_stands_still_keeps_its_place_when_the_map_comes_late(
+        browser: Any, viewer: BagViewer) -> None:
+    held: list[Any] = []
+    with opened_page(browser) as page:
+        page.route('**/map', lambda route: held.append(route))
+        page.goto(f'{viewer.url}#t=4.50')
+        page.wait_for_selector('#connection[data-state=paused]')
+        wait_for_moment(page, 4.5)
+        page.wait_for_timeout(1000)
+        for route in held:
+            route.continue_()
+        page.wait_for_selector('#map', state='visible')
+        wait_for(page, lambda: page.inner_text('#place').endswith('paused'))
+
+
 def test_the_slider_asks_now_and_then_and_for_its_last_place(page: Any) -> None:
     """A hand moves it with every frame of the screen, and everybody who watches is led along."""
     pause(page, 1.0)

@@ -55,7 +55,8 @@ export class Around {
       if (load !== this.loads) return;
       if (JSON.stringify(about) === JSON.stringify(this.about)) return;
       this.about = about;
-      this.place = null;
+      // Of another map. With the first one a bag may stand still, and tell its place no more.
+      if (this.map) this.place = null;
       this.map = picture && new Map(find('map'), about, picture);
     } catch {
       if (load === this.loads) setTimeout(() => this.loadMap(), RETRY_MS);
