@@ -155,12 +155,16 @@ def _make_memory(building: Building, expansion: ViewExpansion, path: Path) -> No
 
 
 def _resident_mb(path: Path, sha256: str, expansion: ViewExpansion) -> float:
-    """Return by how many MB a process grows that reads a memory and looks at all of it."""
+    """Return by how many MB a process grows that looks at all of a memory, and searches in it."""
     before = resident_mb('VmRSS')
     guide = SceneGuide(SceneMemory.read(path, sha256), expansion, threads=1)
     guide.warm_up()
-    for x, y, z in guide.renderer.memory.positions.tolist():
-        guide.renderer.render(CameraPose.from_planar(x, y, z, 0.0), expansion.target)
+    positions = guide.renderer.memory.positions.tolist()
+    for index, (x, y, z) in enumerate(positions):
+        view = guide.renderer.render(CameraPose.from_planar(x, y, z, 0.0), expansion.target)
+        if index % max(len(positions) // 100, 1) == 0:  # A hundred searches and a few.
+            guide.reset()
+            guide.guide(view.image[expansion.observed].astype(np.uint8))
     return resident_mb('VmRSS') - before
 
 

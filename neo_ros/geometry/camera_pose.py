@@ -107,10 +107,16 @@ class CameraPose:
 
         For chains of products: rounding grows in them, because the inverse takes transposes.
         """
-        U, _, Vt = np.linalg.svd(matrix[:3, :3])
-        T = matrix.copy()
-        T[:3, :3] = U @ np.diag([1, 1, np.linalg.det(U @ Vt)]) @ Vt
-        return cls(T)
+        return cls.nearest_each(matrix[None])[0]
+
+    @classmethod
+    def nearest_each(cls, matrices: np.ndarray) -> 'list[CameraPose]':
+        """Return `nearest` of each of (N, 4, 4)."""
+        U, _, Vt = np.linalg.svd(matrices[:, :3, :3])
+        T = matrices.copy()
+        U[..., 2] *= np.linalg.det(U @ Vt)[:, None]
+        T[:, :3, :3] = U @ Vt
+        return [cls(one) for one in T]
 
     def is_apart(self, other: 'CameraPose', metres: float, radians: float) -> bool:
         """Tell whether the other camera stands farther away, or is turned by more."""

@@ -5,7 +5,6 @@ Gauss-Newton on the difference of grey images, coarse to fine, in six degrees of
 gain and bias free and Huber weights (Lucas and Kanade 1981; as in DSO, Engel et al. 2018).
 """
 from dataclasses import dataclass, replace
-import math
 
 import cv2
 from neo_ros.geometry import CameraPose, Intrinsics
@@ -167,7 +166,7 @@ def agreement(image: np.ndarray, guide: np.ndarray, known: np.ndarray,
         fits = errors <= np.partition(errors, most)[most]
     kept = known.copy()
     kept[known] = fits
-    return whole, detail_correlation(image, guide, kept) if slope > 0 else 0.0
+    return whole, kernels.detail_correlation(image, guide, kept) if slope > 0 else 0.0
 
 
 def whole_agreement(image: np.ndarray, guide: np.ndarray, known: np.ndarray,
@@ -175,7 +174,7 @@ def whole_agreement(image: np.ndarray, guide: np.ndarray, known: np.ndarray,
     """Return the first correlation of `agreement`, without the second."""
     if known.mean() < thresholds.least_overlap:
         return -1.0
-    return detail_correlation(image, guide, known)
+    return kernels.detail_correlation(image, guide, known)
 
 
 def fine_agreement(image: np.ndarray, guide: np.ndarray, known: np.ndarray,
@@ -189,7 +188,7 @@ def fine_agreement(image: np.ndarray, guide: np.ndarray, known: np.ndarray,
     if known.mean() < thresholds.least_overlap:
         return -1.0
     (_, a), (_, b) = (_in_light(one, known, thresholds) for one in (image, guide))
-    return detail_correlation(a, b, known)
+    return kernels.detail_correlation(a, b, known)
 
 
 def lit_as(image: np.ndarray, drawn: Drawn, thresholds: AlignmentThresholds = AlignmentThresholds()
@@ -208,16 +207,3 @@ def _in_light(grey: np.ndarray, known: np.ndarray, thresholds: AlignmentThreshol
     around = (cv2.GaussianBlur(whole * kept, (0, 0), sigma)
               / np.maximum(cv2.GaussianBlur(kept, (0, 0), sigma), 1e-6))
     return around, whole - around
-
-
-def detail_correlation(a: np.ndarray, b: np.ndarray, kept: np.ndarray) -> float:
-    """
-    Return the correlation of a and b (h, w) without the planes through them; 0 if one is flat.
-
-    kept bool (h, w): the pixels that count.
-    """
-    places, mixed, values = kernels.plane_moments(a, b, kept)
-    # Directions that the places do not span, such as one row of pixels, have no slope.
-    detail = values - mixed.T @ np.linalg.pinv(places, hermitian=True) @ mixed
-    norm = math.sqrt(max(detail[0, 0], 0) * max(detail[1, 1], 0))
-    return float(detail[0, 1]) / norm if norm > 1e-6 else 0.0

@@ -1,9 +1,13 @@
 """Compiled loops that compare a photo with what the scene memory shows."""
+import math
 from typing import NamedTuple
 
 from neo_ros.machine.compiled import njit
 from neo_ros.memory.kernels import CLOSEST, FAST
 import numpy as np
+
+# Mean squares of pixels along a direction, above which places span it.
+SPANNED = 1e-6
 
 
 class PhotoLevel(NamedTuple):
@@ -163,12 +167,11 @@ def equations_in_place(level, guide_level, camera, scale, H):
 
 
 @njit(**FAST)
-def plane_moments(a, b, kept):
+def detail_correlation(a, b, kept):
     """
-    Return what planes through two images (h, w) follow from, of the `kept` pixels, bool (h, w).
+    Return the correlation of a and b (h, w) without the planes through them; 0 if one is flat.
 
-    All about the mean: the sums of products (2, 2) of row and column, (2, 2) of these with a and
-    b, and (2, 2) of a and b.
+    kept bool (h, w): the pixels that count.
     """
     count, mean = 0, np.zeros(4)
     for i in range(a.shape[0]):
@@ -189,7 +192,16 @@ def plane_moments(a, b, kept):
                 for m in range(4):
                     for n in range(4):
                         sums[m, n] += pixel[m] * pixel[n]
-    return sums[:2, :2], sums[:2, 2:], sums[2:, 2:]
+    for k in range(2):  # By elimination: of what is left, less what grows by row, and by column.
+        # Directions that the places do not span, such as one row of pixels, have no slope.
+        if sums[k, k] <= SPANNED * count:
+            continue
+        for m in range(k + 1, 4):
+            slope = sums[k, m] / sums[k, k]
+            for n in range(m, 4):
+                sums[m, n] -= slope * sums[k, n]
+    norm = math.sqrt(max(sums[2, 2], 0.0) * max(sums[3, 3], 0.0))
+    return sums[2, 3] / norm if norm > 1e-6 else 0.0
 
 
 @njit(**FAST)

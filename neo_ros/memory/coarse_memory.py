@@ -9,8 +9,9 @@ from neo_ros.memory.scene_memory import SceneMemory
 # A mesh is as fine as the view, and a texture so many times as fine as the mesh. Finer meshes
 # take longer, and of 100 images in rooms that all differ four more are not found.
 TEXTURE_FINER = 2
-# For the keyframes that are kept decoded; each has a quarter of a megabyte for such views.
-CACHED_BYTES = 64 << 20
+# For the keyframes that are kept decoded. A search looks at places all over a building: those of
+# a model for 64 pixels, 58 KB each, are all kept on 2,000 square metres.
+CACHED_BYTES = 128 << 20
 
 
 class CoarseMemory:

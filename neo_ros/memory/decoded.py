@@ -5,9 +5,9 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 from neo_ros.memory.keyframe import Keyframe
 
-# What is kept: as many as fit into so many bytes, but at least all that are drawn; of each
-# reduction so many.
-CACHED_BYTES = 256 << 20
+# What is kept: as many as fit into so many bytes, twice as many if large ones need that to be
+# decoded ahead; but at least all that are drawn, of each reduction so many.
+CACHED_BYTES = 128 << 20
 LEAST_CACHED = 3
 
 Key = tuple[int, int]
@@ -48,12 +48,20 @@ class DecodedKeyframes:
 
     def ahead(self, key: Key, decode: Callable[[], Keyframe]) -> None:
         """Let another thread decode a keyframe, if there is room beside those that are drawn."""
-        drawn = 2 * LEAST_CACHED * sum(self._sizes.values())
-        if key in self._kept or key[0] not in self._sizes or (
-                drawn + self._sizes[key[0]] > self._most_bytes):
+        if key in self._kept or key[0] not in self._sizes or self._needed > self._most:
             return
         self._other = self._other or ThreadPoolExecutor(1, 'keyframes')
         self._keep(key, self._other.submit(decode))
+
+    @property
+    def _needed(self) -> int:
+        """Bytes of those that are drawn, now and next, and of one that is decoded ahead."""
+        return 2 * LEAST_CACHED * sum(self._sizes.values()) + max(self._sizes.values())
+
+    @property
+    def _most(self) -> int:
+        """How many bytes are kept."""
+        return max(self._most_bytes, min(self._needed, 2 * self._most_bytes))
 
     def _take(self, key: Key) -> 'Future[Keyframe]':
         self._counts[key[0]] -= 1
@@ -63,7 +71,10 @@ class DecodedKeyframes:
         self._kept[key] = kept
         self._counts[key[0]] += 1
         size = sum(count * self._sizes[reduced] for reduced, count in self._counts.items())
-        for old in list(self._kept) if size > self._most_bytes else ():
-            if size > self._most_bytes and self._counts[old[0]] > LEAST_CACHED:
+        most = self._most
+        for old in list(self._kept) if size > most else ():
+            if size <= most:
+                break
+            if self._counts[old[0]] > LEAST_CACHED:
                 size -= self._sizes[old[0]]
                 self._take(old)

@@ -38,14 +38,15 @@ class InvertedIndex:
 
         Returns numbers int32 (N, most), the most alike first, -1 = none, and the dot products.
         """
-        queries = queries.astype(np.float32)
-        alike = queries @ self._words.T
+        alike = queries.astype(np.float32) @ self._words.T
         chosen = np.full((len(queries), min(lists, alike.shape[1])), -1)
         greatest(alike, chosen)
         found = np.full((len(queries), most), -1, np.int32)
-        likeness = np.full((len(queries), most), -1, np.float32)
-        nearest_in_lists(queries, chosen, self._starts, self._numbers, self._codes, found,
-                         likeness)
+        likeness = np.full((len(queries), most), -1, np.int32)
+        asking = np.argsort(chosen, axis=None, kind='stable')
+        bounds = np.searchsorted(chosen.reshape(-1)[asking], np.arange(len(self._words) + 1))
+        nearest_in_lists(queries.astype(np.int16), asking // chosen.shape[1], bounds,
+                         self._starts, self._numbers, self._codes, found, likeness)
         return found, likeness
 
 

@@ -28,23 +28,26 @@ def greatest(values, columns):
 
 
 @njit(**FAST)
-def nearest_in_lists(queries, lists, starts, numbers, codes, found, likeness):
+def nearest_in_lists(queries, asking, bounds, starts, numbers, codes, found, likeness):
     """
     Find for each query the codes most like it in its lists.
 
-    queries float32 (N, D) of whole numbers; lists int64 (N, L), the lists to look at; list k is
-    numbers[starts[k]:starts[k + 1]], indices of codes uint8 (P, D). Fills found int32 (N, K) and
-    likeness float32 (N, K), the dot products, the most alike first; what there are too few for
-    stays: -1. Sums of up to 256 products are exact in float32, in whatever order.
+    queries int16 (N, D). Of list k, of W, asking[bounds[k]:bounds[k + 1]] are the queries that
+    look there, and numbers[starts[k]:starts[k + 1]] the indices of codes uint8 (P, D) in it. Fills
+    found int32 (N, K) and likeness int32 (N, K), the dot products, the most alike first; what
+    there are too few for stays: -1.
     """
     size, most = queries.shape[1], found.shape[1]
-    for query in range(len(queries)):
-        for one in lists[query]:
-            for place in range(starts[one], starts[one + 1]):
-                number = numbers[place]
-                alike = np.float32(0)
+    for one in range(len(bounds) - 1):
+        # A code that is in a cache is compared with all queries of its list.
+        for place in range(starts[one], starts[one + 1]):
+            number = numbers[place]
+            for asked in range(bounds[one], bounds[one + 1]):
+                query, alike = asking[asked], np.int32(0)
                 for k in range(size):
-                    alike += queries[query, k] * np.float32(codes[number, k])
+                    # Of each sum and product numba would make 64 bits.
+                    product = np.int32(np.int32(queries[query, k]) * np.int32(codes[number, k]))
+                    alike = np.int32(alike + product)
                 rank = most
                 while rank > 0 and likeness[query, rank - 1] < alike:
                     rank -= 1

@@ -1,6 +1,7 @@
 """Where else a camera could be: places of a scene that explain an image about as well."""
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import compress
 
 from neo_ros.geometry import CameraPose
 from neo_ros.memory.alignment_kernels import PhotoLevel
@@ -101,12 +102,17 @@ class RivalFinder:
 
         Also whether a twin is there. It is as exact as what it is the twin of: aligning may fail.
         """
-        there = [pose for pose in twins if not is_elsewhere(pose, sight.pose, self._limits)]
-        for pose in there:
-            other = self._looker.glimpse(image, pose)
+        there = self._near(twins, sight.pose)
+        for twin in compress(twins, there):
+            other = self._looker.glimpse(image, twin)
             if other.agreement > sight.agreement:
                 sight = replace(other, believed=other.believed or sight.believed)
-        return sight, bool(there)
+        return sight, bool(there.any())
+
+    def _near(self, poses: Sequence[CameraPose], pose: CameraPose) -> np.ndarray:
+        """Tell which poses are not elsewhere than one, bool (K,)."""
+        T = np.array([one.T_world_cam for one in poses]).reshape(-1, 4, 4)
+        return are_near(T, pose, self._limits.elsewhere_metres, self._limits.elsewhere_cosine)
 
 
 def is_elsewhere(one: CameraPose, other: CameraPose, limits: AmbiguityThresholds) -> bool:

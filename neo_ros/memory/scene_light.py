@@ -105,7 +105,9 @@ class SceneLight:
     def _go_on_from(self, light: Cells | None) -> None:
         """Begin with one of the lights of before, None: with the photos'."""
         self._from, self._calm = light, 0
-        self._now = [cells.copy() for cells in (self.empty if light is None else light)]
+        # Memory of zeros is none until something is written there: of a building little is.
+        self._now = ([np.zeros(cells.shape, cells.dtype) for cells in self.empty]
+                     if light is None else [cells.copy() for cells in light])
 
     def relight(self, image: np.ndarray, depth: np.ndarray, pose: CameraPose, view: Intrinsics
                 ) -> np.ndarray | None:

@@ -24,9 +24,9 @@ class Twins:
     def of(self, pose: CameraPose) -> list[CameraPose]:
         """Return where a camera could as well be that was found at a pose."""
         back = np.linalg.inv(self.T) @ pose.T_world_cam
-        return [CameraPose.nearest(other) for other in (
-            *(self.T @ pose.T_world_cam)[self._in_areas(pose.position)],
-            *back[self._in_areas(back[:, :3, 3])])]
+        return CameraPose.nearest_each(np.concatenate([
+            (self.T @ pose.T_world_cam)[self._in_areas(pose.position)],
+            back[self._in_areas(back[:, :3, 3])]]))
 
     def _in_areas(self, positions: np.ndarray) -> np.ndarray:
         """Tell whether positions (3,) or (K, 3) are in each first place, bool (K,)."""
