@@ -2,16 +2,12 @@
 import math
 
 import cv2
-from neo_ros.memory.decoded import DecodedKeyframes
 from neo_ros.memory.keyframe import depth_of, Keyframe, REDUCED
 from neo_ros.memory.scene_memory import SceneMemory
 
 # A mesh is as fine as the view, and a texture so many times as fine as the mesh. Finer meshes
 # take longer, and of 100 images in rooms that all differ four more are not found.
 TEXTURE_FINER = 2
-# For the keyframes that are kept decoded. A search looks at places all over a building: those of
-# a model for 64 pixels, 58 KB each, are all kept on 2,000 square metres.
-CACHED_BYTES = 128 << 20
 
 
 class CoarseMemory:
@@ -26,14 +22,10 @@ class CoarseMemory:
         self._size = math.ceil(density * height), math.ceil(density * self.band.width)
         self._reduced = max(reduced for reduced in REDUCED if reduced == 1 or (
             texture >= TEXTURE_FINER * reduced * self._size[0]))
-        self._decoded, self._version = DecodedKeyframes(CACHED_BYTES), memory.version
 
     def keyframe(self, index: int, focal: float = math.inf) -> Keyframe:
         """Return keyframe `index`, whatever the focal length; it must not be changed."""
-        if self._version != self._memory.version:
-            self._decoded = DecodedKeyframes(CACHED_BYTES)
-            self._version = self._memory.version
-        return self._decoded.get((1, index), lambda: self._decode(index))
+        return self._memory.small.get((self._size[0], index), lambda: self._decode(index))
 
     def _decode(self, index: int) -> Keyframe:
         texture, coded = self._memory.pictures(index, self._reduced)

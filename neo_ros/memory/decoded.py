@@ -5,9 +5,9 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 from neo_ros.memory.keyframe import Keyframe
 
-# What is kept: as many as fit into so many bytes, twice as many if large ones need that to be
-# decoded ahead; but at least all that are drawn, of each reduction so many.
-CACHED_BYTES = 128 << 20
+# What is kept of one memory: as many as fit into so many bytes, but at least all that are drawn;
+# of each reduction so many.
+CACHED_BYTES = 224 << 20
 LEAST_CACHED = 3
 
 Key = tuple[int, int]
@@ -17,11 +17,14 @@ class DecodedKeyframes:
     """
     Keyframes by how much they are reduced and their number; the ones used last are kept.
 
-    Those that are reduced by as much have one size. For one thread.
+    Those that are reduced by as much have one size. For one thread. beside: others, which come
+    first: what they take has to be spared here.
     """
 
-    def __init__(self, most_bytes: int | None = None) -> None:
-        self._most_bytes = CACHED_BYTES if most_bytes is None else most_bytes
+    def __init__(self, most_bytes: int | None = None, beside: 'DecodedKeyframes | None' = None
+                 ) -> None:
+        self._all_bytes = CACHED_BYTES if most_bytes is None else most_bytes
+        self._beside = beside
         # The last one used is the last. An lru_cache of a method would keep the memory alive, as
         # would a method that decodes.
         self._kept: dict[Key, Future[Keyframe]] = {}
@@ -48,20 +51,21 @@ class DecodedKeyframes:
 
     def ahead(self, key: Key, decode: Callable[[], Keyframe]) -> None:
         """Let another thread decode a keyframe, if there is room beside those that are drawn."""
-        if key in self._kept or key[0] not in self._sizes or self._needed > self._most:
+        drawn = 2 * LEAST_CACHED * sum(self._sizes.values())
+        if key in self._kept or key[0] not in self._sizes or (
+                drawn + self._sizes[key[0]] > self._most_bytes):
             return
         self._other = self._other or ThreadPoolExecutor(1, 'keyframes')
         self._keep(key, self._other.submit(decode))
 
     @property
-    def _needed(self) -> int:
-        """Bytes of those that are drawn, now and next, and of one that is decoded ahead."""
-        return 2 * LEAST_CACHED * sum(self._sizes.values()) + max(self._sizes.values())
+    def kept_bytes(self) -> int:
+        """How many are kept."""
+        return sum(count * self._sizes[reduced] for reduced, count in self._counts.items())
 
     @property
-    def _most(self) -> int:
-        """How many bytes are kept."""
-        return max(self._most_bytes, min(self._needed, 2 * self._most_bytes))
+    def _most_bytes(self) -> int:
+        return self._all_bytes - (0 if self._beside is None else self._beside.kept_bytes)
 
     def _take(self, key: Key) -> 'Future[Keyframe]':
         self._counts[key[0]] -= 1
@@ -70,8 +74,7 @@ class DecodedKeyframes:
     def _keep(self, key: Key, kept: 'Future[Keyframe]') -> None:
         self._kept[key] = kept
         self._counts[key[0]] += 1
-        size = sum(count * self._sizes[reduced] for reduced, count in self._counts.items())
-        most = self._most
+        size, most = self.kept_bytes, self._most_bytes
         for old in list(self._kept) if size > most else ():
             if size <= most:
                 break

@@ -29,6 +29,9 @@ import numpy as np
 logger = logging.getLogger(__name__)
 SCHEMA = 1
 LARGE_BYTES = 64 << 20
+# Of small keyframes so many bytes are kept decoded. A search looks at places all over a building:
+# 58 KB each, those of 2,000 square metres are all kept.
+SMALL_BYTES = 128 << 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,8 +61,8 @@ class SceneMemory:
         self.glances, self.landmarks, self.twins = glances, landmarks, twins
         self._textures, self._depths = textures, depths
         self.changes: Changes | None = None
-        self.version = 0  # Counts the changes: who keeps keyframes looks at it.
-        self._decoded = DecodedKeyframes()
+        self.version = 0  # Counts the changes.
+        self._keep_none()
         self._shapes: dict[int, tuple[tuple[int, ...], ...]] = {}
 
     def keyframe(self, index: int, focal: float = math.inf) -> Keyframe:
@@ -87,9 +90,13 @@ class SceneMemory:
         drawn: keyframes of `drawn_with`, for these changes.
         """
         self.changes, self.version = changes, self.version + 1
-        self._decoded = DecodedKeyframes()
+        self._keep_none()
         for key, keyframe in drawn.items():
             self._decoded.put(key, keyframe)
+
+    def _keep_none(self) -> None:
+        self.small = DecodedKeyframes(SMALL_BYTES)  # For `CoarseMemory`.
+        self._decoded = DecodedKeyframes(beside=self.small)
 
     def drawn_with(self, changes: Changes) -> dict[Key, Keyframe]:
         """Decode what is drawn now as it will be with these changes; any thread may do so."""

@@ -63,7 +63,7 @@ def test_nothing_that_is_drawn_gives_way_to_what_may_be(monkeypatch: pytest.Monk
 
 def test_what_is_kept_of_all_reductions_has_room_together(monkeypatch: pytest.MonkeyPatch) -> None:
     size = keyframe().depth.nbytes + keyframe().texture.nbytes
-    monkeypatch.setattr(decoded, 'CACHED_BYTES', 14 * size)
+    monkeypatch.setattr(decoded, 'CACHED_BYTES', 10 * size)
     frames = DecodedKeyframes()
     last = [frames.get((2, index), keyframe) for index in range(10)]
     for index in range(20):
@@ -73,29 +73,25 @@ def test_what_is_kept_of_all_reductions_has_room_together(monkeypatch: pytest.Mo
     def decode(key: tuple[int, int]) -> Keyframe:
         again.append(key)
         return keyframe()
-    # The others were used later, and eleven are kept; but of each those that are drawn.
+    # Seven of the others were used later; but those that are drawn are kept of each.
     assert [frames.get((2, index), fail) for index in range(7, 10)] == last[7:]
-    for index in range(9, 20):
+    for index in range(13, 20):
         frames.get((1, index), fail)
-    frames.get((1, 8), lambda: decode((1, 8)))
-    assert again == [(1, 8)]
+    frames.get((1, 12), lambda: decode((1, 12)))
+    assert again == [(1, 12)]
 
 
-@pytest.mark.parametrize('kept, room', [(3, 0), (4, 7), (8, 8)])
-def test_large_ones_have_room_to_be_decoded_ahead(
-        kept: int, room: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Six that are drawn, now and next, and one ahead need seven; up to twice as many are kept."""
+def test_what_others_keep_is_spared(monkeypatch: pytest.MonkeyPatch) -> None:
     size = keyframe().depth.nbytes + keyframe().texture.nbytes
-    monkeypatch.setattr(decoded, 'CACHED_BYTES', kept * size)
-    frames, ahead = DecodedKeyframes(), keyframe()
-    for index in range(9):
+    monkeypatch.setattr(decoded, 'CACHED_BYTES', 10 * size)
+    small = DecodedKeyframes(4 * size)
+    frames = DecodedKeyframes(beside=small)
+    for index in range(10):
         frames.get((1, index), keyframe)
-    frames.ahead((1, 9), lambda: ahead)
-    if not room:
-        assert frames.get((1, 9), keyframe) is not ahead
-        return
-    assert frames.get((1, 9), fail) is ahead
-    for index in range(10 - room, 10):
-        frames.get((1, index), fail)
-    with pytest.raises(AssertionError, match='once more'):
-        frames.get((1, 9 - room), fail)
+    for index in range(5):
+        small.get((7, index), keyframe)
+    assert (frames.kept_bytes, small.kept_bytes) == (10 * size, 4 * size)
+    frames.get((1, 10), keyframe)
+    assert frames.kept_bytes == 6 * size
+    frames.ahead((1, 11), fail)  # No room beside six that are drawn.
+    assert [frames.get((1, index), fail) is not None for index in range(5, 11)]

@@ -116,8 +116,8 @@ def test_as_many_keyframes_stay_decoded_as_fit(monkeypatch: pytest.MonkeyPatch) 
     frames = [memory.keyframe(index) for index in range(5)]
     assert all(memory.keyframe(index) is frames[index] for index in range(5))
     monkeypatch.setattr(decoded, 'CACHED_BYTES',
-                        2 * (frames[0].depth.nbytes + frames[0].texture.nbytes))
-    memory = box_memory()  # Of so large ones twice as much is kept, four.
+                        4 * (frames[0].depth.nbytes + frames[0].texture.nbytes))
+    memory = box_memory()
     frames = [memory.keyframe(index) for index in range(5)]
     assert memory.keyframe(1) is frames[1] and memory.keyframe(0) is not frames[0]
 

@@ -203,6 +203,31 @@ def test_a_bag_that_stands_still_keeps_its_place_when_the_map_comes_late(
         wait_for(page, lambda: page.inner_text('#place').endswith('paused'))
 
 
+def test_a_viewer_started_anew_tells_the_place_of_a_bag_that_stands_still(
+        browser: Any, viewer: BagViewer) -> None:
+    """Also where another model's map comes last."""
+    held: list[Any] = []
+    with opened_page(browser) as page:
+        page.add_init_script("""const Socket = window.WebSocket;
+            window.sockets = [];
+            window.WebSocket = class extends Socket {
+                constructor(...address) { super(...address); window.sockets.push(this); }
+            };""")
+        page.goto(f'{viewer.url}#t=4.50')
+        page.wait_for_selector('#connection[data-state=paused]')
+        wait_for(page, lambda: page.inner_text('#place').endswith('paused'))
+        told = page.inner_text('#place')
+        page.route('**/map', lambda route: held.append(route))
+        page.evaluate('window.sockets.forEach((socket) => socket.close())')
+        wait_for(page, lambda: len(held) > 0)
+        wait_for(page, lambda: page.inner_text('#place') == told)
+        page.wait_for_timeout(1000)
+        route = held[-1]
+        about = route.fetch().json()
+        route.fulfill(json={**about, 'metric': False})
+        wait_for(page, lambda: page.inner_text('#place') == told.replace(' m', ''))
+
+
 def test_the_slider_asks_now_and_then_and_for_its_last_place(page: Any) -> None:
     """A hand moves it with every frame of the screen, and everybody who watches is led along."""
     pause(page, 1.0)

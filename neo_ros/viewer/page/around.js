@@ -55,9 +55,9 @@ export class Around {
       if (load !== this.loads) return;
       if (JSON.stringify(about) === JSON.stringify(this.about)) return;
       this.about = about;
-      // Of another map. With the first one a bag may stand still, and tell its place no more.
-      if (this.map) this.place = null;
       this.map = picture && new Map(find('map'), about, picture);
+      // A bag may stand still, and tell its place no more.
+      if (this.place) this.map?.add(this.place);
     } catch {
       if (load === this.loads) setTimeout(() => this.loadMap(), RETRY_MS);
       return;
@@ -79,6 +79,7 @@ export class Around {
 
   // The main connection is there, or lost.
   open() {
+    this.place = null;  // It may be of another model's map; the new connection tells it anew.
     this.link.open();
     this.loadMap();
   }
@@ -183,7 +184,9 @@ export class Around {
 
   paint() {
     if (!this.direction) return;
-    find('look-where').textContent = `Looking ${this.direction.words(this.place.forward)}`;
+    if (this.place) {
+      find('look-where').textContent = `Looking ${this.direction.words(this.place.forward)}`;
+    }
     const canvas = find('look');
     const box = canvas.getBoundingClientRect();
     const [w, h] = [box.width, box.height].map((side) => Math.round(side * devicePixelRatio));
