@@ -18,7 +18,7 @@ class DecodedKeyframes:
     Keyframes by how much they are reduced and their number; the ones used last are kept.
 
     Those that are reduced by as much have one size. For one thread. beside: others, which come
-    first: what they take has to be spared here.
+    first: what they take is spared here.
     """
 
     def __init__(self, most_bytes: int | None = None, beside: 'DecodedKeyframes | None' = None

@@ -85,9 +85,8 @@ class RivalFinder:
             least = min(limits.least_coarse,
                         coarse.agreement(small, found.pose) - limits.agrees_less)
             tried += [(coarse.agreement(small, twin), twin) for twin in twins]
-            known = np.array([twin.T_world_cam for twin in twins]).reshape(-1, 4, 4)
             for start in starts:
-                if are_near(known, start, limits.elsewhere_metres, limits.elsewhere_cosine).any():
+                if self._near(twins, start).any():
                     continue
                 pose = coarse.align(small, start, rounds=1)
                 if is_elsewhere(pose, found.pose, limits):

@@ -15,6 +15,12 @@ HELPERS = Path(__file__).parent
 # How long a test waits for what never comes; a stall of the machine is shorter.
 WAIT_S = 60.0
 CONTRAST = (HELPERS / 'contrast.js').read_text()
+KEEP_SOCKETS = """
+const Socket = window.WebSocket;
+window.sockets = [];
+window.WebSocket = class extends Socket {
+    constructor(...address) { super(...address); window.sockets.push(this); }
+};"""
 PYTHONPATH = {'PYTHONPATH': str(Path(neo_ros.__file__).parents[1])}
 
 
@@ -57,6 +63,11 @@ def opened_page(browser: Any, allowed: str | None = None, **options: Any) -> Ite
     yield page
     context.close()
     assert [line for line in problems if allowed is None or allowed not in line] == []
+
+
+def close_sockets(page: Any) -> None:
+    """Close all connections of a page that began with KEEP_SOCKETS, as a server's end does."""
+    page.evaluate('window.sockets.forEach((socket) => socket.close())')
 
 
 def wait_for(page: Any, condition: Callable[[], bool], timeout: float = WAIT_S) -> None:

@@ -6,7 +6,8 @@ from typing import Any
 from box_room import cast, planar
 import numpy as np
 import pytest
-from viewer_pages import CONTRAST, opened_page, ServerProcess, wait_for
+from viewer_pages import (
+    close_sockets, CONTRAST, KEEP_SOCKETS, opened_page, ServerProcess, wait_for)
 
 # The first of all fixtures: without a browser nothing need start.
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures('browser')]
@@ -100,20 +101,16 @@ def test_a_server_that_was_started_anew_tells_another_map(browser: Any, viewer: 
                                                           ) -> None:
     """With another model, while somebody watches; the page is not loaded again."""
     with opened_page(browser) as page:
-        page.add_init_script("""const Socket = window.WebSocket;
-            window.sockets = [];
-            window.WebSocket = class extends Socket {
-                constructor(...address) { super(...address); window.sockets.push(this); }
-            };""")
+        page.add_init_script(KEEP_SOCKETS)
         viewer.tell(START)
         page.goto(viewer.url)
         page.wait_for_selector('#map', state='visible')
         page.route('**/map', lambda route: route.fulfill(json={'why': 'No memory, no map.'}))
-        page.evaluate('window.sockets.forEach((socket) => socket.close())')
+        close_sockets(page)
         page.wait_for_selector('#map', state='hidden')
         assert page.inner_text('#no-map') == 'No memory, no map.'
         page.unroute('**/map')
-        page.evaluate('window.sockets.forEach((socket) => socket.close())')
+        close_sockets(page)
         page.wait_for_selector('#map', state='visible')
         assert page.is_hidden('#no-map')
         wait_for(page, lambda: 'x 1.9' in page.inner_text('#place'))

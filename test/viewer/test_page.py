@@ -10,7 +10,8 @@ import cv2
 from narrow_link import narrow_link
 import numpy as np
 import pytest
-from viewer_pages import CONTRAST, HELPERS, opened_page, ServerProcess, wait_for, WAIT_S
+from viewer_pages import (
+    CONTRAST, HELPERS, KEEP_SOCKETS, opened_page, ServerProcess, wait_for, WAIT_S)
 from viewer_process import HEIGHT, INSIDE, RING, WIDTH
 
 # The first of all fixtures: without a browser nothing need start.
@@ -48,11 +49,7 @@ def page(browser: Any, viewer: Viewer) -> Iterator[Any]:
     """Give a page that shows live pictures and, at the end, has raised no error."""
     with opened_page(browser, allowed='CONNECTION_REFUSED') as page:
         viewer.tell('go')
-        page.add_init_script("""const Socket = window.WebSocket;
-            window.sockets = [];
-            window.WebSocket = class extends Socket {
-                constructor(...address) { super(...address); window.sockets.push(this); }
-            };""")
+        page.add_init_script(KEEP_SOCKETS)
         page.goto(viewer.url)
         wait_for_state(page, 'live')
         yield page

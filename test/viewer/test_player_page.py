@@ -11,7 +11,9 @@ from box_room import box_walk, EXPANSION, view
 from neo_ros.bags import BagReader, BagWriter
 import numpy as np
 import pytest
-from viewer_pages import CONTRAST, HELPERS, opened_page, PYTHONPATH, ServerProcess, wait_for
+from viewer_pages import (
+    close_sockets, CONTRAST, HELPERS, KEEP_SOCKETS, opened_page, PYTHONPATH, ServerProcess,
+    wait_for)
 
 # The first of all fixtures: without a browser nothing need start.
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures('browser')]
@@ -208,17 +210,13 @@ def test_a_viewer_started_anew_tells_the_place_of_a_bag_that_stands_still(
     """Also where another model's map comes last."""
     held: list[Any] = []
     with opened_page(browser) as page:
-        page.add_init_script("""const Socket = window.WebSocket;
-            window.sockets = [];
-            window.WebSocket = class extends Socket {
-                constructor(...address) { super(...address); window.sockets.push(this); }
-            };""")
+        page.add_init_script(KEEP_SOCKETS)
         page.goto(f'{viewer.url}#t=4.50')
         page.wait_for_selector('#connection[data-state=paused]')
         wait_for(page, lambda: page.inner_text('#place').endswith('paused'))
         told = page.inner_text('#place')
         page.route('**/map', lambda route: held.append(route))
-        page.evaluate('window.sockets.forEach((socket) => socket.close())')
+        close_sockets(page)
         wait_for(page, lambda: len(held) > 0)
         wait_for(page, lambda: page.inner_text('#place') == told)
         page.wait_for_timeout(1000)
