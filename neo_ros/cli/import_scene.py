@@ -7,6 +7,7 @@ import typer
 
 # Photos that are trained on in their full size without --minutes, pixels.
 SMALL = 256
+SYNTHETIC = 'This scene is synthetic: its photos are computed, nobody took them.'
 FORMATS = ('scene, transforms, colmap, scannet, 7scenes, tum, euroc, record3d, polycam, '
            'trajectory, bag, photos or video')
 
@@ -106,6 +107,7 @@ def import_scene(
             refuse('the demo has its own', test_runs=test_runs or None, format=format_name,
                    **of_captures, **of_bags, **of_folders)
             _write_demo(scene, of_views, of_buildings, show)
+            notes = [SYNTHETIC]
         else:
             refuse('expected only with "demo"', **of_views, **of_buildings)
             notes = _import_capture(Path(source), scene, format_name, of_bags, of_folders,

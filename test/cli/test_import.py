@@ -196,6 +196,13 @@ def test_a_camera_of_the_demo_that_is_none_is_refused(tmp_path: Path, camera: st
     assert not (tmp_path / 'scene').exists()
 
 
+@pytest.mark.slow
+def test_a_computed_scene_is_never_taken_for_a_real_one(tmp_path: Path) -> None:
+    output = run('demo', tmp_path / 'scene', '--rooms', '1', '--size', '16', '--photos', '60')
+    assert 'This scene is synthetic' in output
+    assert 'This scene is synthetic' in (tmp_path / 'scene/capture.html').read_text()
+
+
 def test_a_building_without_floors_is_refused(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match='floors: expected 1 to 20, got 0'):
         run('demo', tmp_path / 'scene', '--rooms', '2', '--floors', '0')
