@@ -25,7 +25,8 @@ class CoarseMemory:
 
     def keyframe(self, index: int, focal: float = math.inf) -> Keyframe:
         """Return keyframe `index`, whatever the focal length; it must not be changed."""
-        return self._memory.small.get((self._size[0], index), lambda: self._decode(index))
+        return self._memory.small_keyframes.get(
+            (self._size[0], index), lambda: self._decode(index))
 
     def _decode(self, index: int) -> Keyframe:
         texture, coded = self._memory.pictures(index, self._reduced)

@@ -85,8 +85,9 @@ class RivalFinder:
             least = min(limits.least_coarse,
                         coarse.agreement(small, found.pose) - limits.agrees_less)
             tried += [(coarse.agreement(small, twin), twin) for twin in twins]
+            known = _stacked(twins)
             for start in starts:
-                if self._near(twins, start).any():
+                if are_near(known, start, limits.elsewhere_metres, limits.elsewhere_cosine).any():
                     continue
                 pose = coarse.align(small, start, rounds=1)
                 if is_elsewhere(pose, found.pose, limits):
@@ -101,20 +102,21 @@ class RivalFinder:
 
         Also whether a twin is there. It is as exact as what it is the twin of: aligning may fail.
         """
-        there = self._near(twins, sight.pose)
+        there = are_near(_stacked(twins), sight.pose, self._limits.elsewhere_metres,
+                         self._limits.elsewhere_cosine)
         for twin in compress(twins, there):
             other = self._looker.glimpse(image, twin)
             if other.agreement > sight.agreement:
                 sight = replace(other, believed=other.believed or sight.believed)
         return sight, bool(there.any())
 
-    def _near(self, poses: Sequence[CameraPose], pose: CameraPose) -> np.ndarray:
-        """Tell which poses are not elsewhere than one, bool (K,)."""
-        T = np.array([one.T_world_cam for one in poses]).reshape(-1, 4, 4)
-        return are_near(T, pose, self._limits.elsewhere_metres, self._limits.elsewhere_cosine)
-
 
 def is_elsewhere(one: CameraPose, other: CameraPose, limits: AmbiguityThresholds) -> bool:
     """Tell whether two poses are of two places, and not one pose found twice."""
     return bool(np.linalg.norm(one.position - other.position) > limits.elsewhere_metres
                 or one.forward @ other.forward < limits.elsewhere_cosine)
+
+
+def _stacked(poses: Sequence[CameraPose]) -> np.ndarray:
+    """Return the poses as (K, 4, 4), also if there are none."""
+    return np.array([pose.T_world_cam for pose in poses]).reshape(-1, 4, 4)

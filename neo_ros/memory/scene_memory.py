@@ -61,8 +61,8 @@ class SceneMemory:
         self.glances, self.landmarks, self.twins = glances, landmarks, twins
         self._textures, self._depths = textures, depths
         self.changes: Changes | None = None
-        self.version = 0  # Counts the changes.
-        self._keep_none()
+        self.version = 0  # Counts the changes: a view that was drawn before one is told by it.
+        self._forget_decoded()
         self._shapes: dict[int, tuple[tuple[int, ...], ...]] = {}
 
     def keyframe(self, index: int, focal: float = math.inf) -> Keyframe:
@@ -90,13 +90,13 @@ class SceneMemory:
         drawn: keyframes of `drawn_with`, for these changes.
         """
         self.changes, self.version = changes, self.version + 1
-        self._keep_none()
+        self._forget_decoded()
         for key, keyframe in drawn.items():
             self._decoded.put(key, keyframe)
 
-    def _keep_none(self) -> None:
-        self.small = DecodedKeyframes(SMALL_BYTES)  # For `CoarseMemory`.
-        self._decoded = DecodedKeyframes(beside=self.small)
+    def _forget_decoded(self) -> None:
+        self.small_keyframes = DecodedKeyframes(SMALL_BYTES)  # Those of a `CoarseMemory`.
+        self._decoded = DecodedKeyframes(beside=self.small_keyframes)
 
     def drawn_with(self, changes: Changes) -> dict[Key, Keyframe]:
         """Decode what is drawn now as it will be with these changes; any thread may do so."""
