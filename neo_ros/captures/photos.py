@@ -11,7 +11,7 @@ from neo_ros.errors import SceneError
 from neo_ros.geometry.lens import Lens
 from neo_ros.machine.names import listed
 from neo_ros.machine.progress import no_progress, Progress
-from neo_ros.pictures.header import jpeg_orientation, JPEG_START
+from neo_ros.pictures.header import JPEG_START, stored_orientation, TIFF_STARTS
 from neo_ros.pictures.photo import decode_photo, heic_advice, list_photos, read_photo
 import numpy as np
 
@@ -124,8 +124,8 @@ def _orientation(file: Path, photo: np.ndarray) -> int:
     if file.suffix.lower() not in EXIF_SUFFIXES:
         return UPRIGHT
     data = file.read_bytes()
-    if data.startswith(JPEG_START):  # To decode large photos twice takes minutes.
-        return jpeg_orientation(data)
+    if data.startswith((JPEG_START, *TIFF_STARTS)):  # To decode large photos twice takes minutes.
+        return stored_orientation(data)
     upright = decode_photo(data, upright=True)
     assert upright is not None, 'it could be read just now'
     return next((orientation for orientation in TURNS

@@ -4,7 +4,7 @@ from typing import Any
 import cv2
 from neo_ros.errors import ImageRejected
 from neo_ros.messages.image_encodings import DEPTH, ENCODINGS, MIN_BAYER_SIDE, to_8_bit
-from neo_ros.pictures.header import broken_picture, PictureHeader, read_header
+from neo_ros.pictures.header import as_stored, broken_picture, PictureHeader, read_header
 import numpy as np
 
 # The form that image_transport's plugins understand: what it was, and what the JPEG holds.
@@ -80,6 +80,8 @@ def encode_jpeg(image: np.ndarray, quality: int) -> np.ndarray:
 
 def _decode(data: Any, header: PictureHeader, flags: int) -> np.ndarray:
     """Return uint8 or uint16 (H, W[, 3]) as OpenCV decodes it."""
+    if header.kind == 'TIFF':
+        data = as_stored(bytes(data))
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8)[:header.end],
                              flags | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION)

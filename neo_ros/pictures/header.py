@@ -23,6 +23,7 @@ JPEG_MARKER = re.compile(rb'\xff[^\x00\xff\xd0-\xd7]')
 # TIFF: tags of the first directory that say how much memory the pixels take.
 TIFF_WIDTH, TIFF_HEIGHT, TIFF_BITS, TIFF_SAMPLES, TIFF_TILE = 256, 257, 258, 277, (322, 323)
 TIFF_FORMAT, TIFF_ORIENTATION = 339, 274
+TIFF_SHORT = 3  # Type of a tag's numbers.
 MAX_TIFF_TAGS = 256
 MAX_TIFF_SAMPLES = 4
 
@@ -151,7 +152,7 @@ def _tiff_tags(data: bytes) -> dict[int, list[int]]:
         raise broken_picture(f'a TIFF with {count} tags')
     tags: dict[int, list[int]] = {}
     for entry in range(start + 2, start + 2 + 12 * count, 12):
-        size = {3: 2, 4: 4}.get(number(entry + 2, 2))
+        size = {TIFF_SHORT: 2, 4: 4}.get(number(entry + 2, 2))
         if size is None:
             continue
         many = number(entry + 4, 4)
@@ -198,12 +199,14 @@ def jpeg_is_whole(data: bytes) -> bool:
                for marker, place in _jpeg_segments(data) if marker == JPEG_SCAN)
 
 
-def jpeg_orientation(data: bytes) -> int:
+def stored_orientation(data: bytes) -> int:
     """
-    Return how the picture of a JPEG file is stored (EXIF).
+    Return how the picture of a JPEG or TIFF file is stored (EXIF).
 
     1 as it is shown, 2 to 4 mirrored or upside down, 5 to 8 on its side. 1 where nothing says it.
     """
+    if data[:4] in TIFF_STARTS:
+        return _orientation(data)
     for marker, place in _jpeg_segments(data):
         length = int.from_bytes(data[place + 2:place + 4], 'big')
         segment = data[place + 4:place + 2 + length]
@@ -214,18 +217,37 @@ def jpeg_orientation(data: bytes) -> int:
     return 1
 
 
+def as_stored(data: bytes) -> bytes:
+    """Return a file whose pixels OpenCV leaves as stored: it turns a TIFF, whatever it is told."""
+    place = _orientation_entry(data)
+    if place is None:
+        return data
+    order = TIFF_STARTS[data[:4]]
+    upright = b''.join(value.to_bytes(size, order) for value, size in (
+        (TIFF_ORIENTATION, 2), (TIFF_SHORT, 2), (1, 4), (1, 2), (0, 2)))
+    return data[:place] + upright + data[place + len(upright):]
+
+
 def _orientation(exif: bytes) -> int:
     """Look into the first directory; other tags of it, and what is broken, do not matter."""
+    place = _orientation_entry(exif)
+    if place is None:
+        return 1
+    value = int.from_bytes(exif[place + 8:place + 10], TIFF_STARTS[exif[:4]])
+    return value if 1 <= value <= 8 else 1
+
+
+def _orientation_entry(exif: bytes) -> int | None:
+    """Return where the first directory of a TIFF tells the orientation; None where it does not."""
     order = TIFF_STARTS.get(exif[:4])
     if order is None:
-        return 1
+        return None
     start = int.from_bytes(exif[4:8], order)
     count = int.from_bytes(exif[start:start + 2], order)
     for entry in range(start + 2, min(start + 2 + 12 * count, len(exif) - 11), 12):
         if int.from_bytes(exif[entry:entry + 2], order) == TIFF_ORIENTATION:
-            value = int.from_bytes(exif[entry + 8:entry + 10], order)
-            return value if 1 <= value <= 8 else 1
-    return 1
+            return entry
+    return None
 
 
 def _jpeg_segments(data: bytes) -> Iterator[tuple[int, int]]:

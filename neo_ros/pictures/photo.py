@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 from neo_ros.errors import SceneError
 from neo_ros.machine.names import natural_key
-from neo_ros.pictures.header import jpeg_is_whole, JPEG_START
+from neo_ros.pictures.header import as_stored, jpeg_is_whole, JPEG_START
 import numpy as np
 
 # What phones write; read with the extra `heic`.
@@ -41,7 +41,7 @@ def decode_photo(data: bytes, upright: bool = False) -> np.ndarray | None:
     # OpenCV fills with grey what a file that was cut off lacks.
     if not data or data.startswith(JPEG_START) and not jpeg_is_whole(data):
         return None
-    image = cv2.imdecode(np.frombuffer(data, np.uint8),
+    image = cv2.imdecode(np.frombuffer(data if upright else as_stored(data), np.uint8),
                          cv2.IMREAD_COLOR if upright else READ_FLAGS)
     return None if image is None else cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
 

@@ -1,10 +1,12 @@
 """A calibration of stored pixels turns with photos that are written upright."""
+from collections.abc import Callable
 import json
 from pathlib import Path
 import struct
 
 from capture_files import demo_photos, write_turned_jpeg
 import cv2
+from encoded_images import turned_tiff
 from neo_ros.captures.photos import read_photos
 from neo_ros.captures.scene_writing import write_images
 from neo_ros.captures.turned_lens import shown_lens, shown_pixels, TURNS
@@ -90,10 +92,13 @@ def test_each_photo_has_the_lens_of_its_own_turn(tmp_path: Path) -> None:
     assert [frame.lens and frame.lens.intrinsics.cx for frame in capture.frames] == [27, 37]
 
 
+@pytest.mark.parametrize('turned', [turned_webp, turned_tiff])
 @pytest.mark.parametrize('orientation', [3, 6])
-def test_the_turn_of_a_webp_is_found_by_its_pixels(tmp_path: Path, orientation: int) -> None:
-    (tmp_path / 'in').mkdir()
-    (tmp_path / 'in/a.webp').write_bytes(turned_webp(demo_photos().images[0], orientation))
+def test_the_turn_of_a_webp_or_tiff_is_found(
+        tmp_path: Path, orientation: int, turned: Callable[[np.ndarray, int], bytes]) -> None:
+    path = tmp_path / 'in' / turned.__name__.replace('turned_', 'a.')
+    path.parent.mkdir()
+    path.write_bytes(turned(demo_photos().images[0], orientation))
     capture = read_photos(tmp_path / 'in', write_camera(tmp_path / 'cam.json', STORED))
     assert capture.frames[0].lens == shown_lens(
         Lens(STORED, (0.0,) * 5), orientation, tmp_path)

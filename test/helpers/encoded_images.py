@@ -1,4 +1,5 @@
 """Lays RGB images out as any encoding of a `sensor_msgs/Image` has them, by numpy alone."""
+import struct
 from types import SimpleNamespace
 from typing import Any
 
@@ -90,3 +91,22 @@ def _yuv(rgb: np.ndarray, encoding: str) -> np.ndarray:
     colour[:, ::2], colour[:, 1::2] = u[:, ::2], v[:, ::2]
     pair = (y, colour) if encoding in ('yuv422_yuy2', 'yuyv') else (colour, y)
     return np.stack(pair, -1).reshape(height, 2 * width)
+
+
+def turned_tiff(image: np.ndarray, orientation: int, order: str = '<') -> bytes:
+    """Return a TIFF of RGB uint8 that viewers are told to turn; order as `struct` has it."""
+    height, width = image.shape[:2]
+    tags = [(256, width), (257, height), (258, 8), (259, 1), (262, 2), (273, 0),
+            (274, orientation), (277, 3), (278, height), (279, image.nbytes)]
+    ends = 8 + 2 + 12 * len(tags) + 4
+    tags[2], tags[5] = (258, ends), (273, ends + 6)  # Places of three numbers, and of the pixels.
+
+    def entry(tag: int, value: int) -> bytes:
+        if tag in (258, 273, 279):
+            many, kind = (3, 3) if tag == 258 else (1, 4)
+            return struct.pack(f'{order}HHII', tag, kind, many, value)
+        return struct.pack(f'{order}HHIHH', tag, 3, 1, value, 0)
+
+    return (struct.pack(f'{order}2sHIH', b'II' if order == '<' else b'MM', 42, 8, len(tags))
+            + b''.join(entry(*tag) for tag in tags) + bytes(4)
+            + struct.pack(f'{order}3H', 8, 8, 8) + image.tobytes())

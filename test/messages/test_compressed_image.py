@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import zlib
 
 import cv2
-from encoded_images import BAYER, encoded
+from encoded_images import BAYER, encoded, turned_tiff
 from neo_ros.errors import ImageRejected
 from neo_ros.messages.compressed_image import read_compressed_image
 from neo_ros.pictures.header import compressed_image_size, read_header
@@ -142,6 +142,12 @@ def test_webp_and_tiff_come_back(extension: str, options: tuple[int, ...], worst
     assert read_header(data)[:4] == ('WebP' if 'webp' in extension else 'TIFF', 32, 24, 8)
     found = read_compressed_image(_message(data))
     assert np.abs(found.astype(int) - IMAGE).max() <= worst
+
+
+@pytest.mark.parametrize('orientation', [3, 6])
+def test_an_orientation_of_a_tiff_is_ignored(orientation: int) -> None:
+    found = read_compressed_image(_message(turned_tiff(IMAGE, orientation), 'tiff'))
+    np.testing.assert_array_equal(found, IMAGE)
 
 
 @pytest.mark.parametrize('extension', ['.png', '.tiff'])

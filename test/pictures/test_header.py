@@ -1,8 +1,10 @@
-"""How a JPEG is stored is told as OpenCV turns it."""
+"""How a picture is stored is told as OpenCV turns it."""
 import struct
 
 import cv2
-from neo_ros.pictures.header import jpeg_orientation
+from encoded_images import turned_tiff
+from neo_ros.captures.turned_lens import shown_pixels, TURNS
+from neo_ros.pictures.header import stored_orientation
 from neo_ros.pictures.photo import decode_photo
 import numpy as np
 import pytest
@@ -35,6 +37,18 @@ def test_a_jpeg_lies_on_its_side_where_opencv_turns_it(segments: tuple[bytes, ..
                                for one in segments) + jpeg[2:]
     stored, shown = decode_photo(data), decode_photo(data, upright=True)
     assert stored is not None and shown is not None
-    orientation = jpeg_orientation(data)
+    orientation = stored_orientation(data)
     assert (orientation > 1) == (not np.array_equal(stored, shown))
     assert (orientation > 4) == (stored.shape != shown.shape)
+
+
+@pytest.mark.parametrize('order', ['<', '>'])
+@pytest.mark.parametrize('orientation', TURNS)
+def test_a_tiff_stays_as_stored_unless_it_is_to_be_upright(orientation: int, order: str) -> None:
+    picture = np.random.default_rng(0).integers(0, 256, (8, 16, 3), np.uint8)
+    data = turned_tiff(picture, orientation, order)
+    stored, shown = decode_photo(data), decode_photo(data, upright=True)
+    assert stored is not None and shown is not None
+    np.testing.assert_array_equal(stored, picture)
+    assert stored_orientation(data) == orientation
+    np.testing.assert_array_equal(shown, shown_pixels(picture, orientation))
