@@ -19,6 +19,7 @@ ARGUMENTS = {
     'namespace': ('', 'Namespace of the camera and of the wide topics'),
     'image': ('image', 'Image of the camera; image/compressed follows it'),
     'camera_info': ('', 'Calibration of the camera; empty: camera_info beside the image'),
+    'odom': ('', 'Odometry of the camera or of base_frame; empty: odom in the namespace'),
     'model': ('', 'Model (ONNX file of "neo train"); empty: what params_file says'),
     'params_file': ('', 'YAML file with the parameters of the node; empty: the one that ships'),
     'autostart': ('', 'Configure and activate on start; empty: what params_file says'),
@@ -67,7 +68,7 @@ def start_node(context: LaunchContext) -> list[Node | ExecuteProcess]:
             package='neo_ros', executable='fov_extrapolator', output='screen',
             namespace=namespace,
             parameters=[given.get('params_file', str(shipped)), parameters],
-            remappings=[(name, given[name]) for name in ('image', 'camera_info')
+            remappings=[(name, given[name]) for name in ('image', 'camera_info', 'odom')
                         if name in given]),
         ExecuteProcess(cmd=view, output='screen',
                        condition=IfCondition(LaunchConfiguration('viewer')))]

@@ -70,7 +70,7 @@ def parameters() -> list[tuple[str, Any, ParameterDescriptor]]:
              'replaces the old one once it has passed its checks'),
         _row('autostart', True,
              'Configure and activate on start, without a lifecycle manager', read_only=True),
-        _row('threads', 0, 'Threads of the network, 0 = one per core',
+        _row('threads', 0, 'Threads of the network and of the scene memory, 0 = one per core',
              integer_range=[IntegerRange(from_value=0, to_value=64, step=1)]),
         _row('providers', ['cuda', 'cpu'],
              'What the network runs on, best first; what is not there is left out, the CPU is '

@@ -158,7 +158,7 @@ def launch_file(launch_system):
 def test_launch_file_describes_its_arguments(launch_file):
     names = {argument.name for argument in
              launch_file.generate_launch_description().get_launch_arguments()}
-    assert names == {'namespace', 'image', 'camera_info', 'model', 'params_file', 'viewer',
+    assert names == {'namespace', 'image', 'camera_info', 'odom', 'model', 'params_file', 'viewer',
                      'autostart', 'use_sim_time'}
 
 
@@ -170,6 +170,12 @@ def test_the_viewer_of_the_launch_file_has_its_model_and_its_time(given, more, m
     made, launch_file = launch_stand_in(monkeypatch, given)
     launch_file.start_node(None)
     assert made['ExecuteProcess']['cmd'] == ['neo', 'view', '--topic', '/wide/image', *more]
+
+
+def test_the_launch_file_hands_on_topics_that_are_named(monkeypatch):
+    made, launch_file = launch_stand_in(monkeypatch, {'image': 'image_raw', 'odom': '/odom'})
+    launch_file.start_node(None)
+    assert made['Node']['remappings'] == [('image', 'image_raw'), ('odom', '/odom')]
 
 
 def launch_stand_in(monkeypatch, given):
