@@ -110,6 +110,8 @@ def _narrow_place(positions: np.ndarray, most: float, rules: TileRules
     for axis in np.flatnonzero(extent > most).tolist():
         along = positions[:, axis]
         places = np.arange(along.min() + most / 2, along.max() - most / 2, rules.step)
+        if not len(places):  # It is larger by a rounding.
+            continue
         near = (np.abs(along[:, None] - places) < rules.gap).sum(0)
         off = np.abs(places - (along.min() + along.max()) / 2)
         best = min(range(len(places)), key=lambda i: (near[i], off[i]))

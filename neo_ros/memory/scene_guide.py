@@ -145,16 +145,18 @@ class SceneGuide:
         view, known = best.view, best.view.depth > 0
         gain = self._expose(view.image, known, image.pixels)
         solid = np.where(view.stretched, 0, view.depth)
-        before_light = self.light.other
+        light_before = self.light.shown
         self.light.see(image.pixels, view.image, solid, best.pose)
-        if self.light.other != before_light:
+        same_light = self.light.shown is light_before
+        if not same_light:
             self._recent.forget()  # They differ from what is drawn no more.
         seen_before = self._recent.bring(solid, best.pose, gain)
-        self._recent.keep(image.pixels, view.image, solid, best.pose, gain)
+        if same_light:  # Else the view was drawn in the light before.
+            self._recent.keep(image.pixels, view.image, solid, best.pose, gain)
         light = None if view.light is None else view.light[self.expansion.observed]
         changes = self._memory.changes
         # Another light would be learnt as a change.
-        if self.learner is not None and self.light.as_in_photos:
+        if self.learner is not None and same_light and self.light.as_in_photos:
             self.learner.see(image.pixels, view.image, solid, best.pose, gain, best.agreement,
                              stamp_ns)
             if self._memory.changes is not None and self._memory.changes is not changes:

@@ -31,6 +31,11 @@ class LightThresholds:
     # Of what the cells hold: what came before counts as so much of it; more is forgotten.
     doubt: float = 0.5
     kept: float = MOST_TRUST
+    # In the photos' light: it foretells another one, which a whole day must not outvote.
+    kept_as_in_photos: float = 4.0
+    # Logarithms of brightness, at most: what is black in a memory stays so, whatever it is
+    # multiplied with, and would be made brighter with each image.
+    most: float = 3.0
     # The light is another one where surfaces are by so much brighter or darker than others,
     # averaged over the last images; it may be as before where it is less. The tenth of an image
     # that differs most does not count: something may stand there. In the flat 95 % of the images
@@ -88,6 +93,11 @@ class SceneLight:
         # By how much the light differs from the photos', and from what was kept of it before.
         self._deviation: float | None = None
         self._residual: float | None = None
+
+    @property
+    def shown(self) -> Cells | None:
+        """What views are multiplied with, the same object while it grows; None: nothing."""
+        return self._now if self.other else None
 
     @property
     def as_in_photos(self) -> bool:
@@ -150,7 +160,7 @@ class SceneLight:
             return
         ratio, points = ratio[usable], _points(self._rays, away, pose)[usable.ravel()]
         kept = self._at(points, self._now)
-        light = ratio + kept if self.other else ratio
+        light = np.clip(ratio + kept, -limits.most, limits.most) if self.other else ratio
         off, left = (_trimmed_deviation(one, trust, limits.counted)
                      for one in (light, light - kept))
         self._deviation = _moving_average(self._deviation, off, limits.averaged)
@@ -159,13 +169,16 @@ class SceneLight:
             self._choose(points, light, trust, left)
         least, most = (limits.same, limits.worse) if self.other else (limits.other, limits.better)
         if self._deviation > least and self._residual < most * self._deviation:
+            if not self.other:
+                self._go_on_from(None)  # Without the images before, which show the photos'.
             self.other, self._calm = True, 0
         elif self.other:
             self._calm += 1
             if self._calm == limits.calm:
                 self._put_aside()
+        most = np.float32(limits.kept if self.other else limits.kept_as_in_photos)
         for cell, cells in zip(self._sizes, self._now):
-            add_light(points, light, trust, self._low, cell, np.float32(limits.kept), cells)
+            add_light(points, light, trust, self._low, cell, most, cells)
 
     def _put_aside(self) -> None:
         """Keep the light of now with those of before; the photos' is back."""

@@ -37,6 +37,14 @@ def test_each_photo_is_in_one_tile_and_tiles_are_small_enough() -> None:
     assert (np.stack([tile.holds(anywhere) for tile in tiles]).sum(0) == 1).all()
 
 
+def test_a_tile_may_be_as_large_as_it_can_be_but_for_a_rounding() -> None:
+    places = positions((1.6, -4.2, 28, 16, 1.5), apart=1.0)
+    tiles = cut_floor(places, 6.0)
+    held = np.stack([tile.holds(places) for tile in tiles])
+    assert (held.sum(0) == 1).all()
+    assert all(np.ptp(places[own][:, :2], axis=0).max() < 6.0 + 1e-9 for own in held)
+
+
 def test_a_floor_is_cut_in_its_doors() -> None:
     doors = [4.0, 8.2, 12.1]
     rooms = positions(*((x + 0.5, 0, 3.2, 4, 1.5) for x in [0.0, *doors]))

@@ -4,6 +4,8 @@ from pathlib import Path
 import signal
 import time
 
+from numba import get_num_threads
+
 
 def die(folder: str) -> None:
     """Leave a mark of having begun, and do what no worker survives."""
@@ -16,3 +18,8 @@ def halve(job: int) -> int:
     if job % 2:
         raise ValueError(f'{job} is odd')
     return job // 2
+
+
+def cores(job: int) -> int:
+    """Return how many cores compiled loops would take."""
+    return get_num_threads()

@@ -1,4 +1,5 @@
 """Other light than the photos': it is learnt, kept, found again, and never shown for a change."""
+import functools
 import logging
 from pathlib import Path
 
@@ -21,9 +22,16 @@ RING = EXPANSION.extrapolated_mask
 SHA256 = 64 * 'a'
 
 
+@functools.cache
+def wide_view(pose: CameraPose) -> tuple[np.ndarray, np.ndarray]:
+    """Return what is there, uint8 RGB (H, W, 3) and metres float32 (H, W), to be read only."""
+    image, depth = view(pose, EXPANSION.target)
+    return image, depth.astype(np.float32)
+
+
 def lit(pose: CameraPose, slope: float) -> np.ndarray:
     """Return the wide view as light shows it that falls off along x: uint8 RGB (H, W, 3)."""
-    image, depth = view(pose, EXPANSION.target)
+    image, depth = wide_view(pose)
     points = (EXPANSION.target.pixel_rays() * depth[..., None]) @ pose.T_world_cam[:3, :3].T
     factor = np.exp(slope * (points[..., 0] + pose.position[0] - 2))
     return np.rint(np.clip(0.7 * factor[..., None] * image, 0, 255)).astype(np.uint8)
@@ -98,12 +106,12 @@ def test_a_light_of_before_is_found_again_and_the_others_stay() -> None:
 def test_what_is_something_else_is_no_light() -> None:
     light = SceneLight(MEMORY.positions, EXPANSION)
     pose = WALK[0]
-    shown, depth = view(pose, EXPANSION.target)
+    shown, depth = wide_view(pose)
     image = np.array(EXPANSION.crop(shown))
     noise = np.random.default_rng(0).integers(0, 256, (32, 24, 3), np.uint8)
     image[16:48, 20:44] = cv2.resize(noise, (24, 32))
     for _ in range(36):
-        light.see(image, shown.astype(np.float32), depth.astype(np.float32), pose)
+        light.see(image, shown.astype(np.float32), depth, pose)
     assert not light.other
 
 
@@ -188,10 +196,10 @@ def test_few_lights_are_kept() -> None:
 def looks(light: SceneLight, images: list[np.ndarray]) -> None:
     """Let the light see images of the memory's own views, in the exposure that they have."""
     for pose, image in zip(WALK, images):
-        shown, depth = view(pose, EXPANSION.target)
-        wide, away = shown.astype(np.float32), depth.astype(np.float32)
-        light.relight(wide, away, pose, EXPANSION.target)
-        light.see(image, wide, away, pose)
+        shown, depth = wide_view(pose)
+        wide = shown.astype(np.float32)
+        light.relight(wide, depth, pose, EXPANSION.target)
+        light.see(image, wide, depth, pose)
 
 
 def narrow(slope: float) -> list[np.ndarray]:
@@ -207,6 +215,51 @@ def test_a_light_that_fades_gently_is_kept() -> None:
     assert not light.other and 1 <= len(light.known()) <= light.thresholds.most_lights
     looks(light, narrow(0.1)[:3])
     assert light.other
+
+
+def test_a_long_day_does_not_outvote_the_evening() -> None:
+    light = SceneLight(MEMORY.positions, EXPANSION)
+    for _ in range(12):
+        looks(light, narrow(0.0))
+    assert not light.other
+    evening = narrow(0.12)
+    looks(light, evening[:8])
+    assert light.other
+    looks(light, evening)
+    fresh = SceneLight(MEMORY.positions, EXPANSION)
+    looks(fresh, evening[:8])
+    looks(fresh, evening)
+    assert off(light, 0.12) < 1.1 * off(fresh, 0.12)
+
+
+def off(light: SceneLight, slope: float) -> float:
+    """Return by how much the memory differs from what is there, in that light, grey levels."""
+    differs = []
+    for pose in WALK:
+        shown, depth = wide_view(pose)
+        wide = 0.7 * shown.astype(np.float32)
+        light.relight(wide, depth, pose, EXPANSION.target)
+        truth = lit(pose, slope)
+        gain = np.median(truth[RING]) / np.median(wide[RING])
+        differs.append(np.abs(gain * wide - truth)[RING].mean())
+    return float(np.mean(differs))
+
+
+def test_what_is_black_in_the_memory_gets_no_brighter_without_end() -> None:
+    light = SceneLight(MEMORY.positions, EXPANSION)
+    looks(light, narrow(0.1))
+    assert light.other
+    red = np.zeros((*RING.shape, 3), np.float32)
+    red[..., 0] = 150
+    image = np.full((SOURCE.height, SOURCE.width, 3), (110, 9, 7), np.uint8)
+    for _ in range(100):
+        for pose in WALK[:2]:
+            shown, depth = red.copy(), wide_view(pose)[1]
+            light.relight(shown, depth, pose, EXPANSION.target)
+            light.see(image, shown, depth, pose)
+    most = max(float((np.abs(cells[..., :3]) / np.maximum(cells[..., 3:], 1e-3)).max())
+               for cells in light._now)
+    assert 0 < most <= light.thresholds.most + 1e-3
 
 
 def test_images_that_tell_nothing_of_light_change_nothing() -> None:
@@ -233,10 +286,10 @@ def test_in_another_light_nothing_is_learnt(slope: float, learns: bool) -> None:
     assert not light.as_in_photos
     for pose in WALK:
         # By day the memory is exact here.
-        shown, depth = view(pose, EXPANSION.target)
-        wide, away = shown.astype(np.float32), depth.astype(np.float32)
-        light.relight(wide, away, pose, EXPANSION.target)
-        light.see(np.array(EXPANSION.crop(lit(pose, slope))), wide, away, pose)
+        shown, depth = wide_view(pose)
+        wide = shown.astype(np.float32)
+        light.relight(wide, depth, pose, EXPANSION.target)
+        light.see(np.array(EXPANSION.crop(lit(pose, slope))), wide, depth, pose)
         assert light.as_in_photos == learns
 
 

@@ -8,7 +8,7 @@ import threading
 from typing import Any
 
 from bag_files import write_walk_bag
-from cluster_jobs import die, halve
+from cluster_jobs import cores, die, halve
 from neo_ros.errors import ConfigError, NeoError
 from neo_ros.geometry import Intrinsics, ViewExpansion
 from neo_ros.machine.ray_jobs import map_on_ray
@@ -103,6 +103,11 @@ def test_a_job_that_always_kills_its_worker_is_given_up(tmp_path: Path, ray: Any
 def test_a_job_that_raises_says_so(ray: Any) -> None:
     found = dict(map_on_ray(halve, [4, 5]))
     assert found[0] == 2 and str(found[1]) == 'ValueError: 5 is odd'
+
+
+@pytest.mark.slow
+def test_a_job_takes_one_core(ray: Any) -> None:
+    assert list(map_on_ray(cores, [0])) == [(0, 1)]
 
 
 def test_without_ray_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
