@@ -176,9 +176,9 @@ class SceneLight:
             self._calm += 1
             if self._calm == limits.calm:
                 self._put_aside()
-        most = np.float32(limits.kept if self.other else limits.kept_as_in_photos)
+        kept_trust = np.float32(limits.kept if self.other else limits.kept_as_in_photos)
         for cell, cells in zip(self._sizes, self._now):
-            add_light(points, light, trust, self._low, cell, most, cells)
+            add_light(points, light, trust, self._low, cell, kept_trust, cells)
 
     def _put_aside(self) -> None:
         """Keep the light of now with those of before; the photos' is back."""

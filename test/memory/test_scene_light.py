@@ -52,6 +52,18 @@ def test_another_light_is_learnt_while_driving() -> None:
     assert np.mean(scores[-8:]) > scores[0] + 5
 
 
+def test_no_image_of_the_light_before_corrects_a_view() -> None:
+    guide, changes = SceneGuide(MEMORY, EXPANSION, 1), 0
+    for slope in (0.1, -0.1, 0.1):
+        for pose in WALK[::2]:
+            before = guide.light.shown
+            guide.guide(np.ascontiguousarray(EXPANSION.crop(lit(pose, slope))), prior=pose)
+            if guide.light.shown is not before:
+                changes += 1
+                assert not guide._recent._order
+    assert changes > 1
+
+
 def test_the_photos_light_changes_no_bit() -> None:
     guide = SceneGuide(MEMORY, EXPANSION, 1)
     ring_psnr(guide, 0.0, WALK)
