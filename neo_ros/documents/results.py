@@ -97,12 +97,12 @@ def over_the_minutes(root: Path) -> bytes:
 def over_the_floor(root: Path, unit: str, values: Mapping[str, str]) -> bytes:
     """Return the plot of values, name and key each, of trained floors over their area, SVG."""
     from neo_ros.reports.plot import Plot, plot_svg, Series
-    found = sorted((row for row in rows_of(root, 'building')
-                    if (row['layout'], row['camera']) == (TRAINED, '128x128')),
+    found = sorted((row for row in rows_of(root, 'building') if row['layout'] == TRAINED),
                    key=lambda row: row['area_m2'])
     return plot_svg(Plot('', 'floor, m2', unit, [
-        Series(name, [row['area_m2'] for row in found], [row[key] for row in found])
-        for name, key in values.items()]))
+        Series(f'{name}, {camera}', *zip(*((row['area_m2'], row[key]) for row in found
+                                           if row['camera'] == camera)))
+        for name, key in values.items() for camera in ('128x128', '64x64')]))
 
 
 def over_the_visits(root: Path, key: str) -> bytes:
