@@ -8,6 +8,7 @@ import numpy as np
 
 INCHES = (6.0, 3.4)
 FEW = 10  # So few points of a line are marked.
+SHORT = 18  # Three names of so many letters lie side by side.
 # One file for light and dark pages: what is not a series is grey on nothing.
 GREY = '#808995'
 COLOURS = ('#2f7fdc', '#dd6b20', '#249a63', '#a855c7', '#a8860a', '#1595a8', '#d9365e', '#7b8794',
@@ -65,7 +66,8 @@ def plot_svg(plot: Plot) -> bytes:
         axes.set_ylabel(plot.y_label)
         if len(plot.series) > 1:
             # Above the axes: `outside` came with matplotlib 3.7, Ubuntu 24.04 has 3.6.
-            axes.legend(loc='lower left', bbox_to_anchor=(0, 1), ncols=3, frameon=False)
+            columns = 3 if max(len(series.name) for series in plot.series) <= SHORT else 2
+            axes.legend(loc='lower left', bbox_to_anchor=(0, 1), ncols=columns, frameon=False)
         file = BytesIO()
         figure.savefig(file, format='svg', transparent=True, metadata=dict.fromkeys(
             ('Creator', 'Date', 'Format', 'Type')))
