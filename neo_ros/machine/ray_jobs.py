@@ -6,7 +6,6 @@ import socket
 from typing import Any, Protocol, TypeVar
 
 from neo_ros.errors import ConfigError, NeoError
-import numba
 
 Job = TypeVar('Job')
 Result = TypeVar('Result')
@@ -53,14 +52,16 @@ def map_on_ray(function: Callable[[Job], Result], jobs: Sequence[Job],
     import ray
 
     def on_one_core(job: Job) -> Result:
-        numba.set_num_threads(1)  # It does not go by what Ray says: it would take all cores.
+        from numba import set_num_threads
+        set_num_threads(1)  # It does not go by what Ray says: it would take all cores.
         return function(job)
 
     mine = not ray.is_initialized()
     if mine:
         _join(ray)
     try:
-        task = ray.remote(num_cpus=1, max_retries=retries)(on_one_core)
+        task = ray.remote(num_cpus=1, max_retries=retries)(on_one_core).options(
+            name=function.__name__)
         waiting = {task.remote(job): index for index, job in enumerate(jobs)}
         while waiting:
             (done,), _ = ray.wait(list(waiting), num_returns=1)

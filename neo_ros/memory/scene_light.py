@@ -31,8 +31,6 @@ class LightThresholds:
     # Of what the cells hold: what came before counts as so much of it; more is forgotten.
     doubt: float = 0.5
     kept: float = MOST_TRUST
-    # In the photos' light: it foretells another one, which a whole day must not outvote.
-    kept_as_in_photos: float = 4.0
     # Logarithms of brightness, at most: what is black in a memory stays so, whatever it is
     # multiplied with, and would be made brighter with each image.
     most: float = 3.0
@@ -176,9 +174,8 @@ class SceneLight:
             self._calm += 1
             if self._calm == limits.calm:
                 self._put_aside()
-        kept_trust = np.float32(limits.kept if self.other else limits.kept_as_in_photos)
         for cell, cells in zip(self._sizes, self._now):
-            add_light(points, light, trust, self._low, cell, kept_trust, cells)
+            add_light(points, light, trust, self._low, cell, np.float32(limits.kept), cells)
 
     def _put_aside(self) -> None:
         """Keep the light of now with those of before; the photos' is back."""

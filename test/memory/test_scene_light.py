@@ -234,13 +234,10 @@ def test_a_long_day_does_not_outvote_the_evening() -> None:
     for _ in range(12):
         looks(light, narrow(0.0))
     assert not light.other
-    evening = narrow(0.12)
-    looks(light, evening[:8])
-    assert light.other
-    looks(light, evening)
-    fresh = SceneLight(MEMORY.positions, EXPANSION)
-    looks(fresh, evening[:8])
-    looks(fresh, evening)
+    evening, fresh = narrow(0.12), SceneLight(MEMORY.positions, EXPANSION)
+    for _ in range(3):
+        looks(light, evening)
+        looks(fresh, evening)
     assert off(light, 0.12) < 1.1 * off(fresh, 0.12)
 
 
