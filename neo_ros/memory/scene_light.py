@@ -33,7 +33,7 @@ class LightThresholds:
     kept: float = MOST_TRUST
     # Logarithms of brightness, at most: what is black in a memory stays so, whatever it is
     # multiplied with, and would be made brighter with each image.
-    most: float = 3.0
+    most_log: float = 3.0
     # The light is another one where surfaces are by so much brighter or darker than others,
     # averaged over the last images; it may be as before where it is less. The tenth of an image
     # that differs most does not count: something may stand there. In the flat 95 % of the images
@@ -158,7 +158,8 @@ class SceneLight:
             return
         ratio, points = ratio[usable], _points(self._rays, away, pose)[usable.ravel()]
         kept = self._at(points, self._now)
-        light = np.clip(ratio + kept, -limits.most, limits.most) if self.other else ratio
+        light = np.clip(ratio + kept, -limits.most_log, limits.most_log) if (
+            self.other) else ratio
         off, left = (_trimmed_deviation(one, trust, limits.counted)
                      for one in (light, light - kept))
         self._deviation = _moving_average(self._deviation, off, limits.averaged)

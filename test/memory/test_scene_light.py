@@ -238,10 +238,10 @@ def test_a_long_day_does_not_outvote_the_evening() -> None:
     for _ in range(3):
         looks(light, evening)
         looks(fresh, evening)
-    assert off(light, 0.12) < 1.1 * off(fresh, 0.12)
+    assert levels_off(light, 0.12) < 1.1 * levels_off(fresh, 0.12)
 
 
-def off(light: SceneLight, slope: float) -> float:
+def levels_off(light: SceneLight, slope: float) -> float:
     """Return by how much the memory differs from what is there, in that light, grey levels."""
     differs = []
     for pose in WALK:
@@ -268,7 +268,7 @@ def test_what_is_black_in_the_memory_gets_no_brighter_without_end() -> None:
             light.see(image, shown, depth, pose)
     most = max(float((np.abs(cells[..., :3]) / np.maximum(cells[..., 3:], 1e-3)).max())
                for cells in light._now)
-    assert 0 < most <= light.thresholds.most + 1e-3
+    assert 0 < most <= light.thresholds.most_log + 1e-3
 
 
 def test_images_that_tell_nothing_of_light_change_nothing() -> None:
